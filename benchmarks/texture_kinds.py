@@ -1,23 +1,22 @@
 """Textures of kinds that the models of ``datasets_procedural`` lack, for benchmarks of lattice detectors.
 
-Cloth whose colors repeat over a larger cell than its threads, cells with two similar halves, textures on curved and
-tilted surfaces, large elements under fine grain, photographs in other colors, and stones without a lattice.
+Cells with two similar halves, bent textures, large elements under fine grain, photographs in other colors, and stones
+without a lattice.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-import skimage.data
 from bent_lattices import Bent
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from nrbench import plugins
-from nrbench.imaging.convert import Image, as_image
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 
 MODELS = (
@@ -29,8 +28,6 @@ SPECTRA = ("white", "pink", "brown", "blobs", "grass")
 SIDES = (64, 96, 128, 192, 256)
 SMALL = (96, 128, 160)
 """px; sides of the images that are enlarged."""
-FAINT = 0.05
-"""A dye that changes the colors by a smaller share is not seen."""
 
 
 class Case(NamedTuple):
@@ -46,20 +43,12 @@ class Case(NamedTuple):
         The pixels.
     lattice
         The smallest lattice; None if there is none.
-    structure
-        The lattice of the elements if their colors are ignored, where it is a finer one.
     """
 
     kind: str
     family: str
     image: Image
     lattice: Lattice | None
-    structure: Lattice | None = None
-
-    @property
-    def lattices(self) -> list[Lattice]:
-        """The lattices that a person may measure."""
-        return [lattice for lattice in (self.lattice, self.structure) if lattice is not None]
 
 
 def draw_departures(rng: np.random.Generator) -> dict[str, Any]:
@@ -97,17 +86,11 @@ def draw_kinds(rng: np.random.Generator, count: int) -> Iterator[Case]:
             side = int(rng.choice(SIDES[2:]))
             bend = float(rng.choice([0.25, 0.5, 0.75]))
             yield _bend(rng, model, side, bend)
-            yield _warp(_draw_model(rng, model, side + 64), rng)
             yield _recolor(_draw_model(rng, model, side), rng)
             yield _enlarge(_draw_model(rng, model, int(rng.choice(SMALL))), rng)
         for _ in range(6):
-            yield _dye(rng)
             yield _halve(rng)
             yield Case("stones", "stones", _draw_stones(rng), None)
-        for name in ("grass", "gravel"):
-            whole, side = as_image(getattr(skimage.data, name)()), int(rng.choice(SIDES[2:]))
-            y, x = (int(rng.integers(0, n - side)) for n in whole.shape[:2])
-            yield Case("photograph", name, whole[y : y + side, x : x + side], None)
 
 
 def _bend(rng: np.random.Generator, model: str, side: int, bend: float) -> Case:
@@ -123,27 +106,6 @@ def _sample(image: Image, x: NDArray[np.float64], y: NDArray[np.float64]) -> Ima
     """Return the image at real-valued positions, by splines."""
     channels = [ndimage.map_coordinates(plane, [y, x], order=3, mode="mirror") for plane in np.moveaxis(image, 2, 0)]
     return np.clip(np.stack(channels, -1), 0, 1).astype(np.float32)
-
-
-def _warp(case: Case, rng: np.random.Generator) -> Case:
-    """Return the image on a curved or tilted surface; its lattice is the one in the middle."""
-    side = case.image.shape[0] - 64
-    assert case.lattice is not None
-    along, down = np.meshgrid(*2 * [np.linspace(-0.5, 0.5, side)])
-    angle, s = rng.uniform(0, 2 * np.pi), case.lattice.s
-    u = along * np.cos(angle) + down * np.sin(angle)
-    way = rng.choice(["bow", "shrink", "tilt"])
-    if way == "bow":
-        amount = rng.uniform(0.2, 0.8) * s * 4 * (u**2 - 1 / 12)
-        x, y = side * along - amount * np.sin(angle), side * down + amount * np.cos(angle)
-    elif way == "shrink":
-        scale = rng.uniform(0.03, 0.12) * u / 2
-        x, y = side * (along + scale * u * np.cos(angle)), side * (down + scale * u * np.sin(angle))
-    else:
-        depth = 1 + rng.uniform(0.03, 0.12) * u
-        x, y = side * along / depth, side * down / depth
-    middle = (case.image.shape[0] - 1) / 2
-    return case._replace(kind=f"warped: {way}", image=_sample(case.image, x + middle, y + middle))
 
 
 def _recolor(case: Case, rng: np.random.Generator) -> Case:
@@ -173,63 +135,6 @@ def _enlarge(case: Case, rng: np.random.Generator) -> Case:
     assert case.lattice is not None
     lattice = Lattice.from_basis(scale * case.lattice.matrix)
     return case._replace(kind="enlarged", image=np.clip(image, 0, 1).astype(np.float32), lattice=lattice)
-
-
-def _every(number: int) -> Callable[..., NDArray[np.int64]]:
-    return lambda *index: np.asarray(index[0] % number)
-
-
-_DYES: tuple[tuple[str, str, Callable[..., NDArray[np.int64]], Any], ...] = (
-    ("squares", "", lambda i, j: (i + j) % 2, ((1, 1), (1, -1))),
-    ("squares", "", _every(2), ((2, 0), (0, 1))),
-    ("squares", "", _every(3), ((3, 0), (0, 1))),
-    ("weave", "warp", _every(2), ((1, 1), (1, -1))),
-    ("weave", "warp", _every(4), ((2, 2), (1, -1))),
-)
-"""The model, the layer that is dyed (all if empty), the number of the dye by the index of the element, and the color
-lattice in vectors of the structure."""
-
-
-def _dye(rng: np.random.Generator) -> Case:
-    """Return cloth or tiles in two dyes, whose colors repeat by a supercell.
-
-    Where the random colors of the elements differ more than the dyes, nobody sees the supercell. The lattice is that of
-    the elements then.
-    """
-    model, layer, number, change = _DYES[int(rng.integers(len(_DYES)))]
-    drawn = draw_departures(rng)
-    drawn |= {"color": min(drawn["color"], 0.3), "noise": min(drawn["noise"], 0.1), "jitter": 0.0}
-    plain = plugins.build("datasets", model, drawn)
-    contrast = rng.uniform(0.1, 0.5)
-    tint = 1 + contrast * rng.uniform(-1, 1, 3)
-
-    class Dyed(type(plain)):  # type: ignore[misc]
-        """The model, with dyed elements."""
-
-        def pattern(self, x: Any, y: Any) -> Any:
-            """Return the pattern with a second color for some elements."""
-            pattern = super().pattern(x, y)
-            layers = tuple(
-                part
-                if layer not in ("", part.name)
-                else part.__class__(
-                    part.name,
-                    part.index,
-                    part.coverage,
-                    np.where((number(*part.index) == 0)[..., np.newaxis], 1.0, tint) * np.asarray(part.color),
-                    part.shade,
-                )
-                for part in pattern.layers
-            )
-            return pattern.__class__(pattern.ground, layers)
-
-    side = int(rng.choice(SIDES[2:]))
-    texture = Dyed(**drawn).render((side, side), rng)
-    assert texture.lattice is not None
-    if np.sqrt(((tint - 1) ** 2).mean()) < max(drawn["color"] / 2, FAINT):  # color / 2 is a standard deviation
-        return Case("dyed", model, texture.image, texture.lattice)
-    color = Lattice.from_basis(np.array(change) @ texture.lattice.matrix)
-    return Case("dyed", model, texture.image, color, texture.lattice)
 
 
 def _motif(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float64]:

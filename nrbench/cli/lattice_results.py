@@ -73,8 +73,7 @@ class LatticeResult:
             print(f"no lattice: {self.reason}")
         else:
             confidence = "" if self.detection is None else f", confidence {self.detection.confidence:.3f}"
-            role = f", {self.detection.role} lattice" if self.detection and self.detection.role else ""
-            print(f"{self._start()}{self.detector and f', {self.detector}'}{confidence}{role}")
+            print(f"{self._start()}{self.detector and f', {self.detector}'}{confidence}")
             for number, candidate in enumerate(self.candidates[1:], 2):
                 print(f"candidate {number}: {_describe(candidate)}")
 
@@ -94,7 +93,6 @@ class LatticeResult:
             "detector": self.detector,
             "confidence": self.detection.confidence,
             "probabilities": probabilities and probabilities._asdict(),
-            "role": self.detection.role,
             "alternatives": [candidate_dict(each) for each in self.detection.alternatives],
             **self._deformation_dict(),
         }
@@ -123,7 +121,7 @@ class LatticeResult:
         for number, candidate in enumerate(self.candidates, 1):
             t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in (candidate.lattice.t1, candidate.lattice.t2))
             name, cost = (self.detector, seconds) if number == 1 else (f"  {number}", "")
-            line = f"{name:<12} {t1:<20} {t2:<20} {candidate.confidence:>10.3f} {cost:>8}  {_notes(candidate)}"
+            line = f"{name:<12} {t1:<20} {t2:<20} {candidate.confidence:>10.3f} {cost:>8}  {candidate.relation}"
             lines.append(line.rstrip())
         return lines
 
@@ -138,14 +136,9 @@ class LatticeResult:
         texts = []
         for number, candidate in enumerate(self.candidates, 1):
             name = self.detector if number == 1 else f"{self.detector}, candidate {number}"
-            lines = [f"{name}, confidence {candidate.confidence:.3f}", *textwrap.wrap(_notes(candidate), letters)]
+            lines = [f"{name}, confidence {candidate.confidence:.3f}", *textwrap.wrap(candidate.relation, letters)]
             texts.append("\n".join([*lines, _of_alternative(candidate).text(separator="\n")]))
         return texts
-
-
-def _notes(candidate: Alternative) -> str:
-    """Return how a candidate relates to the chosen lattice, and its role."""
-    return ", ".join(filter(None, (candidate.relation, candidate.role and f"{candidate.role} lattice")))
 
 
 def _of_alternative(candidate: Alternative) -> LatticeResult:
@@ -154,7 +147,7 @@ def _of_alternative(candidate: Alternative) -> LatticeResult:
 
 
 def _describe(candidate: Alternative) -> str:
-    return f"{_of_alternative(candidate).text()}, {_notes(candidate)}, confidence {candidate.confidence:.3f}"
+    return f"{_of_alternative(candidate).text()}, {candidate.relation}, confidence {candidate.confidence:.3f}"
 
 
 def describe_deformation(found: Deformation) -> str:

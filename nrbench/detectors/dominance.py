@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.agreement.evidence import Evidence
-from nrbench.detectors.agreement.search import highest_added
 from nrbench.detectors.autocorrelation.pair_kernels import count_hits
 from nrbench.detectors.autocorrelation.peak_kernels import region_radii
-from nrbench.detectors.autocorrelation.peaks import UNIT, find_peaks, fit_multiples, fit_pair, subpixel
-from nrbench.detectors.autocorrelation.surrogates import crop_for_test, measure_surrogates
+from nrbench.detectors.autocorrelation.peaks import UNIT, find_prominent_peaks, fit_multiples, fit_pair, subpixel
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
+from nrbench.detectors.consensus_rating.lattice_evidence import Evidence
+from nrbench.detectors.consensus_rating.sublattice_search import highest_added
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
@@ -48,7 +48,7 @@ class Ranking(NamedTuple):
     candidates: Points
 
 
-class Pairs(NamedTuple):
+class RatedPairs(NamedTuple):
     """Reduced pairs of vectors ``(m, 2, 2)`` px, one per lattice, the areas of their cells, px^2, and their ratings.
 
     ``evidence``, in nats, is that of ``hits`` among ``multiples``. ``low`` and ``high`` bound the share of hits beyond
@@ -66,14 +66,14 @@ class Pairs(NamedTuple):
     peaks: Points
 
 
-class Choice(NamedTuple):
+class RatedPair(NamedTuple):
     """One of several pairs."""
 
-    pairs: Pairs
+    pairs: RatedPairs
     row: int
 
     def get(self, name: str) -> float:
-        """Return the value of a field of :class:`Pairs` for this pair."""
+        """Return the value of a field of :class:`RatedPairs` for this pair."""
         return float(getattr(self.pairs, name)[self.row])
 
 
@@ -97,8 +97,8 @@ class Dominance:
 
     The confidence is the lower bound of the share of hits, from the share expected by chance (0) to all (1).
 
-    The scores use this detector if a photograph has no given lattice. Synthesizers should use another detector, so that
-    a method and its scores do not share errors.
+    The scores use this detector if a photograph has no given lattice. Synthesizers, and the detectors that they use by
+    default, should not use it, so that a method and its scores do not share errors.
 
     Parameters
     ----------
@@ -154,9 +154,7 @@ class Dominance:
         _check(0 <= self.prominence < 1, f"prominence is {self.prominence}; give a share from 0 to below 1")
         _check(self.candidates >= 2, f"candidates is {self.candidates}; give at least 2")
         _check(0 < self.tolerance < 0.5, f"tolerance is {self.tolerance}; give a share between 0 and 0.5")
-        _check(self.reject in ("none", "surrogate"), f"reject is {self.reject!r}; give none or surrogate")
-        _check(self.surrogates >= 2, f"surrogates is {self.surrogates}; give at least 2")
-        _check(0 < self.false_alarms < 1, f"false_alarms is {self.false_alarms}; give a probability, e.g. 0.01")
+        check_test(self, _check)
 
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``. Its origin is (0, 0) because the method does not find the phase.
@@ -201,7 +199,7 @@ class Dominance:
 
     def _rank_peaks_by_level(self, gamma: Correlation, reach: tuple[int, int]) -> list[Ranking]:
         """Return the peaks at each threshold of prominence, by their regions of dominance, the highest first."""
-        peaks = find_peaks(gamma, reach)
+        peaks = find_prominent_peaks(gamma, reach)
         spots = subpixel(gamma, peaks.lags) if self.subpixel else peaks.lags.astype(np.float64)
         thresholds = self.prominence * peaks.prominences.max(initial=0) / 2.0 ** np.arange(LEVELS)
         kept = [np.flatnonzero(peaks.prominences >= threshold) for threshold in thresholds]
@@ -216,13 +214,13 @@ class Dominance:
             for some, (order, best) in zip(kept, orders, strict=True)
         ]
 
-    def _find_pair(self, gamma: Correlation) -> Choice | None:
+    def _find_pair(self, gamma: Correlation) -> RatedPair | None:
         """Return the pair of the smallest cell that explains the dominant peaks; if none does, the most evident one."""
         chosen, most_evident = self._choose_by_level(gamma)
         lowest = max((choice.get("low") for choice in chosen), default=0.0)
         return next((choice for choice in chosen if choice.get("high") >= lowest), most_evident)
 
-    def _choose_by_level(self, gamma: Correlation) -> tuple[list[Choice], Choice | None]:
+    def _choose_by_level(self, gamma: Correlation) -> tuple[list[RatedPair], RatedPair | None]:
         """Return the explaining pair of the smallest cell at each threshold, and the most evident pair of all."""
         reach = _find_reach(gamma)
         levels = [self._rate_pairs(ranking, reach) for ranking in self._rank_peaks_by_level(gamma, reach)]
@@ -230,7 +228,7 @@ class Dominance:
         chosen = [choice for pairs in levels if (choice := _select_smallest_cell(pairs, needed))]
         return chosen, _select_most_evident(levels)
 
-    def _rate_pairs(self, ranking: Ranking, reach: tuple[int, int]) -> Pairs:
+    def _rate_pairs(self, ranking: Ranking, reach: tuple[int, int]) -> RatedPairs:
         """Return every pair of candidates with its hits. Its own two vectors, which are peaks, are not counted."""
         heights = np.rint(ranking.values * UNIT).astype(np.int64)
         rows = count_hits(
@@ -244,9 +242,9 @@ class Dominance:
         low, high = ((bound - shares) / (1 - shares) for bound in _wilson_bounds(further, trials))
         support = sums / UNIT / np.sqrt(np.maximum(multiples, 1))
         evidence = _divergence(further, trials, shares)
-        return Pairs(vectors, areas, multiples, hits, support, low, high, evidence, ranking.peaks)
+        return RatedPairs(vectors, areas, multiples, hits, support, low, high, evidence, ranking.peaks)
 
-    def _make_detection(self, gamma: Correlation, best: Choice) -> Detection:
+    def _make_detection(self, gamma: Correlation, best: RatedPair) -> Detection:
         """Return the lattice of the best pair, fitted, with its diagnostics."""
         pair = best.pairs.vectors[best.row]
         first, second = fit_pair(gamma, pair, _find_reach(gamma)) if self.subpixel else pair
@@ -260,14 +258,7 @@ class Dominance:
         """Return the detection with the support of phase-randomized copies; raise if its own is not higher."""
         part = crop_for_test(image, detection.lattice)
         support = detection.diagnostics["support"] if part.shape == image.shape else self._measure_support(part)
-        copies, limit = measure_surrogates(image, part, self._measure_support, self.surrogates, self.false_alarms)
-        diagnostics = {"tested_support": support, "surrogate_support": copies, "limit": limit}
-        detection = replace(detection, diagnostics={**detection.diagnostics, **diagnostics})
-        if support <= limit:
-            raise NoLatticeFound(
-                f"the best lattice (support {support:.2f}) is no better than chance ({limit:.2f})", detection
-            )
-        return detection
+        return reject_chance(self, detection, image, part, self._measure_support, support, "support")
 
     def _measure_support(self, image: NDArray[np.float32]) -> float:
         """Return the support of an image's best pair; 0 if it has none."""
@@ -314,19 +305,19 @@ def _rank_peaks(peaks: Points, values: Floats, candidates: int) -> tuple[NDArray
     return highest[np.argsort(-radii[highest], kind="stable")], few
 
 
-def _select_smallest_cell(pairs: Pairs, needed: float) -> Choice | None:
+def _select_smallest_cell(pairs: RatedPairs, needed: float) -> RatedPair | None:
     """Return the pair with the smallest cell of those whose rate is not significantly below the best rate."""
     possible = pairs.evidence > needed
     if not possible.any():
         return None
     explaining = possible & (pairs.high >= pairs.low[possible].max())
     equals = explaining & (pairs.areas < SAME_CELL * pairs.areas[explaining].min())
-    return Choice(pairs, int(np.where(equals, pairs.evidence, -1).argmax()))
+    return RatedPair(pairs, int(np.where(equals, pairs.evidence, -1).argmax()))
 
 
-def _select_most_evident(levels: Sequence[Pairs]) -> Choice | None:
+def _select_most_evident(levels: Sequence[RatedPairs]) -> RatedPair | None:
     """Return the pair of the highest evidence; None if there is none."""
-    best = [Choice(pairs, int(pairs.evidence.argmax())) for pairs in levels if pairs.evidence.max(initial=0) > 0]
+    best = [RatedPair(pairs, int(pairs.evidence.argmax())) for pairs in levels if pairs.evidence.max(initial=0) > 0]
     return max(best, key=lambda choice: choice.get("evidence"), default=None)
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import skimage
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.surrogates import measure_surrogates
+from nrbench.detectors.autocorrelation.surrogates import check_test, reject_chance
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image, crop_middle
 from nrbench.lattice.geometry import Lattice, Points, Vector
@@ -32,7 +32,7 @@ STRONGEST = 24
 """Number of waves that the test searches. Weaker waves have small weights."""
 
 
-class Candidate(NamedTuple):
+class FoundBasis(NamedTuple):
     """The fundamentals found in an image.
 
     Parameters
@@ -129,9 +129,7 @@ class Frdft:
         _check(self.waves >= 2, f"waves is {self.waves}; give at least 2")
         _check(self.tolerance > 0, f"tolerance is {self.tolerance}; give bins above 0, e.g. 0.05")
         _check(self.tile in ("all", "lowest"), f"tile is {self.tile!r}; give all or lowest")
-        _check(self.reject in ("none", "surrogate"), f"reject is {self.reject!r}; give none or surrogate")
-        _check(self.surrogates >= 2, f"surrogates is {self.surrogates}; give at least 2")
-        _check(0 < self.false_alarms < 1, f"false_alarms is {self.false_alarms}; give a probability, e.g. 0.01")
+        check_test(self, _check)
 
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``.
@@ -155,8 +153,6 @@ class Frdft:
             detection = self._read_lowest(middle)
             return detection if self.reject == "none" else self._test(image, detection)
         candidate = self._search(middle, self.waves, THOROUGH, FINALISTS)
-        if isinstance(candidate, str):
-            raise NoLatticeFound(candidate)
         top, left = ((whole - part) // 2 for whole, part in zip(image.shape[:2], middle.shape[:2], strict=True))
         detection = _fit_lattice(candidate, (left, top))
         return detection if self.reject == "none" else self._test(image, detection)
@@ -171,8 +167,11 @@ class Frdft:
         image
             ``(H, W, C)``.
         """
-        candidate = self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST)
-        if isinstance(candidate, str) or not abs(np.linalg.det(candidate.basis.vectors)):
+        try:
+            candidate = self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST)
+        except NoLatticeFound:
+            return []
+        if not abs(np.linalg.det(candidate.basis.vectors)):
             return []
         frequencies = candidate.basis.vectors / candidate.detection.waves.spectrum.size
         return [np.asarray(np.linalg.inv(frequencies).T)]
@@ -190,37 +189,31 @@ class Frdft:
         lattice = Lattice((width, 0.0), (0.0, height)).reduced()
         return Detection(lattice, min(max(waves.share, 0.0), 1.0), {"frequencies": waves.frequencies})
 
-    def _search(self, image: NDArray[np.float32], waves: int, effort: Effort, finalists: int) -> Candidate | str:
-        """Return the fundamentals of an image, or why it has none."""
+    def _search(self, image: NDArray[np.float32], waves: int, effort: Effort, finalists: int) -> FoundBasis:
+        """Return the fundamentals of an image; raise :class:`NoLatticeFound` if it has none."""
         spectrum = Spectrum(image.astype(np.float64))
         detection = find_waves(spectrum, self.threshold or None, self.false_alarms, waves, effort)
         order = np.argsort(-detection.powers.sum(1), kind="stable")
         if len(order) < 2:
-            return f"the image has {len(order)} waves above its noise; a lattice has at least two"
+            raise NoLatticeFound(f"the image has {len(order)} waves above its noise; a lattice has at least two")
         peaks = collect_peaks(detection, order, self.tolerance)
         basis = find_fundamentals(peaks, finalists)
         if basis is None or np.linalg.matrix_rank(basis.orders[basis.explained]) < 2:
-            return "the waves of the image have one direction only: a grating has no lattice"
-        return Candidate(detection, order, basis, surplus(basis, peaks.weights))
+            raise NoLatticeFound("the waves of the image have one direction only: a grating has no lattice")
+        return FoundBasis(detection, order, basis, surplus(basis, peaks.weights))
 
     def _test(self, image: Image, detection: Detection) -> Detection:
         """Return a detection with the evidence of the copies; raise if its own is not higher."""
         longest = float(abs(detection.lattice.matrix).max())
         part = crop_middle(image, max(TESTED, min(round(PERIODS * longest), WINDOW)))
-        copies, limit = measure_surrogates(part, part, self._quick_surplus, self.surrogates, self.false_alarms)
-        evidence = self._quick_surplus(part)
-        more = {"tested_surplus": evidence, "surrogate_surplus": copies, "limit": limit}
-        detection = replace(detection, diagnostics={**detection.diagnostics, **more})
-        if evidence <= limit:
-            raise NoLatticeFound(
-                f"the best lattice (evidence {evidence:.2f}) is no better than chance ({limit:.2f})", detection
-            )
-        return detection
+        return reject_chance(self, detection, part, part, self._quick_surplus, self._quick_surplus(part), "surplus")
 
     def _quick_surplus(self, image: NDArray[np.float32]) -> float:
         """Return the evidence of an image's best lattice by the shorter search; 0 if it has none."""
-        candidate = self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST)
-        return 0.0 if isinstance(candidate, str) else candidate.surplus
+        try:
+            return self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST).surplus
+        except NoLatticeFound:
+            return 0.0
 
 
 def surplus(basis: Basis, weights: NDArray[np.float64]) -> float:
@@ -241,7 +234,7 @@ def surplus(basis: Basis, weights: NDArray[np.float64]) -> float:
     return float(max(min(beyond, off_line_evidence(basis, weights)), 0.0))
 
 
-def _fit_lattice(candidate: Candidate, start: Vector) -> Detection:
+def _fit_lattice(candidate: FoundBasis, start: Vector) -> Detection:
     """Return the dual of the fundamentals, fitted to the image; ``start`` is the (x, y) of the analyzed part."""
     detection, basis = candidate.detection, candidate.basis
     spectrum = detection.waves.spectrum

@@ -14,13 +14,13 @@ from nrbench.detectors.autocorrelation.peak_kernels import highest_ridge
 from nrbench.detectors.autocorrelation.peaks import (
     UNIT,
     dilate,
-    find_peaks,
+    find_prominent_peaks,
     fit_multiples,
     fit_pair,
     quantize_correlation,
     subpixel,
 )
-from nrbench.detectors.autocorrelation.surrogates import crop_for_test, measure_surrogates
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
@@ -136,9 +136,7 @@ class Gncc:
         _check(self.tolerance >= 0, f"tolerance is {self.tolerance}; give 0 or more px")
         _check(0 <= self.prominence < 1, f"prominence is {self.prominence}; give a share from 0 to below 1")
         _check(self.peaks is None or self.peaks >= 2, f"peaks is {self.peaks}; give at least 2, or none for all")
-        _check(self.reject in ("none", "surrogate"), f"reject is {self.reject!r}; give none or surrogate")
-        _check(self.surrogates >= 2, f"surrogates is {self.surrogates}; give at least 2")
-        _check(0 < self.false_alarms < 1, f"false_alarms is {self.false_alarms}; give a probability, e.g. 0.01")
+        check_test(self, _check)
 
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``; its origin is (0, 0), for the method finds no phase.
@@ -181,7 +179,7 @@ class Gncc:
     def _candidates(self, gamma: Correlation) -> Points:
         """Return the vectors to be paired, ``(n, 2)``, in ascending length."""
         reach = self._reach(gamma)
-        peaks = find_peaks(gamma, reach)
+        peaks = find_prominent_peaks(gamma, reach)
         prominent = peaks.prominences >= self.prominence * peaks.values.max(initial=0)
         lags = peaks.lags[prominent]
         lags = lags[np.argsort((lags**2).sum(1), kind="stable")[: self.peaks]]
@@ -219,19 +217,10 @@ class Gncc:
             part, kind = remove_stripes(part, ridge.direction), "lattice but for stripes along one direction"
         unchanged = not joined and part.shape == image.shape
         goodness = best.goodness if unchanged else float(self._rate(half_autocorrelation(part), best.vectors)[0])
-        copies, limit = measure_surrogates(image, part, self._best_goodness, self.surrogates, self.false_alarms)
-        diagnostics = {
-            "relief": ridge.relief,
-            "tested_goodness": goodness,
-            "surrogate_goodness": copies,
-            "limit": limit,
-        }
-        detection = replace(detection, diagnostics={**detection.diagnostics, **diagnostics})
-        if goodness <= limit:
-            raise NoLatticeFound(
-                f"the best {kind} (goodness {goodness:.2f}) is no better than chance ({limit:.2f})", detection
-            )
-        return detection
+        detection = replace(detection, diagnostics={**detection.diagnostics, "relief": ridge.relief})
+        return reject_chance(
+            self, detection, image, part, self._best_goodness, goodness, "goodness", f"the best {kind}"
+        )
 
     def _best_goodness(self, image: NDArray[np.float32]) -> float:
         """Return the goodness of an image's best pair; 0 if it has none."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.peak_kernels import inner_relief
 from nrbench.detectors.autocorrelation.peaks import quantize_correlation
-from nrbench.detectors.autocorrelation.surrogates import crop_for_test, measure_surrogates
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import FLAT, Correlation, half_autocorrelation
@@ -114,16 +114,14 @@ class Ssdn:
     def __post_init__(self) -> None:
         _check(0 < self.depth <= 1, f"depth is {self.depth}; give a share above 0, at most 1")
         _check(0 < self.overlap < 1, f"overlap is {self.overlap}; give a share between 0 and 1")
-        _check(self.reject in ("none", "surrogate"), f"reject is {self.reject!r}; give none or surrogate")
-        _check(self.surrogates >= 2, f"surrogates is {self.surrogates}; give at least 2")
-        _check(0 < self.false_alarms < 1, f"false_alarms is {self.false_alarms}; give a probability, e.g. 0.01")
+        check_test(self, _check)
 
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``; its origin is (0, 0), for the method finds no phase.
 
         Diagnostics: ``ssdn_x``, ``ssdn_y`` (g over the lag, with the minima); with ``primitive``, ``inner`` (the
-        repetition inside the rectangle over that at its corners); with ``"surrogate"``, ``strength`` (of both periods),
-        ``surrogate_strength`` and ``limit``.
+        repetition inside the rectangle over that at its corners); with ``"surrogate"``, ``tested_strength`` (of both
+        periods), ``surrogate_strength`` and ``limit``.
 
         Raises
         ------
@@ -165,14 +163,8 @@ class Ssdn:
     def _compare_with_surrogates(self, image: Image, detection: Detection) -> Detection:
         """Return the detection with the strengths of phase-randomized copies; raise if it is no better."""
         part = crop_for_test(image, detection.lattice)
-        strength = self._strength(part)
-        copies, limit = measure_surrogates(image, part, self._strength, self.surrogates, self.false_alarms)
-        diagnostics = {"strength": strength, "surrogate_strength": copies, "limit": limit}
-        detection = replace(detection, diagnostics={**detection.diagnostics, **diagnostics})
-        if strength <= limit:
-            reason = f"the periods along x and y (strength {strength:.2f}) are no better than chance ({limit:.2f})"
-            raise NoLatticeFound(f"{reason}: {UPRIGHT}", detection)
-        return detection
+        subject = f"{UPRIGHT}, and the one of the periods along x and y"
+        return reject_chance(self, detection, image, part, self._strength, self._strength(part), "strength", subject)
 
     def _check_primitive(self, image: Image, detection: Detection) -> Detection:
         """Return the detection with its inner repetition; raise if it is a supercell."""

@@ -155,12 +155,6 @@ class Curve:
     label: str = ""
 
 
-Role = Literal["", "structure", "color"]
-"""What repeats by a lattice, where two lattices of an image differ by it. ``"structure"``: the lattice of the shapes,
-by which the elements repeat if their colors are ignored. ``"color"``: the coarser lattice by which the colors repeat as
-well. ``""``: there is no such difference."""
-
-
 class Probabilities(NamedTuple):
     """The probabilities, in [0, 1] with the sum 1, of what a lattice is.
 
@@ -202,8 +196,6 @@ class Alternative:
         (:class:`nrbench.lattice.relation.BasisChange`).
     evidence
         The rating by which the detector orders lattices; its docstring says which. None if it has none.
-    role
-        Whether this is the lattice of the structure or of the colors.
     has_origin
         Whether the origin of the lattice is known. If not, it is (0, 0) and means nothing.
 
@@ -218,7 +210,6 @@ class Alternative:
     confidence: float
     relation: str
     evidence: float | None = None
-    role: Role = ""
     has_origin: bool = False
 
 
@@ -239,8 +230,6 @@ class Detection:
         more probable than ``lattice``: a detector need not choose by probability alone.
     probabilities
         What the lattice is; ``confidence`` equals ``probabilities.exact``. None if the detector does not estimate it.
-    role
-        Whether this is the lattice of the structure or of the colors. If so, the other one is among ``alternatives``.
     has_origin
         Whether the detector found the origin of the lattice. If not, it is (0, 0) and means nothing.
 
@@ -256,7 +245,6 @@ class Detection:
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     alternatives: tuple[Alternative, ...] = ()
     probabilities: Probabilities | None = None
-    role: Role = ""
     has_origin: bool = False
 
 

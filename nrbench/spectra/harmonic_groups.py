@@ -10,7 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.lattice.geometry import hermite_matrices, reduce_pairs, shortest_pair
+from nrbench.lattice.geometry import hermite_matrices, shortest_pair
+from nrbench.lattice.reduction_kernels import reduce_bases
 from nrbench.spectra.spectrum import Array, Spectrum
 from nrbench.spectra.wave_fit import Waves
 from nrbench.spectra.wave_search import WaveDetection
@@ -140,7 +141,7 @@ def _on_torus(frequencies: Array, size: Array) -> Array:
     return np.where(bins >= size, 0.0, bins)
 
 
-class Peaks(NamedTuple):
+class SpectrumPeaks(NamedTuple):
     """The peaks of a spectrum from which fundamentals are estimated, strongest first.
 
     Parameters
@@ -181,16 +182,16 @@ class Basis(NamedTuple):
 
 def collect_peaks(
     detection: WaveDetection, members: NDArray[np.intp] | None = None, tolerance: float = TOLERANCE
-) -> Peaks:
+) -> SpectrumPeaks:
     """Return the peaks of the waves with the indices ``members``, the strongest first; None: all waves, in order."""
     waves, energy = detection.waves, detection.powers.sum(1)
     chosen = np.arange(len(energy)) if members is None else members
     spreads = np.hypot(SHIFT / np.sqrt(np.maximum(detection.ratios.max(1)[chosen], 1)), tolerance)
     weights = (energy[chosen] / max(float(energy[chosen].max(initial=0)), 1e-300)) ** EMPHASIS
-    return Peaks(waves.frequencies[chosen] * waves.spectrum.size, spreads, weights)
+    return SpectrumPeaks(waves.frequencies[chosen] * waves.spectrum.size, spreads, weights)
 
 
-def find_fundamentals(peaks: Peaks, finalists: int = FINALISTS) -> Basis | None:
+def find_fundamentals(peaks: SpectrumPeaks, finalists: int = FINALISTS) -> Basis | None:
     """Return the two fundamentals with the highest evidence; None if no two peaks are independent.
 
     A wave of the lattice lies at one of its points, up to an error; any other wave lies at a random place. The evidence
@@ -217,14 +218,14 @@ def find_fundamentals(peaks: Peaks, finalists: int = FINALISTS) -> Basis | None:
     return _basis(_improve_by_index(*best, peaks), peaks)
 
 
-def find_fundamental(peaks: Peaks) -> Basis:
+def find_fundamental(peaks: SpectrumPeaks) -> Basis:
     """Return the fundamental with the highest evidence among the strongest peak and its integer fractions."""
     first = peaks.places[0]
     candidates = ((first / k)[np.newaxis] for k in range(1, 9) if k == 1 or np.hypot(*(first / k)) >= SHORTEST)
     return _basis(_best_fit(candidates, peaks)[1], peaks)
 
 
-def propose_basis(peaks: Peaks) -> Basis:
+def propose_basis(peaks: SpectrumPeaks) -> Basis:
     """Return two fundamentals if their evidence suffices, in total and off its strongest line; else one."""
     pair = find_fundamentals(peaks)
     if (
@@ -254,7 +255,7 @@ def off_line_evidence(basis: Basis, weights: Array) -> float:
     return float(off.sum() - off.max(initial=0))
 
 
-def _propose_pairs(peaks: Peaks) -> Array:
+def _propose_pairs(peaks: SpectrumPeaks) -> Array:
     """Return reduced pairs of the strongest peaks, their sums and differences, ``(m, 2, 2)``."""
     leaders = peaks.places[:PROPOSERS]
     i, j = np.triu_indices(len(leaders), 1)
@@ -263,7 +264,7 @@ def _propose_pairs(peaks: Peaks) -> Array:
     steps = steps[np.hypot(*steps.T) >= SHORTEST]
     steps = steps[_first_of_equal(np.rint(steps * 4))]
     i, j = np.triu_indices(len(steps), 1)
-    pairs = np.stack(reduce_pairs(steps[i], steps[j]), 1)
+    pairs = reduce_bases(np.stack([steps[i], steps[j]], 1), False)
     pairs = pairs[_are_usable(pairs)]
     return np.asarray(pairs[_first_of_equal(np.rint(np.abs(pairs.reshape(-1, 4)) * 8))])
 
@@ -282,15 +283,11 @@ def _are_usable(pairs: Array) -> NDArray[np.bool_]:
     return np.asarray((short >= SHORTEST) & (area > 0.2 * short * np.hypot(*b.T)))
 
 
-def _reduce(basis: Array) -> Array:
-    return np.concatenate(reduce_pairs(basis[:1], basis[1:]))
-
-
 def _is_usable(basis: Array) -> bool:
     """Return whether one vector is not 0, or the reduced basis of two passes :func:`_are_usable`."""
     if len(basis) == 1:
         return bool(np.hypot(*basis[0]) > 0)
-    return bool(_are_usable(_reduce(basis)[np.newaxis])[0])
+    return bool(_are_usable(reduce_bases(basis[np.newaxis], False))[0])
 
 
 def _nearest_orders(bases: Array, places: Array) -> tuple[Array, Array]:
@@ -307,7 +304,7 @@ def _nearest_orders(bases: Array, places: Array) -> tuple[Array, Array]:
     return orders, ((places - orders @ bases) ** 2).sum(2)
 
 
-def _evidence(bases: Array, peaks: Peaks, slack: float) -> Array:
+def _evidence(bases: Array, peaks: SpectrumPeaks, slack: float) -> Array:
     """Return the evidence of each peak for each basis, ``(m, n)``; ``slack`` widens the errors of unfitted bases."""
     orders, square = _nearest_orders(bases, peaks.places)
     variance = (slack * peaks.spreads) ** 2
@@ -319,7 +316,7 @@ def _evidence(bases: Array, peaks: Peaks, slack: float) -> Array:
     return np.asarray(peaks.weights * np.log(near + STRAY_SHARE))
 
 
-def _fit_basis(basis: Array, peaks: Peaks) -> Array:
+def _fit_basis(basis: Array, peaks: SpectrumPeaks) -> Array:
     """Return a basis fitted by weighted least squares to the peaks that it explains, twice."""
     for slack in (3.0, 1.5):
         explained = _evidence(basis[np.newaxis], peaks, slack)[0] > 0
@@ -339,7 +336,7 @@ def _span(orders: Array) -> bool:
     return bool(np.linalg.det(orders.T @ orders) > 0.5)
 
 
-def _best_fit(bases: Iterable[Array], peaks: Peaks) -> tuple[float, Array]:
+def _best_fit(bases: Iterable[Array], peaks: SpectrumPeaks) -> tuple[float, Array]:
     """Fit some bases (at least one) to the peaks, and return the highest evidence and its vectors."""
     best: tuple[float, Array] | None = None
     for basis in bases:
@@ -351,12 +348,12 @@ def _best_fit(bases: Iterable[Array], peaks: Peaks) -> tuple[float, Array]:
     return best
 
 
-_INDEX_FORMS = [*hermite_matrices(2), *hermite_matrices(3)]
-_CHANGES = [*_INDEX_FORMS, *np.linalg.inv(_INDEX_FORMS)]
+_INDEX_FORMS = np.concatenate([hermite_matrices(2), hermite_matrices(3)])
+_CHANGES = np.concatenate([_INDEX_FORMS, np.linalg.inv(_INDEX_FORMS)])
 """Changes of basis to all sublattices of index 2 and 3, and to all superlattices."""
 
 
-def _improve_by_index(score: float, basis: Array, peaks: Peaks) -> Array:
+def _improve_by_index(score: float, basis: Array, peaks: SpectrumPeaks) -> Array:
     """Replace a basis by a sublattice or superlattice of small index as long as this increases the evidence.
 
     Peaks along one line say nothing of the second vector. The longer it is, the higher is the evidence, without end.
@@ -364,16 +361,16 @@ def _improve_by_index(score: float, basis: Array, peaks: Peaks) -> Array:
     while True:
         found = _basis(basis, peaks)
         if not _span(found.orders[found.explained]):
-            return _reduce(basis)
-        relatives = [_fit_basis(_reduce(change @ basis), peaks) for change in _CHANGES]
+            return np.asarray(reduce_bases(basis[np.newaxis], False)[0])
+        relatives = [_fit_basis(related, peaks) for related in reduce_bases(_CHANGES @ basis, False)]
         relatives = [r for r in relatives if _is_usable(r)]
         scores = [float(_evidence(r[np.newaxis], peaks, 1.0).sum()) for r in relatives]
         if not scores or max(scores) <= score + 1e-6:
-            return _reduce(basis)
+            return np.asarray(reduce_bases(basis[np.newaxis], False)[0])
         score, basis = max(scores), relatives[int(np.argmax(scores))]
 
 
-def _basis(vectors: Array, peaks: Peaks) -> Basis:
+def _basis(vectors: Array, peaks: SpectrumPeaks) -> Basis:
     evidence = _evidence(vectors[np.newaxis], peaks, 1.0)[0]
     orders = _nearest_orders(vectors[np.newaxis], peaks.places)[0][0]
     return Basis(vectors, orders, evidence > 0, evidence)

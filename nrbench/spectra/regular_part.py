@@ -12,7 +12,7 @@ from nrbench.spectra.harmonic_groups import (
     REPEATED,
     SHORTEST,
     Basis,
-    Peaks,
+    SpectrumPeaks,
     are_inside,
     are_near,
     collect_peaks,
@@ -182,7 +182,7 @@ def _find_next_group(
 
 
 def _is_regular(
-    basis: Basis, peaks: Peaks, detection: WaveDetection, strongest: np.intp, threshold: float | None
+    basis: Basis, peaks: SpectrumPeaks, detection: WaveDetection, strongest: np.intp, threshold: float | None
 ) -> bool:
     """Return whether a basis is a regular group: a lattice, stripes with harmonics, or a single clear wave."""
     harmonics = surplus_evidence(basis, peaks.weights) - LINE_EVIDENCE * (int(basis.explained.sum()) - 1)

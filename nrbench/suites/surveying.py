@@ -45,9 +45,7 @@ Progress = Callable[[int, int, str], object]
 
 def rank_candidates(detection: Detection) -> list[Alternative]:
     """Return the chosen lattice, then its alternatives in their order; the relation of the chosen one is empty."""
-    chosen = Alternative(
-        detection.lattice, detection.confidence, "", role=detection.role, has_origin=detection.has_origin
-    )
+    chosen = Alternative(detection.lattice, detection.confidence, "", has_origin=detection.has_origin)
     return [chosen, *detection.alternatives]
 
 
@@ -59,10 +57,9 @@ def draw_candidates(image: Image, candidates: Sequence[Alternative]) -> tuple[li
 
 
 def _candidate_caption(number: int, candidate: Alternative) -> str:
-    names = [candidate.relation or "chosen", *([f"{candidate.role} lattice"] if candidate.role else [])]
     confidence = f"confidence {candidate.confidence:.2f}"
     lines = _vector_lines(candidate.lattice, candidate.has_origin)
-    return "\n".join([f"{number}: {', '.join(names)}", confidence, *lines])
+    return "\n".join([f"{number}: {candidate.relation or 'chosen'}", confidence, *lines])
 
 
 def _vector_lines(lattice: Lattice, has_origin: bool) -> list[str]:
@@ -162,8 +159,8 @@ class SurveyedPicture(NamedTuple):
         }
 
 
-def _notes(candidate: Alternative) -> tuple[str, str, str]:
-    return f"{candidate.confidence:.3f}", candidate.relation, candidate.role
+def _notes(candidate: Alternative) -> tuple[str, str]:
+    return f"{candidate.confidence:.3f}", candidate.relation
 
 
 @dataclass

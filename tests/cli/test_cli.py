@@ -124,7 +124,7 @@ def test_lattice_prints_what_the_contract_says(capsys: pytest.CaptureFixture[str
     assert call("render hexagon:color=0.1 --sample 128x128 -o out") == 0
     capsys.readouterr()
     assert call("lattice out/hexagon.png --json -o overlay.png") == 0
-    ranking = {"probabilities", "role", "alternatives"}
+    ranking = {"probabilities", "alternatives"}
     assert set(json.loads(capsys.readouterr().out)) == {"t1", "t2", "detector", "confidence"} | ranking
     overlay, picture = skimage.io.imread("overlay.png"), skimage.io.imread("out/hexagon.png")
     factor = 2  # a small picture is enlarged by a whole factor

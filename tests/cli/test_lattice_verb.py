@@ -121,7 +121,7 @@ def test_all_detectors_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert [answer["detector"] for answer in answers] == plugins.names("detectors")
     for answer in answers:
         keys = {"t1", "t2", "confidence"} if "t1" in answer else {"lattice", "reason"}
-        keys |= {"probabilities", "role", "alternatives"} if "t1" in answer else set()
+        keys |= {"probabilities", "alternatives"} if "t1" in answer else set()
         keys |= {"origin"} if answer["detector"] == "frdft" else set()
         assert set(answer) == {"detector", "seconds", *keys} and answer["seconds"] > 0
 
@@ -168,11 +168,11 @@ def test_candidates_as_json(ranked: None, capsys: pytest.CaptureFixture[str]) ->
     """`--json` holds the chosen lattice, its probabilities, and all alternatives with evidence and relation."""
     assert call("lattice bright.png --json") == 0
     answer = json.loads(capsys.readouterr().out)
-    assert {name: answer[name] for name in ("t1", "t2", "detector", "confidence", "role")} == {
-        "t1": [16, 0], "t2": [0, 12], "detector": "consensus", "confidence": pytest.approx(0.8), "role": "structure"
+    assert {name: answer[name] for name in ("t1", "t2", "detector", "confidence")} == {
+        "t1": [16, 0], "t2": [0, 12], "detector": "consensus", "confidence": pytest.approx(0.8)
     }  # fmt: skip
     assert answer["probabilities"] == pytest.approx({"exact": 0.8, "sub_or_supercell": 0.1, "none": 0.1})
-    second = {"t1": [32, 0], "t2": [0, 12], "confidence": 0.2, "relation": "double along t1", "role": "color"}
+    second = {"t1": [32, 0], "t2": [0, 12], "confidence": 0.2, "relation": "double along t1"}
     assert answer["alternatives"][0] == {**second, "evidence": 0.31}
     assert len(answer["alternatives"]) == len(OTHERS) == 3
 
@@ -181,11 +181,9 @@ def test_candidates_as_text(ranked: None, capsys: pytest.CaptureFixture[str]) ->
     """The first line is the chosen lattice; the second and the third candidate follow, and no others."""
     assert call("lattice bright.png") == 0
     lines = capsys.readouterr().out.splitlines()
-    assert (
-        lines[0] == "t1 = (16.000, 0.000) px, t2 = (0.000, 12.000) px, consensus, confidence 0.800, structure lattice"
-    )
+    assert lines[0] == "t1 = (16.000, 0.000) px, t2 = (0.000, 12.000) px, consensus, confidence 0.800"
     assert [line.partition(":")[0] for line in lines[1:]] == ["candidate 2", "candidate 3"]
-    assert "(32.000, 0.000)" in lines[1] and "double along t1, color lattice, confidence 0.200" in lines[1]
+    assert "(32.000, 0.000)" in lines[1] and "double along t1, confidence 0.200" in lines[1]
 
 
 def test_candidates_are_drawn_below_the_overlay(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
@@ -205,7 +203,7 @@ def test_candidates_in_a_comparison(ranked: None, capsys: pytest.CaptureFixture[
     assert call("lattice bright.png --all -o sheet.png") == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[1:5]] == ["consensus", "2", "3", "dominance"]
-    assert "double along t1, color lattice" in lines[2] and "half along t1" in lines[3]
+    assert "double along t1" in lines[2] and "half along t1" in lines[3]
     sheet = read_image("sheet.png")
     drawn = np.abs(sheet - (1, 0.1, 0.6)).max(-1) < 0.01
     columns = [drawn[:200, left : left + 48].mean() for left in (8, 196, 384)]

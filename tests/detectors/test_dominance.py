@@ -6,11 +6,10 @@ from hypothesis import strategies as st
 from nrbench.api import texture
 from nrbench.detectors.autocorrelation.pair_kernels import count_hits
 from nrbench.detectors.dominance import Dominance, dominance_radii
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error
-from nrbench.plugins.forms import Detector, NoLatticeFound, Surface
+from nrbench.plugins.forms import NoLatticeFound, Surface
 
 PERIODIC = {"color": 0.0, "noise": 0.0}
 FAST = Dominance(reject="none")
@@ -102,61 +101,14 @@ def test_whole_pixels_stay_near() -> None:
     assert np.all(found.matrix == np.rint(found.matrix)) and found.is_equivalent(sample.lattice, 1.0)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.6, np.pi / 2])
-def test_a_grating_has_no_lattice(angle: float) -> None:
-    """Stripes in noise repeat along one direction only and are refused."""
-    y, x = np.indices((96, 96))
-    stripes = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 17.3))
-    image = 0.5 + 0.15 * stripes + 0.03 * np.random.default_rng(0).standard_normal((96, 96))
-    with pytest.raises(NoLatticeFound):
-        Dominance().detect(quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)))
-
-
-def test_noise_and_constants_have_no_lattice() -> None:
-    """White noise is refused with the best candidate; for a constant image the message says that it is constant."""
-    with pytest.raises(NoLatticeFound, match="no better than chance") as refusal:
-        Dominance().detect(np.random.default_rng(0).random((96, 64, 3)).astype(np.float32))
-    assert refusal.value.best is not None
-    with pytest.raises(NoLatticeFound, match="constant"):
-        FAST.detect(np.full((64, 64, 3), 0.4, np.float32))
-
-
-@pytest.mark.parametrize("shape", [(8, 8), (8, 40), (13, 9)])
-def test_tiny_images_are_refused_with_a_reason(shape: tuple[int, int]) -> None:
-    """The smallest images raise nothing but a refusal."""
-    for seed in range(5):
-        image = np.random.default_rng(seed).random((*shape, 3)).astype(np.float32)
-        with pytest.raises(NoLatticeFound, match=r"no two peaks|chance"):
-            Dominance(surrogates=10).detect(image)
-
-
-def test_it_is_a_detector_that_can_be_drawn_and_repeats() -> None:
-    """The plugin implements the protocol, its surface holds at most as many peaks as multiples, and it repeats."""
+def test_the_peaks_can_be_drawn() -> None:
+    """The surface holds at most as many peaks as multiples."""
     image = quantize(texture("brick", (96, 96), 0, **PERIODIC).image)
-    first, second = (Dominance(surrogates=6).detect(image) for _ in range(2))
+    first = Dominance(surrogates=6).detect(image)
     surface = first.diagnostics["correlation"]
-    assert isinstance(Dominance(), Detector) and isinstance(surface, Surface)
+    assert isinstance(surface, Surface)
     assert 0 < first.diagnostics["hits"] <= len(surface.peaks) <= first.diagnostics["multiples"]
-    assert first.lattice == second.lattice and 0 < first.confidence <= 1
-    np.testing.assert_array_equal(first.diagnostics["surrogate_support"], second.diagnostics["surrogate_support"])
-
-
-@pytest.mark.parametrize(
-    ("parameter", "hint"),
-    [
-        ({"prominence": 1.0}, "below 1"),
-        ({"candidates": 1}, "at least 2"),
-        ({"tolerance": 0.5}, "between 0 and 0.5"),
-        ({"reject": "maybe"}, "none or surrogate"),
-        ({"surrogates": 1}, "at least 2"),
-        ({"false_alarms": 0.0}, "probability"),
-    ],
-)
-def test_parameters_out_of_range_are_refused(parameter: dict[str, object], hint: str) -> None:
-    """The message names the parameter and says what to give."""
-    with pytest.raises(BadInput, match=hint) as refusal:
-        Dominance(**parameter)  # type: ignore[arg-type]
-    assert str(refusal.value).startswith(f"dominance: {next(iter(parameter))}")
+    assert 0 < first.confidence <= 1
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 0.7, 1.1])

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.detectors.agreement.evidence import PAD, REACH, Evidence, reduced_basis
-from nrbench.detectors.agreement.evidence_kernels import between, reduce_all
-from nrbench.detectors.agreement.search import finer_bases, highest_added, ridge_height
 from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
+from nrbench.detectors.consensus_rating.lattice_evidence import PAD, REACH, Evidence
+from nrbench.detectors.consensus_rating.lattice_evidence_kernels import between
+from nrbench.detectors.consensus_rating.sublattice_search import finer_bases, highest_added, ridge_height
 from nrbench.imaging.correlation import half_autocorrelation
 from nrbench.lattice.geometry import Lattice, hermite_matrices
 
@@ -75,13 +75,14 @@ def test_agreement_leaves_out_a_coarser_lattice(evidence: Evidence) -> None:
     assert rest.mean == pytest.approx(whole.mean, abs=0.02)
 
 
-def test_a_split_is_the_agreement_of_both_parts(evidence: Evidence) -> None:
-    """Splits by supercells equal the agreement at the supercell's multiples, and at all others."""
+def test_a_split_is_the_difference_of_both_parts(evidence: Evidence) -> None:
+    """The excess of supercells equals the agreement at their multiples less that at all others, in standard errors."""
     changes = np.concatenate([hermite_matrices(index) for index in (2, 3, 4)])
-    for change, (own, others) in zip(changes, evidence.split(BASIS, changes), strict=True):
-        expected = evidence.agreement(change @ BASIS), evidence.agreement(BASIS, change @ BASIS)
-        assert (own.lags, others.lags) == (expected[0].lags, expected[1].lags)
-        np.testing.assert_allclose([own[:2], others[:2]], [part[:2] for part in expected], atol=1e-9)
+    for change, split in zip(changes, evidence.split(BASIS, changes), strict=True):
+        own, others = evidence.agreement(change @ BASIS), evidence.agreement(BASIS, change @ BASIS)
+        assert split.excess == pytest.approx(own.mean - others.mean, abs=1e-9)
+        error = np.sqrt(own.variance / own.lags + others.variance / others.lags)
+        assert abs(split.errors) <= abs(split.excess / error) + 1e-6
 
 
 def test_a_sample_of_many_lags_has_their_mean(evidence: Evidence) -> None:
@@ -97,8 +98,8 @@ def test_a_sample_of_many_lags_has_their_mean(evidence: Evidence) -> None:
 def test_few_of_many_multiples_fit_a_basis(monkeypatch: pytest.MonkeyPatch, evidence: Evidence) -> None:
     """The fit to a sample of the multiples ends within 0.01 px of the fit to all."""
     start, expected = BASIS + np.array([[0.6, -0.4], [0.3, 0.5]]), evidence.fit(BASIS)
-    monkeypatch.setattr("nrbench.detectors.agreement.evidence.MOST_FITTED", 20)
-    monkeypatch.setattr("nrbench.detectors.agreement.evidence.NEAREST", 2)
+    monkeypatch.setattr("nrbench.detectors.consensus_rating.lattice_evidence.MOST_FITTED", 20)
+    monkeypatch.setattr("nrbench.detectors.consensus_rating.lattice_evidence.NEAREST", 2)
     np.testing.assert_allclose(evidence.fit(start), expected, atol=0.01)
     assert not np.array_equal(evidence.fit(start), expected)
 
@@ -194,12 +195,8 @@ def test_a_ridge_has_agreement_at_every_index() -> None:
         assert highest_added(known, basis) > 0.95 * known.repeated(basis)
 
 
-def test_many_lattices_at_once(evidence: Evidence, rng: np.random.Generator) -> None:
-    """Agreements and reduced bases of many lattices equal those of each."""
-    bases = rng.normal(size=(50, 2, 2)) * 20
-    expected = [Lattice.from_basis(basis).reduced().matrix for basis in bases]
-    np.testing.assert_array_equal(reduce_all(bases), expected)
-    np.testing.assert_array_equal([reduced_basis(basis) for basis in bases], expected)
+def test_many_lattices_at_once(evidence: Evidence) -> None:
+    """Agreements of many lattices equal those of each."""
     finer = finer_bases(BASIS)
     one_by_one = [evidence.agreement(basis, BASIS) for basis in finer]
     assert evidence.agreements(finer, BASIS) == one_by_one

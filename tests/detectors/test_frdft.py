@@ -1,5 +1,3 @@
-import pickle
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,10 +7,9 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.detectors.frdft import Frdft, surplus
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
+from nrbench.plugins.forms import NoLatticeFound, Texture
 from nrbench.spectra.harmonic_groups import Basis, Peaks, find_fundamental, find_fundamentals
 
 FAMILIES = {"brick": Brick, "weave": Weave, "hexagon": Hexagon}
@@ -128,38 +125,6 @@ def test_the_evidence_needs_two_directions() -> None:
     assert surplus(basis(both, list(5 * weights)), weights) == pytest.approx(5)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.6])
-def test_a_grating_has_no_lattice(angle: float) -> None:
-    """Stripes in noise repeat along one direction only: refused in both modes."""
-    y, x = np.indices((96, 96))
-    stripes = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 17.3))
-    image = 0.5 + 0.15 * stripes + 0.03 * np.random.default_rng(0).standard_normal((96, 96))
-    for detector in (FAST, Frdft(surrogates=4)):
-        with pytest.raises(NoLatticeFound):
-            detector.detect(quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32)))
-
-
-def test_noise_has_no_lattice() -> None:
-    """White noise has no waves, and the refusal says so."""
-    for seed in range(3):
-        with pytest.raises(NoLatticeFound, match="waves"):
-            Frdft().detect(np.random.default_rng(seed).random((64, 64, 3)).astype(np.float32))
-
-
-def test_a_constant_image_has_no_texture() -> None:
-    """A constant image is refused for what it is."""
-    with pytest.raises(NoLatticeFound, match="constant"):
-        FAST.detect(np.full((64, 64, 3), 0.4, np.float32))
-
-
-@pytest.mark.parametrize("shape", [(8, 8), (8, 40), (13, 9)])
-def test_tiny_images_are_answered_in_words(shape: tuple[int, int]) -> None:
-    """The smallest images of noise are refused with a reason."""
-    for seed in range(5):
-        with pytest.raises(NoLatticeFound, match=r"waves|chance"):
-            Frdft(surrogates=4).detect(np.random.default_rng(seed).random((*shape, 3)).astype(np.float32))
-
-
 @pytest.mark.parametrize("shape", [(96, 170), (1100, 300)])
 def test_any_shape_works(shape: tuple[int, int]) -> None:
     """One channel, sides of different length, and sides beyond the window change nothing."""
@@ -206,29 +171,3 @@ def test_the_diagnostics_can_be_drawn() -> None:
     product = found.lattice.matrix @ (surface.vectors / 128).T
     np.testing.assert_allclose(product, np.rint(product), atol=1e-6)
     assert found.diagnostics["explained"].sum() >= 3 and 0 < found.confidence <= 1
-
-
-def test_detection_repeats_and_travels() -> None:
-    """Twice the same answer, which survives pickling; the plugin has the form."""
-    image = quantize(texture("weave", 3, noise=0.1).image)
-    first, second = FAST.detect(image), FAST.detect(image)
-    assert first.lattice == second.lattice == pickle.loads(pickle.dumps(first)).lattice
-    assert isinstance(Frdft(), Detector)
-
-
-@pytest.mark.parametrize(
-    ("parameter", "hint"),
-    [
-        ({"threshold": -1.0}, "amplitude"),
-        ({"waves": 1}, "at least 2"),
-        ({"tolerance": 0.0}, "above 0"),
-        ({"reject": "maybe"}, "none or surrogate"),
-        ({"surrogates": 1}, "at least 2"),
-        ({"false_alarms": 0.0}, "probability"),
-    ],
-)
-def test_parameters_out_of_range_are_refused(parameter: dict[str, object], hint: str) -> None:
-    """Each says which parameter it is, and what to give."""
-    with pytest.raises(BadInput, match=hint) as refusal:
-        Frdft(**parameter)  # type: ignore[arg-type]
-    assert str(refusal.value).startswith(f"frdft: {next(iter(parameter))}")

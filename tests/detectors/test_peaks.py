@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from nrbench.detectors.autocorrelation.peaks import (
     climb,
     dilate,
-    find_peaks,
+    find_prominent_peaks,
     fit_multiples,
     fit_pair,
     subpixel,
@@ -31,7 +31,7 @@ def bumps(*centers: tuple[float, float, float], width: float = 2.0) -> np.ndarra
 
 def test_peaks_are_found_with_value_and_prominence() -> None:
     """Three separate bumps are three peaks, each as prominent as it is high, the origin left out."""
-    peaks = find_peaks(bumps((20, 5, 0.8), (12, -20, 0.5), (0, 18, 0.4)), (40, 40))
+    peaks = find_prominent_peaks(bumps((20, 5, 0.8), (12, -20, 0.5), (0, 18, 0.4)), (40, 40))
     strong = peaks.values > 0.1
     assert {tuple(lag) for lag in peaks.lags[strong].tolist()} == {(20, 5), (12, -20), (0, 18)}
     np.testing.assert_allclose(peaks.prominences[strong], peaks.values[strong], atol=0.02)
@@ -40,7 +40,7 @@ def test_peaks_are_found_with_value_and_prominence() -> None:
 def test_a_bump_on_a_slope_is_a_peak_of_little_prominence() -> None:
     """A shoulder next to a higher peak stands out by its height above the pass between them."""
     surface = bumps((20, 0, 0.8), (26, 0, 0.5))
-    peaks = find_peaks(surface, (40, 40))
+    peaks = find_prominent_peaks(surface, (40, 40))
     shoulder = peaks.lags.tolist().index([26, 0])
     along = surface[SHAPE[0] - 1, 20:27]
     assert peaks.prominences[shoulder] == pytest.approx(peaks.values[shoulder] - along.min(), abs=1e-4)
@@ -48,7 +48,7 @@ def test_a_bump_on_a_slope_is_a_peak_of_little_prominence() -> None:
 
 def test_a_ridge_across_the_left_edge_is_one() -> None:
     """A pass that leads through the left half-plane counts: the mirrored pixel is the neighbor."""
-    peaks = find_peaks(bumps((2, 20, 0.5), (6, -22, 0.6), width=3.0), (40, 40))
+    peaks = find_prominent_peaks(bumps((2, 20, 0.5), (6, -22, 0.6), width=3.0), (40, 40))
     assert peaks.prominences[peaks.lags.tolist().index([2, 20])] < 0.1
 
 
@@ -58,7 +58,7 @@ def test_prominences_agree_with_brute_force() -> None:
     right = rng.random((21, 11)).astype(np.float32)
     right[11:, 0] = right[9::-1, 0] = np.sort(right[11:, 0])
     right[17, 0] = right[3, 0] = 2
-    peaks = find_peaks(np.pad(right, ((3, 3), (0, 3)), constant_values=-1), (9, 9))
+    peaks = find_prominent_peaks(np.pad(right, ((3, 3), (0, 3)), constant_values=-1), (9, 9))
     whole = np.concatenate([right[::-1, :0:-1], right], 1)
     assert [0, 7] in peaks.lags.tolist()
     for lag, value, prominence in zip(peaks.lags, peaks.values, peaks.prominences, strict=True):

@@ -7,11 +7,10 @@ from nrbench.api import texture
 from nrbench.detectors.autocorrelation.peak_kernels import inner_relief
 from nrbench.detectors.autocorrelation.surrogates import SIDE, crop_for_test
 from nrbench.detectors.ssdn import Ssdn, find_period, shift_ssdn, ssdn
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error
-from nrbench.plugins.forms import Curve, Detector, NoLatticeFound
+from nrbench.plugins.forms import Curve, NoLatticeFound
 
 PERIODIC = {"color": 0.0, "noise": 0.0}
 PAPER = Ssdn(**Ssdn.presets["paper"])
@@ -102,60 +101,11 @@ def test_a_period_needs_all_its_multiples() -> None:
         assert found is not None and found.length == pytest.approx(period, abs=0.1)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.6, np.pi / 2])
-def test_a_grating_has_no_lattice(angle: float) -> None:
-    """Stripes in noise repeat along one direction only and are refused."""
-    with pytest.raises(NoLatticeFound):
-        Ssdn().detect(stripes(angle))
-
-
-def test_noise_and_constants_have_no_lattice() -> None:
-    """White noise is refused; for a constant image the message says that it is constant."""
-    with pytest.raises(NoLatticeFound):
-        Ssdn().detect(np.random.default_rng(0).random((96, 64, 3)).astype(np.float32))
-    with pytest.raises(NoLatticeFound, match="constant"):
-        PAPER.detect(np.full((64, 64, 3), 0.4, np.float32))
-
-
-@pytest.mark.parametrize("shape", [(8, 8), (8, 40), (13, 9)])
-def test_tiny_images_are_refused_with_a_reason(shape: tuple[int, int]) -> None:
-    """The smallest images raise nothing but a refusal."""
-    for seed in range(5):
-        image = np.random.default_rng(seed).random((*shape, 3)).astype(np.float32)
-        with pytest.raises(NoLatticeFound, match="only rectangular"):
-            Ssdn(surrogates=10).detect(image)
-
-
 def test_large_images_are_tested_by_their_middle() -> None:
     """The crop is SIDE px a side if the lattice is fine, and ten periods if it is coarse."""
     image = np.zeros((2000, 300, 1), np.float32)
     assert crop_for_test(image, Lattice((20.0, 0.0), (0.0, 30.0))).shape == (SIDE, 300, 1)
     assert crop_for_test(image, Lattice((20.0, 0.0), (0.0, 90.0))).shape == (900, 300, 1)
-
-
-def test_it_is_a_detector_and_repeats() -> None:
-    """The plugin implements the protocol, and two detections agree to the last bit."""
-    image = quantize(texture("card", (96, 96), 0, **PERIODIC).image)
-    first, second = (Ssdn(surrogates=6).detect(image) for _ in range(2))
-    assert isinstance(Ssdn(), Detector) and first.lattice == second.lattice
-    np.testing.assert_array_equal(first.diagnostics["surrogate_strength"], second.diagnostics["surrogate_strength"])
-
-
-@pytest.mark.parametrize(
-    ("parameter", "hint"),
-    [
-        ({"depth": 0.0}, "above 0"),
-        ({"overlap": 1.0}, "between 0 and 1"),
-        ({"reject": "maybe"}, "none or surrogate"),
-        ({"surrogates": 1}, "at least 2"),
-        ({"false_alarms": 0.0}, "probability"),
-    ],
-)
-def test_parameters_out_of_range_are_refused(parameter: dict[str, object], hint: str) -> None:
-    """The message names the parameter and says what to give."""
-    with pytest.raises(BadInput, match=hint) as refusal:
-        Ssdn(**parameter)  # type: ignore[arg-type]
-    assert str(refusal.value).startswith(f"ssdn: {next(iter(parameter))}")
 
 
 @pytest.mark.parametrize("axis", [0, 1])

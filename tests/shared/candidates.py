@@ -10,7 +10,7 @@ from nrbench.plugins.forms import Alternative, Detection, NoLatticeFound, Probab
 
 CHOSEN = Lattice((16.0, 0.0), (0.0, 12.0))
 OTHERS = (
-    Alternative(Lattice((32.0, 0.0), (0.0, 12.0)), 0.2, "double along t1", 0.31, "color"),
+    Alternative(Lattice((32.0, 0.0), (0.0, 12.0)), 0.2, "double along t1", 0.31),
     Alternative(Lattice((8.0, 0.0), (0.0, 12.0)), 0.1, "half along t1", 0.25),
     Alternative(Lattice((16.0, 0.0), (0.0, 36.0)), 0.05, "x 3 along t2", 0.2),
 )
@@ -32,4 +32,4 @@ class Ranked:
             raise ArithmeticError("thirteen rows")
         rest = 1 - confidence
         probabilities = Probabilities(confidence, rest / 2, rest / 2)
-        return Detection(CHOSEN, confidence, {}, OTHERS, probabilities, "structure")
+        return Detection(CHOSEN, confidence, {}, OTHERS, probabilities)

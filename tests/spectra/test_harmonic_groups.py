@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from nrbench.lattice.geometry import reduce_pairs, shortest_pair
 from nrbench.spectra.harmonic_groups import (
-    Peaks,
+    SpectrumPeaks,
     are_near,
     find_fundamentals,
     is_supercell,
@@ -50,19 +49,19 @@ SIZE = np.array([128.0, 128.0])
 def test_stripes_and_one_more_wave_are_no_lattice() -> None:
     """Harmonics of one fundamental with a wave off their line give one; with two more waves of a lattice, two."""
     places = [(0.0, 4.3 * k) for k in range(1, 7)] + [(9.1, 0.2), (2.0, 1.1)]
-    stripes = Peaks(np.array(places), np.full(8, 0.05), np.ones(8))
+    stripes = SpectrumPeaks(np.array(places), np.full(8, 0.05), np.ones(8))
     pair = find_fundamentals(stripes)
     assert (
         pair is not None and off_line_evidence(pair, stripes.weights) == 0 and len(propose_basis(stripes).vectors) == 1
     )
-    more = Peaks(np.array([*places, (18.2, 4.7), (9.1, 4.5)]), np.full(10, 0.05), np.ones(10))
+    more = SpectrumPeaks(np.array([*places, (18.2, 4.7), (9.1, 4.5)]), np.full(10, 0.05), np.ones(10))
     assert len(propose_basis(more).vectors) == 2
 
 
 def test_waves_along_one_line_do_not_lengthen_the_other_vector() -> None:
     """Of waves along one line, the vector beside the line stays as short as the places that were paired."""
     places = [(10.8, 1.5), (32.4, 4.5), (32.3, 4.4), (32.5, 4.6), (1.0, -26.4)]
-    pair = find_fundamentals(Peaks(np.array(places), np.full(5, 0.05), np.array([1.0, 0.4, 0.4, 0.4, 0.01])))
+    pair = find_fundamentals(SpectrumPeaks(np.array(places), np.full(5, 0.05), np.array([1.0, 0.4, 0.4, 0.4, 0.01])))
     assert pair is not None and np.abs(pair.vectors).max() < 1000
     assert np.linalg.matrix_rank(pair.orders[pair.explained]) == 1
 
@@ -73,12 +72,3 @@ def test_the_first_of_near_places_stays() -> None:
     kept = select_spaced(f, np.array([1.0, 3, 2, 5, 4, 6]), SIZE)
     assert kept.tolist() == [5, 3, 1]
     assert are_near(f[:2], np.array([(-0.1, -0.2)]), SIZE).all() and not are_near(f[5:], f[:5], SIZE).any()
-
-
-def test_many_bases_are_reduced_as_each_alone() -> None:
-    """The bases reduced at once are those reduced one by one, to the bit, ties included."""
-    rng = np.random.default_rng(0)
-    bases = np.concatenate([rng.uniform(-40, 40, (200, 2, 2)), rng.integers(-9, 10, (400, 2, 2))])
-    bases = bases[np.abs(np.linalg.det(bases)) > 0.5]
-    for basis, a, b in zip(bases, *reduce_pairs(bases[:, 0], bases[:, 1]), strict=True):
-        np.testing.assert_array_equal(shortest_pair(basis), (a, b))

@@ -75,10 +75,10 @@ def test_candidates_stand_in_the_table() -> None:
     assert [row[name] for name in FIELDS[1:9]] == ["16.0", "0.0", "0.0", "12.0", "", "", "0.902", "ranked"]
     listed = row["candidates"].split("; ")
     assert listed[1:] == [
-        "32.0,0.0,0.0,12.0 (0.200, double along t1, color)",
+        "32.0,0.0,0.0,12.0 (0.200, double along t1)",
         "8.0,0.0,0.0,12.0 (0.100, half along t1)",
     ]
-    assert listed[0] == "16.0,0.0,0.0,12.0 (0.902, structure)" and Lattice.parse(listed[0].split()[0]) == CHOSEN
+    assert listed[0] == "16.0,0.0,0.0,12.0 (0.902)" and Lattice.parse(listed[0].split()[0]) == CHOSEN
 
 
 def test_a_low_confidence_is_for_people_to_decide() -> None:

@@ -43,7 +43,7 @@ class Peaks:
     prominences: NDArray[np.float64]
 
 
-def find_peaks(gamma: Correlation, reach: tuple[int, int]) -> Peaks:
+def find_prominent_peaks(gamma: Correlation, reach: tuple[int, int]) -> Peaks:
     """Return the positive local maxima (eight neighbors) at lags with dx <= reach[0] and abs(dy) <= reach[1].
 
     Parameters

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 import scipy
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, crop_middle
 from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Detection, NoLatticeFound
 from nrbench.streams import pixels_hash, stream
 
 EULER_GAMMA = 0.5772156649015329
@@ -81,6 +84,68 @@ def measure_surrogates(
     rng = stream("detection", pixels_hash(image))
     values = np.array([statistic(copy) for copy in phase_randomized(part, rng, count)])
     return values, upper_limit(values, false_alarms)
+
+
+class Tested(Protocol):
+    """A detector with a test against chance: the number of copies, and the probability that one is accepted."""
+
+    @property
+    def reject(self) -> str:
+        """``"surrogate"``, or ``"none"`` for no test."""
+
+    @property
+    def surrogates(self) -> int:
+        """Number of phase-randomized copies."""
+
+    @property
+    def false_alarms(self) -> float:
+        """Probability that a phase-randomized copy is accepted as a lattice."""
+
+
+def check_test(detector: Tested, check: Callable[[bool, str], None]) -> None:
+    """Check the parameters of a test against chance; ``check`` raises if its first argument is false."""
+    check(detector.reject in ("none", "surrogate"), f"reject is {detector.reject!r}; give none or surrogate")
+    check(detector.surrogates >= 2, f"surrogates is {detector.surrogates}; give at least 2")
+    rate = detector.false_alarms
+    check(0 < rate < 1, f"false_alarms is {rate}; give a probability, e.g. 0.01")
+
+
+def reject_chance(
+    detector: Tested,
+    detection: Detection,
+    image: Image,
+    part: NDArray[np.float32],
+    statistic: Callable[[NDArray[np.float32]], float],
+    value: float,
+    name: str,
+    subject: str = "the best lattice",
+) -> Detection:
+    """Return a detection with the statistics of phase-randomized copies; raise if its own is no higher.
+
+    Parameters
+    ----------
+    detector
+        Its parameters are those of the test.
+    detection
+        The lattice that is tested.
+    image, part, statistic
+        As for :func:`measure_surrogates`.
+    value
+        The statistic of the lattice.
+    name, subject
+        Words for the statistic and for the lattice, in the diagnostics and in the reason.
+
+    Raises
+    ------
+    NoLatticeFound
+        If the value does not exceed what chance explains.
+    """
+    copies, limit = measure_surrogates(image, part, statistic, detector.surrogates, detector.false_alarms)
+    measured = {f"tested_{name}": value, f"surrogate_{name}": copies, "limit": limit}
+    detection = replace(detection, diagnostics={**detection.diagnostics, **measured})
+    if value <= limit:
+        raise NoLatticeFound(f"{subject} ({name} {value:.2f}) is no better than chance ({limit:.2f})", detection)
+    return detection
 
 
 def upper_limit(values: NDArray[np.float64], false_alarms: float) -> float:

@@ -10,17 +10,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.agreement.evidence_kernels import (
+from nrbench.detectors.consensus_rating.lattice_evidence_kernels import (
     between,
     between_many,
     climb_multiples,
     jets,
     list_multiples,
-    reduce_all,
-    split_by_coarser,
 )
 from nrbench.imaging.correlation import Correlation
 from nrbench.lattice.geometry import Points
+from nrbench.lattice.reduction_kernels import reduce_bases
 
 REACH = 0.75
 """Lags up to this share of the image's sides are compared. At larger lags the overlap is too small."""
@@ -39,6 +38,12 @@ MARGIN = 0.02
 """Multiples within reach may move by this share of the image's sides while a basis is fitted."""
 LINES = np.array([(1, 0, 1, 1), (0, 1, 1, -1)])
 """Columns: sums of the multiples (a, b) that are the same along lines of lags in four directions."""
+SIZE_EXPONENT = 0.06
+"""Of two similar lattices the smaller one has the higher merit."""
+FEWEST_LAGS = 3
+"""Least number of lags whose scatter tells a standard error."""
+BY_LINES = 3.0
+"""Standard errors from which an excess is compared with the scatter of lines, too."""
 GROWTH = 1.7
 """Factor by which the radius of a fit grows at each step."""
 STEPS = 14
@@ -47,18 +52,28 @@ MAX_SHIFT = 0.2
 """A fit that moves a vector by more than this share of the shorter vector is rejected: it has followed other peaks."""
 
 
-def reduced_basis(basis: Points) -> Points:
-    """Return the basis of :meth:`nrbench.lattice.geometry.Lattice.reduced`, ``(2, 2)``, rows (x, y), unchecked."""
-    reduced: Points = reduce_all(np.array(basis, np.float64, order="C")[np.newaxis])[0]
-    return reduced
-
-
 class Agreement(NamedTuple):
     """The correlations at a set of lags: their mean (-1 if there are none), variance and number."""
 
     mean: float
     variance: float
     lags: int
+
+
+class Split(NamedTuple):
+    """By how much the correlation at a supercell's multiples exceeds that at all other multiples of a lattice.
+
+    Parameters
+    ----------
+    excess
+        The difference of the two means; -1 if one of the two parts is empty.
+    errors
+        The excess in standard errors; 0 if they are not known. If it exceeds :data:`BY_LINES` standard errors of lags,
+        the errors are those of lines of lags.
+    """
+
+    excess: float
+    errors: float
 
 
 @dataclass(frozen=True)
@@ -148,8 +163,8 @@ class Evidence:
         rows = between_many(self._spline, np.ascontiguousarray(bases), cells, self._end, PAD, MOST_LAGS)
         return [Agreement(mean, variance, int(count)) for mean, variance, count in rows.tolist()]
 
-    def split(self, basis: Points, changes: NDArray[np.int64]) -> list[tuple[Agreement, Agreement]]:
-        """Return the agreement at the multiples of each coarser lattice, and at all other multiples of a basis.
+    def split(self, basis: Points, changes: NDArray[np.int64]) -> list[Split]:
+        """Compare the multiples of each coarser lattice with all other multiples of a basis.
 
         Parameters
         ----------
@@ -158,42 +173,10 @@ class Evidence:
         changes
             ``(n, 2, 2)``: integer matrices H; the basis of a coarser lattice is H times ``basis``.
         """
-        rows = split_by_coarser(self._spline, np.ascontiguousarray(basis), changes, self._end, PAD)
-        return [
-            (Agreement(mean, variance, int(lags)), Agreement(other_mean, other_variance, int(other_lags)))
-            for mean, variance, lags, other_mean, other_variance, other_lags in rows.tolist()
-        ]
-
-    def split_error(self, basis: Points, change: NDArray[np.int64]) -> float:
-        """Return the standard error of the difference of the two means of :meth:`split`, for threads of any length.
-
-        Threads or rows of one color reach through many tiles, so the correlations at the lags of one line, and at those
-        of the opposite line, agree. The error is that of lines instead of lags, in the two directions where they
-        scatter most.
-
-        Parameters
-        ----------
-        basis
-            Rows (x, y) px.
-        change
-            ``(2, 2)``: an integer matrix H; the basis of the coarser lattice is H times ``basis``.
-        """
         numbers = self.multiples(basis)
         lags = numbers @ basis
         values, weights = self.jets(lags)[:, 0], self.overlaps(lags)
-        cells = numbers @ np.linalg.inv(change)
-        inside = (np.abs(cells - np.rint(cells)) < 1e-6).all(1)
-        parts = np.zeros(len(numbers))
-        for chosen, sign in ((inside, 1), (~inside, -1)):
-            shares = weights[chosen] / weights[chosen].sum()
-            parts[chosen] = sign * shares * (values[chosen] - shares @ values[chosen])
-        single = float((parts**2).sum())
-        by_line = []
-        for line in np.abs(numbers @ LINES).T:
-            sums = np.bincount(line, parts)
-            count = len(np.unique(line))
-            by_line.append(float((sums**2).sum()) * count / max(count - 1, 1))
-        return float(np.sqrt(max(sum(sorted(by_line)[-2:]) - single, single)))
+        return [_split_lags(numbers, values, weights, change) for change in changes]
 
     def repeated(self, basis: Points) -> float:
         """Return the mean correlation at all multiples of a basis: the share of the variance that repeats."""
@@ -208,6 +191,10 @@ class Evidence:
         """
         rho, tiles = float(self.repeated(basis)), self.tiles(basis)
         return rho - (1 - rho) / (tiles - 1) if tiles > 2 else -1.0
+
+    def merit(self, basis: Points) -> float:
+        """Return the explained share of the variance, times the number of tiles to the power :data:`SIZE_EXPONENT`."""
+        return float(self.explained_variance_loo(basis) * self.tiles(basis) ** SIZE_EXPONENT)
 
     @cached_property
     def grain(self) -> float:
@@ -234,6 +221,12 @@ class Evidence:
         (ax, ay), (bx, by) = basis.tolist()
         return float(self.shape[0] * self.shape[1] / abs(ax * by - ay * bx))
 
+    @staticmethod
+    def reduced(basis: Points) -> Points:
+        """Return the basis of :meth:`nrbench.lattice.geometry.Lattice.reduced`, ``(2, 2)``, unchecked."""
+        reduced: Points = reduce_bases(np.array(basis, np.float64, order="C")[np.newaxis], True)[0]
+        return reduced
+
     def fit(self, basis: Points) -> Points:
         """Return the reduced basis near the given one at whose multiples the mean correlation is highest.
 
@@ -250,4 +243,42 @@ class Evidence:
             numbers = numbers[spread | (np.abs(numbers) <= NEAREST).all(1)]
         fitted = climb_multiples(self._spline, numbers, start, end, far, PAD, GROWTH, STEPS)
         too_far = np.hypot(*(fitted - basis).T).max() > MAX_SHIFT * np.hypot(*basis.T).min()
-        return reduced_basis(basis if too_far else fitted)
+        return self.reduced(basis if too_far else fitted)
+
+
+def _split_lags(
+    numbers: NDArray[np.int64], values: NDArray[np.float64], weights: NDArray[np.float64], change: NDArray[np.int64]
+) -> Split:
+    """Return the split of correlations ``(n,)`` at the multiples ``(n, 2)`` of a lattice by a coarser one."""
+    cells = numbers @ np.linalg.inv(change)
+    inside = (np.abs(cells - np.rint(cells)) < 1e-6).all(1)
+    fewest = min(np.count_nonzero(inside), np.count_nonzero(~inside))
+    if not fewest:
+        return Split(-1.0, 0.0)
+    parts = np.zeros(len(values))
+    excess = variance = 0.0
+    for chosen, sign in ((inside, 1), (~inside, -1)):
+        shares = weights[chosen] / weights[chosen].sum()
+        mean = float(shares @ values[chosen])
+        excess += sign * mean
+        parts[chosen] = sign * shares * (values[chosen] - mean)
+        variance += float(shares @ (values[chosen] - mean) ** 2) / np.count_nonzero(chosen)
+    errors = excess / max(variance**0.5, 1e-6) if fewest >= FEWEST_LAGS else 0.0
+    if errors > BY_LINES:
+        errors = excess / max(_line_error(numbers, parts), 1e-6)
+    return Split(excess, errors)
+
+
+def _line_error(numbers: NDArray[np.int64], parts: NDArray[np.float64]) -> float:
+    """Return the standard error of a sum of ``parts`` ``(n,)``, one for each multiple, for threads of any length.
+
+    Threads or rows of one color reach through many tiles, so the correlations at the lags of one line, and at those of
+    the opposite line, agree. The error is that of lines instead of lags, in the two directions where they scatter most.
+    """
+    single = float((parts**2).sum())
+    by_line = []
+    for line in np.abs(numbers @ LINES).T:
+        sums = np.bincount(line, parts)
+        count = len(np.unique(line))
+        by_line.append(float((sums**2).sum()) * count / max(count - 1, 1))
+    return float(np.sqrt(max(sum(sorted(by_line)[-2:]) - single, single)))

@@ -4,24 +4,46 @@ from __future__ import annotations
 
 import itertools
 import statistics
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
 
-from nrbench.detectors.agreement.evidence import Agreement, Evidence, reduced_basis
-from nrbench.detectors.agreement.evidence_kernels import reduce_all
 from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
 from nrbench.detectors.autocorrelation.peaks import (
     UNIT,
     dilate,
-    find_peaks,
+    find_prominent_peaks,
     fit_multiples,
     quantize_correlation,
     subpixel,
 )
+from nrbench.detectors.consensus_rating.lattice_evidence import Agreement, Evidence
 from nrbench.lattice.geometry import Points, hermite_matrices
+from nrbench.lattice.reduction_kernels import reduce_bases
 
+PEAKS = 80
+"""Number of the most prominent peaks that are paired."""
+FITTED = 24
+"""Number of the best pairs that are fitted."""
+STARTS = 8
+"""Number of the best of these lattices from which finer ones are searched."""
+MIN_EXPLAINED = 0.01
+"""Least share of the variance that is explained by a lattice from which finer ones are searched."""
+MAX_LOSS = 0.08
+"""A finer lattice replaces a coarser one if the correlation at the vectors that it adds is lower by no more than this
+share. Differences from tile to tile are not a loss, because they also occur between the coarser tiles."""
+TILE_ALLOWANCE = 1.0
+"""The loss may be larger by this number divided by the number of tiles: few tiles agree by chance."""
+MAX_Z = 4.0
+"""A finer lattice also replaces a coarser one if the correlation at the vectors that it adds is lower by no more than
+this number of standard deviations of the correlations at single vectors, and if it stands out (:data:`APART`). If a few
+long threads or rows match by chance, a supercell consists of the best of widely scattered vectors. If tiles truly
+alternate, the correlations at its vectors are separate from all others."""
+MIN_CONTRAST = 0.08
+"""A lattice is stable if the correlation at its multiples exceeds that at the vectors that any finer lattice adds by
+this share. Otherwise its multiples lie on a ridge, as in stripes, and any other vector along the ridge agrees, too."""
 FURTHEST = 0.55
 """Candidates lie within this share of the image's sides. Longer vectors have no multiple within the image."""
 RATED = 0.6
@@ -48,22 +70,13 @@ NEARLY_SHARE = 0.3
 finer lattices of a faint one would be fitted, which takes half a minute at 512 x 512."""
 
 
-def propose_lattices(evidence: Evidence, peaks: int, count: int) -> list[Points]:
-    """Return the fitted ``(2, 2)`` bases of the best pairs of peaks, the best first, each lattice once.
+def propose_lattices(evidence: Evidence) -> list[Points]:
+    """Return the fitted ``(2, 2)`` bases of the best pairs of peaks, the one of the highest merit first, each once.
 
     A pair is rated by its :meth:`Evidence.explained_variance_loo`, with the highest correlation within one pixel of
     each multiple. This is accurate enough to select the pairs that are fitted.
-
-    Parameters
-    ----------
-    evidence
-        The image's autocorrelation.
-    peaks
-        Number of the most prominent peaks that are paired.
-    count
-        Number of pairs that are fitted.
     """
-    vectors = find_candidates(evidence, peaks)
+    vectors = _find_prominent_vectors(evidence)
     if len(vectors) < 2:
         return []
     rated = mean_correlations(quantize_correlation(dilate(evidence.gamma, 1)), vectors, float(UNIT), RATED)
@@ -73,24 +86,41 @@ def propose_lattices(evidence: Evidence, peaks: int, count: int) -> list[Points]
     bases: dict[bytes, Points] = {}
     seen: set[bytes] = set()
     for number in np.argsort(-explained, kind="stable"):
-        if explained[number] <= 0 or len(bases) == count:
+        if explained[number] <= 0 or len(bases) == FITTED:
             break
-        basis = reduced_basis(pairs[number])
+        basis = Evidence.reduced(pairs[number])
         if _key(basis, 1.0) not in seen:
             seen.add(_key(basis, 1.0))
             fitted = evidence.fit(basis)
             bases.setdefault(_key(fitted, 0.5), fitted)
-    return list(bases.values())
+    return _sort_by_merit(evidence, bases.values())[:STARTS]
 
 
-def find_candidates(evidence: Evidence, count: int) -> Points:
+def find_stable(evidence: Evidence, bases: list[Points]) -> list[Points]:
+    """Return the fitted bases of the stable lattices that are reached from the given ones, by merit.
+
+    A finer lattice explains little more than the one from which it is reached, so lattices that explain too little
+    (:data:`MIN_EXPLAINED`) are left out. If all do, only the best one is used.
+    """
+    search = SublatticeSearch(evidence)
+    ordered = _sort_by_merit(evidence, bases)
+    used = [basis for basis in ordered if evidence.explained_variance_loo(basis) >= MIN_EXPLAINED] or ordered[:1]
+    stable = [search.find_finest(basis) for basis in used if evidence.merit(basis) > 0]
+    return _sort_by_merit(evidence, [basis for basis in stable if basis is not None])
+
+
+def _sort_by_merit(evidence: Evidence, bases: Iterable[Points]) -> list[Points]:
+    return sorted(bases, key=lambda basis: -evidence.merit(basis))
+
+
+def _find_prominent_vectors(evidence: Evidence) -> Points:
     """Return the most prominent peaks, fitted to their own multiples, ``(n, 2)`` px in ascending length."""
     gamma, (height, width) = evidence.gamma, evidence.shape
     reach = min(int(FURTHEST * width), width - 4), min(int(FURTHEST * height), height - 4)
     if min(reach) < 1:
         return np.zeros((0, 2))
-    peaks = find_peaks(gamma, reach)
-    order = np.argsort(-peaks.prominences, kind="stable")[:count]
+    peaks = find_prominent_peaks(gamma, reach)
+    order = np.argsort(-peaks.prominences, kind="stable")[:PEAKS]
     vectors = fit_multiples(gamma, subpixel(gamma, peaks.lags[order]), reach)
     lengths = np.hypot(*vectors.T)
     order = np.argsort(lengths, kind="stable")
@@ -103,7 +133,7 @@ def _key(basis: Points, grain: float) -> bytes:
 
 def finer_bases(basis: Points, indices: tuple[int, ...] = INDICES) -> Points:
     """Return the reduced bases of all finer lattices of these indices, ``(n, 2, 2)``, in that order."""
-    return reduce_all(_finer_changes(indices) @ basis)
+    return reduce_bases(_finer_changes(indices) @ basis, True)
 
 
 @cache
@@ -137,28 +167,9 @@ class SublatticeSearch:
     ----------
     evidence
         The image's autocorrelation.
-    max_loss
-        A finer lattice replaces a coarser one if the correlation at the vectors that it adds is lower by no more than
-        this share. Differences from tile to tile are not a loss, because they also occur between the coarser tiles.
-    tile_allowance
-        The loss may be larger by this number divided by the number of tiles: few tiles agree by chance.
-    scatter
-        A finer lattice also replaces a coarser one if the correlation at the vectors that it adds is lower by no more
-        than this number of standard deviations of the correlations at single vectors, and if it stands out from what
-        finer lattices of other indices add (:data:`APART`). If a few long threads or rows match by chance, a supercell
-        consists of the best of widely scattered vectors. If tiles truly alternate, the correlations at its vectors are
-        separate from all others.
-    relief
-        A lattice is stable if the correlation at its multiples exceeds the correlation at the vectors that any finer
-        lattice adds by this share. Otherwise its multiples lie on a ridge, as in stripes, and any other vector along
-        the ridge agrees as well.
     """
 
     evidence: Evidence
-    max_loss: float
-    tile_allowance: float
-    scatter: float
-    relief: float
     _visited: dict[bytes, Points | None] = field(default_factory=dict, init=False)
 
     def find_finest(self, basis: Points) -> Points | None:
@@ -181,7 +192,7 @@ class SublatticeSearch:
                 if below is not None:
                     return below
         highest = max(agreement.mean for agreement, _ in rated)
-        if own.mean <= 0 or own.mean - highest < self.relief * own.mean:
+        if own.mean <= 0 or own.mean - highest < MIN_CONTRAST * own.mean:
             return None
         return self.evidence.fit(basis)
 
@@ -200,7 +211,7 @@ class SublatticeSearch:
         return rated
 
     def _limit(self, basis: Points, own: Agreement) -> float:
-        return own.mean * (1 - self.max_loss - self.tile_allowance / self.evidence.tiles(basis))
+        return own.mean * (1 - MAX_LOSS - TILE_ALLOWANCE / self.evidence.tiles(basis))
 
     def _replacements(self, rated: list[Finer], basis: Points, own: Agreement) -> list[Finer]:
         """Return the finer lattices that may replace the coarser one, by descending correlation."""
@@ -210,7 +221,7 @@ class SublatticeSearch:
         for added, candidate in rated:
             spread = np.sqrt((own.variance + added.variance) / 2)
             above, below = added.mean - usual, own.mean - added.mean
-            near = above > APART * (above + below) and below <= self.scatter * spread * (1 + FEW / max(own.lags, 1))
+            near = above > APART * (above + below) and below <= MAX_Z * spread * (1 + FEW / max(own.lags, 1))
             if (added.mean >= limit or near) and np.hypot(*candidate[0]) >= SHORTEST:
                 replacements.append((added, candidate))
         return sorted(replacements, key=lambda finer: -finer[0].mean)

@@ -1,8 +1,7 @@
-"""Compute the likeness of an image to its shifted self: the autocorrelation of its colors, slopes and edges."""
+"""The self-similarity map of an image: the autocorrelation of its colors, slopes and edges."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image, crop_middle, shrink
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
 from nrbench.imaging.mean_tile import Values
-from nrbench.lattice.geometry import Points
 
 LIGHTING = 3
 """Cosines of up to this number of half waves across the image are lighting, not texture."""
@@ -24,11 +22,9 @@ SIDE = 640
 """px; an image up to this side is analyzed in one view."""
 MIN_SIDE = 24
 """px; no view is shrunk below this side."""
-MIN_PERIOD = 12.0
-"""px; least length of the shorter generating vector in an image that is shrunk."""
 
 
-class Likeness(NamedTuple):
+class SimilarityMap(NamedTuple):
     """Right halves of autocorrelations, ``(2H-1, W)`` each.
 
     Parameters
@@ -37,17 +33,14 @@ class Likeness(NamedTuple):
         The mean of the autocorrelations of colors, slopes and edges.
     colors
         The autocorrelation of the colors alone. Only the colors are linear in the pixels.
-    structure
-        The mean of the autocorrelations of slopes and edges.
     """
 
     pooled: Correlation
     colors: Correlation
-    structure: Correlation
 
 
-def compute_likeness(image: Image) -> Likeness:
-    """Compute the likeness of an image to its shifted self at each lag.
+def compute_self_similarity(image: Image) -> SimilarityMap:
+    """Compute the similarity of an image to its shifted self at each lag.
 
     Colors distinguish tiles that differ in hue only. Slopes show the joints of a wall whose bricks all differ in color.
     Edges show joints that are brighter as well as joints that are darker than their surroundings.
@@ -60,8 +53,7 @@ def compute_likeness(image: Image) -> Likeness:
     slopes = _slopes(image)
     edges = _without_lighting(np.sqrt(np.hypot(slopes[..., :1], slopes[..., 1:])))
     surfaces = [half_autocorrelation(values) for values in (_without_lighting(image), slopes, edges)]
-    structure = np.asarray((surfaces[1] + surfaces[2]) / 2, np.float32)
-    return Likeness(np.asarray(np.mean(surfaces, 0), np.float32), surfaces[0], structure)
+    return SimilarityMap(np.asarray(np.mean(surfaces, 0), np.float32), surfaces[0])
 
 
 def _without_lighting(values: Values) -> Values:
@@ -100,44 +92,18 @@ def _blur(values: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
     return np.asarray(scipy.fft.idctn(waves), np.float32)
 
 
-class View(NamedTuple):
-    """A part of an image, shrunk.
-
-    Parameters
-    ----------
-    image
-        Each pixel is the mean of ``factor`` x ``factor`` pixels of the original.
-    factor
-        A power of 2.
-    """
-
-    image: Image
-    factor: int
-
-
 def view_factors(shape: tuple[int, int]) -> list[int]:
-    """Return the factors by which the views of an image of ``shape`` (height, width) are shrunk, see :func:`views`."""
+    """Return the factors by which the views of an image of ``shape`` (height, width) are shrunk.
+
+    The views show the image from the middle at full detail to the whole. Each covers twice the side of the one before
+    at half its detail. Whatever the period, one of them shows many periods and resolves them well.
+    """
     factors = [1]
     while max(shape) > factors[-1] * SIDE and min(shape) >= 2 * factors[-1] * MIN_SIDE:
         factors.append(2 * factors[-1])
     return factors
 
 
-def views(image: Image) -> Iterator[View]:
-    """Yield views of at most :data:`SIDE` px a side, from the middle at full detail to the whole image.
-
-    Each view covers twice the side of the one before at half its detail. Whatever the period, one of the views shows
-    many periods and resolves them well.
-    """
-    for factor in view_factors(image.shape[:2]):
-        yield make_view(image, factor, SIDE)
-
-
-def make_view(image: Image, factor: int, side: int) -> View:
+def make_view(image: Image, factor: int, side: int) -> Image:
     """Return the middle of an image, shrunk by a factor to at most ``side`` px a side."""
-    return View(shrink(crop_middle(image, factor * side), factor), factor)
-
-
-def max_factor(basis: Points) -> int:
-    """Return the largest factor by which an image with these generating vectors may be shrunk (:data:`MIN_PERIOD`)."""
-    return 1 << max(0, int(np.log2(max(np.hypot(*basis.T).min() / MIN_PERIOD, 1))))
+    return shrink(crop_middle(image, factor * side), factor)

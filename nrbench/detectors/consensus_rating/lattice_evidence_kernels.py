@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nrbench.detectors.autocorrelation.pair_kernels import row_ends
-from nrbench.jit import Float64x1, Float64x2, Float64x3, Int64x2, Int64x3, kernel
+from nrbench.jit import Float64x1, Float64x2, Float64x3, Int64x2, kernel
 
 
 @kernel
@@ -193,61 +193,6 @@ def list_multiples(basis: Float64x2, end: Float64x1) -> Int64x2:
 
 
 @kernel
-def split_by_coarser(spline: Float64x2, basis: Float64x2, changes: Int64x3, end: Float64x1, pad: int) -> Float64x2:
-    """Return the correlations at the multiples of coarser lattices, and at the other multiples of a lattice.
-
-    Each lag is read once for all coarser lattices.
-
-    Parameters
-    ----------
-    spline, end, pad
-        As for :func:`between`.
-    basis
-        ``(2, 2)``, rows (x, y) px: the basis of the lattice.
-    changes
-        ``(n, 2, 2)``: integer matrices H; the basis of a coarser lattice is H times ``basis``.
-
-    Returns
-    -------
-    NDArray
-        ``(n, 6)``: as for :func:`between`, first of the coarser lattice, then of all other lags.
-    """
-    height, width = (spline.shape[0] + 1) // 2, spline.shape[1] - pad
-    numbers = list_multiples(basis, end)
-    sums = np.zeros((changes.shape[0], 2, 4))
-    for k in range(numbers.shape[0]):
-        a, b = numbers[k, 0], numbers[k, 1]
-        x, y = a * basis[0, 0] + b * basis[1, 0], a * basis[0, 1] + b * basis[1, 1]
-        if abs(x) > end[0] or abs(y) > end[1]:
-            continue
-        if x < 0:
-            x, y = -x, -y
-        value = height_at(spline, x + pad, y + height - 1)
-        overlap = (height - abs(y)) * (width - x)
-        for i in range(changes.shape[0]):
-            h = changes[i]
-            index = abs(h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0])
-            inside = (a * h[1, 1] - b * h[1, 0]) % index == 0 and (b * h[0, 0] - a * h[0, 1]) % index == 0
-            part = sums[i, 0 if inside else 1]
-            part[0] += overlap * value
-            part[1] += overlap * value * value
-            part[2] += overlap
-            part[3] += 1
-    out = np.zeros((changes.shape[0], 6))
-    for i in range(changes.shape[0]):
-        for j in range(2):
-            part = sums[i, j]
-            if part[3] == 0:
-                out[i, 3 * j] = -1.0
-            else:
-                mean = part[0] / part[2]
-                out[i, 3 * j] = mean
-                out[i, 3 * j + 1] = max(part[1] / part[2] - mean * mean, 0.0)
-                out[i, 3 * j + 2] = part[3]
-    return out
-
-
-@kernel
 def newton_sums(
     spline: Float64x2, numbers: Int64x2, basis: Float64x2, radius: float, end: Float64x1, pad: int
 ) -> Float64x1:
@@ -365,29 +310,3 @@ def climb_multiples(
         if radius >= far and largest * np.sqrt(numbers.shape[0]) < 1e-3:
             break
     return fitted
-
-
-@kernel
-def reduce_all(bases: Float64x3) -> Float64x3:
-    """Return the reduced bases of many lattices, ``(n, 2, 2)``, as :meth:`nrbench.lattice.geometry.Lattice.reduced`."""
-    out = np.zeros_like(bases)
-    for i in range(bases.shape[0]):
-        ax, ay, bx, by = bases[i, 0, 0], bases[i, 0, 1], bases[i, 1, 0], bases[i, 1, 1]
-        if ax * ax + ay * ay > bx * bx + by * by:
-            ax, ay, bx, by = bx, by, ax, ay
-        while True:
-            square = ax * ax + ay * ay
-            steps = np.rint((ax * bx + ay * by) / square)
-            bx, by = bx - steps * ax, by - steps * ay
-            if bx * bx + by * by >= square * (1 - 1e-12):
-                break
-            ax, ay, bx, by = bx, by, ax, ay
-        if ax < 0 or (ax == 0 and ay <= 0):
-            ax, ay = -ax, -ay
-        if bx < 0 or (bx == 0 and by <= 0):
-            bx, by = -bx, -by
-        dot = ax * bx + ay * by
-        if dot < 0 and abs(dot) >= 1e-9 * (ax * ax + ay * ay):
-            bx, by = -bx, -by
-        out[i, 0, 0], out[i, 0, 1], out[i, 1, 0], out[i, 1, 1] = ax, ay, bx, by
-    return out
