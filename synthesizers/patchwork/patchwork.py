@@ -17,7 +17,7 @@ from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
 
 from ..sampling.patches import Source
-from ..seams.minimum_cut import Links, Mask, minimum_cut
+from ..seams.minimum_cut import ENDS, Links, Mask, minimum_cut
 from .feather_kernels import feather_seams
 from .patchwork_kernels import FIRST, SECOND, STAY, UNIT, link_choices
 from .translations import Features, Translations, draw_translation
@@ -180,7 +180,7 @@ class Patchwork:
 
     def _record_seams(self, choices: NDArray[np.int64], new: Mask, ring: Mask, pixels: Pixels) -> None:
         """Record the costs of a window's seams; those between pixels of the ring stay."""
-        for axis, (here, ahead) in enumerate(((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))):
+        for axis, (here, ahead) in enumerate(ENDS):
             there, outside = np.zeros_like(new), np.ones_like(ring)
             there[here], outside[here] = new[ahead], ring[ahead]
             cases = [np.zeros_like(choices[axis, STAY]), choices[axis, FIRST], choices[axis, SECOND]]
