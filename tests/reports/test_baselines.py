@@ -103,9 +103,9 @@ def test_the_comparison_marks_entries_and_methods(comparison: Comparison) -> Non
 def test_the_perils_plane_counts_only_scored_textures(comparison: Comparison) -> None:
     """A point counts only textures with a score: scatter is valid on the one texture without."""
     shown = {point.method.name: point for point in perils_points(comparison.summaries)}
-    assert caption_text([shown["tiling"]]) == f"tiling {BASELINE_SIGN} 1/2"
+    assert caption_text(shown["tiling"]) == f"tiling {BASELINE_SIGN} 1/2"
     assert "valid baseline on 1 of 2" in shown["tiling"].words
-    assert caption_text([shown["scatter"]]) == "scatter"
+    assert caption_text(shown["scatter"]) == "scatter"
 
 
 def test_every_table_has_mark_and_footnote(mixed: Run, tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_a_plot_shows_names_as_they_are(make_claims: Make) -> None:
     series = {"name": r"$\frac$", "levels": [24, 40], "methods": [SMALL, LARGE]}
     expect = {"series": series["name"], "at": 40, "relation": "less", "other_at": 24}
     run = make_claims(lambda *_: 0.5, {}, series=[series], expect=[expect], axis=r"block $\frac{$")
-    assert plot_claim(only(run), "svg").startswith(b"<?xml")
+    assert plot_claim("svg", only(run)).startswith(b"<?xml")
 
 
 def test_a_run_without_claims_has_none(make_cell: Make, make_run: Make) -> None:
@@ -154,4 +154,4 @@ def test_the_reports_quote_the_sentence_and_say_what_came_out(make_claims: Make,
     assert "rsgf at 40 is less than rsgf at 24,held" in tables["claim_tests.csv"]
     assert len(tables["claims.csv"].splitlines()) == 3
     result = only(run)
-    assert plot_claim(result, "svg") == plot_claim(result, "svg")
+    assert plot_claim("svg", result) == plot_claim("svg", result)

@@ -17,11 +17,8 @@ from nrbench.imaging.files import write_image
 from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures
 from nrbench.reports.page.inline_svg import inline_svg
 from nrbench.reports.page.pictures import PictureStore
-from nrbench.reports.plots import heat_map
 from nrbench.reports.plots.captions import MOST_NAMES, choose_named, describe_unnamed, spread
-from nrbench.reports.plots.cost_plane import has_cost, plot_cost
-from nrbench.reports.plots.critical_difference import plot_ranks
-from nrbench.reports.plots.heat_map import plot_heat_map
+from nrbench.reports.plots.comparison_plots import hardest_first, plot_cost, plot_heat_map, plot_ranks, timed_methods
 from nrbench.reports.plots.marks import find_marks, worst_place
 from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
@@ -144,16 +141,17 @@ def long_run(make_cell: Make, make_run: Make) -> Run:
 def test_plots_are_the_same_again_and_embed_fonts(long_run: Run) -> None:
     """Each plot has the same bytes at every call; the PDF embeds TrueType fonts."""
     comparison = compare_methods(long_run)
-    assert has_cost(comparison)
-    for plot in (plot_ranks, plot_heat_map, plot_cost):
-        assert plot(comparison, "svg") == plot(comparison, "svg")
-        pdf = plot(comparison, "pdf")
+    for plot in (plot_ranks, plot_heat_map):
+        assert plot("svg", comparison) == plot("svg", comparison)
+    timed = timed_methods(comparison)
+    assert plot_cost("svg", timed) == plot_cost("svg", timed)
+    for pdf in (plot_ranks("pdf", comparison), plot_heat_map("pdf", comparison), plot_cost("pdf", timed)):
         assert b"/FontFile2" in pdf and b"/Type3" not in pdf
 
 
 def test_inline_plots_have_no_style_and_ids_of_their_own(long_run: Run) -> None:
     """Inline plots have no style attribute, no style element, no address, and a prefix before every id."""
-    svg = str(inline_svg(plot_ranks(compare_methods(long_run)), "x"))
+    svg = str(inline_svg(plot_ranks("svg", compare_methods(long_run)), "x"))
     assert svg.startswith('<svg class="plot" aria-hidden="true"') and svg.rstrip().endswith("</svg>")
     assert " style=" not in svg and "<style" not in svg and "http" not in svg
     assert all(name.startswith("x-") for name in re.findall(r' id="([^"]*)"', svg))
@@ -181,7 +179,7 @@ def test_names_of_the_rank_diagram_lie_in_it(make_cell: Make, make_run: Make) ->
     ]
     comparison = compare_methods(make_run(cells))
     for width in (3.4, 5.5):
-        with PIL.Image.open(io.BytesIO(plot_ranks(comparison, "png", width))) as image:
+        with PIL.Image.open(io.BytesIO(plot_ranks("png", comparison, width))) as image:
             pixels = np.asarray(image.convert("L"))
         assert pixels[:, :2].min() == 255 and pixels[:, -2:].min() == 255
 
@@ -191,8 +189,8 @@ def test_textures_without_a_score_are_not_the_hardest(make_cell: Make, make_run:
     cells = [make_cell("absent", "a", status="missing"), make_cell("absent", "b", status="missing")]
     cells += [make_cell("easy", name, perils=dict.fromkeys(PERILS, 0.9)) for name in "ab"]
     cells += [make_cell("hard", name, perils=dict.fromkeys(PERILS, 0.1)) for name in "ab"]
-    figure = heat_map._figure(compare_methods(make_run(cells)))
-    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["hard", "easy", "absent"]
+    rows, _ = hardest_first(compare_methods(make_run(cells)))
+    assert [row.texture for row in rows] == ["hard", "easy", "absent"]
 
 
 def test_the_grid_chooses_textures_by_the_methods_that_it_shows(make_cell: Make, make_run: Make) -> None:

@@ -280,8 +280,8 @@ def test_the_weakest_outputs_of_each_method_are_shown(ranked: Run, ranked_page: 
     assert [one.texture for one in found["shaky"].lost] == ["a"]
     assert [one.texture for one in found["refuser"].unfinished] == ["a"]
     for one in found.values():
-        qualities = [weak.quality for weak in one.weakest]
-        assert qualities == sorted(qualities) and all(weak.crop for weak in one.weakest)
+        qualities = [float(record.values["quality.score"] or 0) for record, _ in one.weakest]
+        assert qualities == sorted(qualities) and all(crop for _, crop in one.weakest)
     assert "Lattice lost on 3 of 3 textures: a" in " ".join(ranked_page.text.split())
 
 

@@ -58,7 +58,7 @@ def test_a_lost_lattice_has_no_height(comparison: Comparison) -> None:
     lost, shaky = _point(comparison, "drifter"), _point(comparison, "shaky")
     assert not lost.has_height and lost.structure.n == 3 and "not scored" in lost.words
     assert shaky.has_height and (shaky.randomness.n, shaky.structure.n) == (2, 3)
-    assert caption_text([shaky]) == "shaky (own) [2 of 3]"
+    assert caption_text(shaky) == "shaky (own) [2 of 3]"
 
 
 def test_files_are_vector_graphics_and_the_same_again(ranked: Run, comparison: Comparison, tmp_path: Path) -> None:
@@ -71,13 +71,13 @@ def test_files_are_vector_graphics_and_the_same_again(ranked: Run, comparison: C
     assert [content[:5] for content in first] == [b"<?xml", b"%PDF-"]
     assert b"<image" not in first[0]
     points = perils_points(comparison.summaries)
-    assert first == [plot_perils_plane(points, kind) for kind in ("svg", "pdf")]
+    assert first == [plot_perils_plane(kind, points) for kind in ("svg", "pdf")]
 
 
 def test_the_plane_uses_no_color(comparison: Comparison) -> None:
     """Every color of the picture is a gray, for print in black and white."""
     pixels = np.asarray(
-        PIL.Image.open(io.BytesIO(plot_perils_plane(perils_points(comparison.summaries), "png"))).convert("RGB")
+        PIL.Image.open(io.BytesIO(plot_perils_plane("png", perils_points(comparison.summaries)))).convert("RGB")
     )
     assert (np.ptp(pixels.astype(int), axis=2) == 0).all()
 

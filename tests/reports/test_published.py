@@ -13,7 +13,6 @@ from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.statistics.expectations import (
     GROUPS,
-    SENTENCE,
     PublishedComparison,
     compare_with_published,
     read_published,
@@ -135,7 +134,7 @@ def test_every_report_shows_the_comparison(make_report: Make, tmp_path: Path) ->
     """The page, the CSV tables and the LaTeX tables hold it, with the sentence that the textures are analogues."""
     run = make_report(lambda figure, _: figure.number % 2 == 0)
     page = HtmlReport().render(run, tmp_path)
-    assert SENTENCE.partition(":")[2] in page
+    assert PublishedComparison.sentence.partition(":")[2] in page
     assert "Table 3: near-regular textures" in page
     names = {path.name for path in CsvTables().write(run, tmp_path)}
     assert {"published.csv", "published_rates.csv", "published_classes.csv"} <= names

@@ -1,16 +1,71 @@
-"""Three clicks make a lattice: driven by the events of a canvas that no window shows."""
+"""Diagnostics as pictures, and a lattice by three clicks on a canvas that no window shows."""
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
+import matplotlib
 import numpy as np
 import pytest
 from matplotlib.backend_bases import KeyEvent, MouseEvent
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from nrbench.cli.lattice_figures import Picker, lattice_of, pick
+from nrbench.cli.lattice_figures import Picker, diagram, lattice_of
 from nrbench.errors import BadInput
+from nrbench.plugins.forms import Curve, Surface
+
+PEAKS = np.array([(3.0, -4.0), (6.0, 2.0)])
+SURFACE = Surface(np.random.default_rng(0).random((21, 11)), (0, 10), PEAKS, np.array([(3.0, -4.0), (-6.0, -2.0)]))
+CURVE = Curve(np.arange(5.0), np.arange(5.0) ** 2, (2.5,), "lag in px")
+
+
+def drawn(diagnostics: dict[str, object], title: str = "") -> Figure:
+    """Return the figure of some diagnostics."""
+    figure = diagram(diagnostics, title)
+    assert figure is not None
+    return figure
+
+
+def test_every_surface_and_curve_has_a_panel() -> None:
+    """One panel a diagnostic that can be drawn, titled by its name; numbers stand below, the rest is left out."""
+    figure = drawn({"a": SURFACE, "goodness": 0.125, "raw": np.zeros(3), "b": CURVE}, "title")
+    assert [axes.get_title() for axes in figure.axes if axes.get_title()] == ["a", "b"]
+    assert figure.get_supxlabel() == "goodness 0.125" and figure.get_suptitle() == "title"
+
+
+def test_a_surface_counts_from_its_zero() -> None:
+    """The picture's coordinates are lags: candidates lie where they are given, the edges half a sample outside."""
+    axes = drawn({"a": SURFACE}).axes[0]
+    assert tuple(axes.images[0].get_extent()) == (-0.5, 10.5, 10.5, -10.5)
+    np.testing.assert_array_equal(np.column_stack(axes.lines[0].get_data()), PEAKS)
+
+
+def test_a_vector_outside_is_drawn_as_its_negative() -> None:
+    """A right half holds -v where it does not hold v."""
+    figure = drawn({"a": SURFACE})
+    tips = [text.xy for text in figure.axes[0].texts]
+    np.testing.assert_array_equal(tips, [(3, -4), (6, 2)])
+
+
+def test_a_curve_shows_its_marks() -> None:
+    """Each mark is a vertical line with its value, and the axis says what it is."""
+    axes = drawn({"b": CURVE}).axes[0]
+    assert axes.get_xlabel() == "lag in px" and list(axes.lines[1].get_xdata()) == [2.5, 2.5]
+    assert [text.get_text() for text in axes.texts] == ["2.5"]
+
+
+def test_nothing_to_draw() -> None:
+    """Numbers alone make no figure."""
+    assert diagram({"goodness": 1.0}) is None
+
+
+def test_no_global_state() -> None:
+    """Drawing leaves matplotlib's settings and its list of figures alone."""
+    from matplotlib._pylab_helpers import Gcf
+
+    before = dict(matplotlib.rcParams)
+    diagram({"a": SURFACE, "b": CURVE})
+    assert dict(matplotlib.rcParams) == before and not Gcf.get_all_fig_managers()
+
 
 IMAGE = np.random.default_rng(0).random((60, 80, 1), np.float32)
 
@@ -59,16 +114,6 @@ def test_clicks_give_the_lattice_and_enter_accepts(key: str) -> None:
     np.testing.assert_allclose(hand.picker.lattice.matrix, [(20, 2), (2, 25)], atol=1e-9)
 
 
-def test_the_title_says_what_to_click() -> None:
-    """Corner, end of t1, end of t2, then what the keys do."""
-    hand, said = Hand(), []
-    for point in ((10, 10), (30, 12), (12, 35)):
-        said.append(hand.title)
-        hand.click(*point)
-    assert [word in text for word, text in zip(("corner", "t1", "t2"), said, strict=True)] == [True] * 3
-    assert "Enter accepts" in hand.title and "Escape cancels" in hand.title
-
-
 def test_the_lattice_is_drawn_over_the_image() -> None:
     """With the third point the shown picture changes, along the lattice's lines only."""
     hand = Hand()
@@ -103,10 +148,3 @@ def test_what_does_not_count() -> None:
     hand.click(-500, 10)
     hand.press("enter")
     assert "1 of 3" in hand.title and not hand.picker.accepted
-
-
-def test_without_a_window_it_says_what_to_do() -> None:
-    """On a canvas that cannot be shown it names the way without a window."""
-    plt.switch_backend("Agg")
-    with pytest.raises(BadInput, match=r"no window can be opened.*--lattice x1,y1,x2,y2"):
-        pick(IMAGE)

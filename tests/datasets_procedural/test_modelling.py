@@ -1,12 +1,14 @@
-"""Claims about patterns: coordinates, shapes, shades, threads, and layers of elements."""
+"""Claims about patterns, and about random numbers, grain and waves."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +19,6 @@ from nrbench.datasets_procedural.modelling.pattern import (
     Pattern,
     bevel,
     box,
-    boxes,
     capsule,
     coverage,
     disc,
@@ -27,12 +28,17 @@ from nrbench.datasets_procedural.modelling.pattern import (
     hue_rotation,
     interlace,
     lozenge,
-    mix,
-    rim,
-    round_profile,
     rows,
-    split_period,
     stripe,
+)
+from nrbench.datasets_procedural.modelling.random_fields import (
+    factor_variance,
+    factors,
+    grain,
+    hash_bits,
+    smooth_inside,
+    uniform,
+    waves,
 )
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.lattice.geometry import Lattice
@@ -53,12 +59,6 @@ def test_right_angles_are_exact() -> None:
     assert Frame(rotation=-90.0).vector((3.0, 0.0)) == (0.0, -3.0)
 
 
-def test_split_period() -> None:
-    """Points go to the nearest multiple of the period, and keep their signed distance from it."""
-    index, rest = split_period(np.array([-7.0, 0, 4, 14]), 10)
-    assert index.tolist() == [-1, 0, 0, 1] and rest.tolist() == [3, 0, 4, 4]
-
-
 @pytest.mark.parametrize("name", ["rows", "honeycomb"])
 def test_index_is_the_lattice_coordinate(name: str) -> None:
     """The cell's index times the generating vectors, plus the local coordinates, is the point; it lies in its cell."""
@@ -75,13 +75,6 @@ def test_index_is_the_lattice_coordinate(name: str) -> None:
     np.testing.assert_allclose(there, np.stack([x, y], -1), atol=1e-9)
 
 
-def test_boxes() -> None:
-    """A row of boxes of 10 and 4 px: which box, how far from its middle, how wide; the first one's middle is at 0."""
-    which, aside, width = boxes(np.array([0.0, 4.9, 5.5, 7, 9.5, 14, -5.5]), (10.0, 4.0))
-    assert which.tolist() == [0, 0, 1, 1, 2, 2, -1] and width.tolist() == [10, 10, 4, 4, 10, 10, 4]
-    np.testing.assert_allclose(aside, [0, 4.9, -1.5, 0, -4.5, 0, 1.5])
-
-
 def test_hats_are_a_partition() -> None:
     """The four whole points around a point have weights that add up to 1, and their mean is the point."""
     u, v = np.random.default_rng(0).uniform(-9, 9, (2, 500))
@@ -91,17 +84,6 @@ def test_hats_are_a_partition() -> None:
         np.testing.assert_allclose(sum(index[k] * weight for index, weight in found), part, atol=1e-12)
     for (i, j), _ in found:
         assert len(np.unique(i % 2)) == len(np.unique(j % 2)) == 1
-
-
-def test_margin_and_displacement() -> None:
-    """A margin adds pixels on every side; content that moved by (2, -1) comes from that much to the left and below."""
-    frame = Frame((1.5, -0.5), 30.0)
-    x, y = frame.grid((4, 5))
-    wide = frame.grid((4, 5), margin=2)
-    np.testing.assert_array_equal(wide[0][2:-2, 2:-2], x)
-    moved = frame.grid((4, 5), moved=np.broadcast_to([2.0, -1.0], (4, 5, 2)))
-    np.testing.assert_allclose(moved[0][:3, 2:], x[1:, :3])
-    np.testing.assert_allclose(moved[1][:3, 2:], y[1:, :3])
 
 
 CORNER = 10 / math.sqrt(3)
@@ -145,21 +127,10 @@ def test_coverage_is_the_area_covered(shape: str, angle: float) -> None:
     assert np.abs(error).max() < 0.25 and np.sqrt((error**2).mean()) < 0.02 and abs(error.sum()) < 0.01 * counted.sum()
 
 
-def test_rim_and_profile() -> None:
-    """A rim is darkest at the edge; a round thread is lightest in the middle, and never under its depth."""
-    assert rim(np.array([0.0, -50]), 0.2, 1.5) == pytest.approx((0.8, 1.0))
-    assert round_profile(np.array([0.0, 3, 5, 9]), 10, 0.4) == pytest.approx((1.0, 0.92, 0.6, 0.6))
-
-
 def test_bevel_is_lit_from_the_upper_left() -> None:
     """On its edge an element is lighter towards the upper left and darker opposite; its middle keeps its color."""
     x, y = np.array([-1.0, 1, 1, 0]), np.array([-1.0, 1, -1, 0])
     assert bevel(np.array([0.0, 0, 0, -99]), x, y, 0.2, 2.0) == pytest.approx((1.2, 0.8, 1.0, 1.0))
-
-
-def test_mix() -> None:
-    """A quarter of white over black is a dark gray."""
-    np.testing.assert_allclose(mix(np.array([[0.25]]), (0.0, 0, 0), (1.0, 1, 1)), [[[0.25] * 3]])
 
 
 def test_hue_turns() -> None:
@@ -224,18 +195,71 @@ def test_ideal() -> None:
     np.testing.assert_allclose(PATTERN.ideal()[0], [(0.4, 0.1, 0.3), (0.4, 0.25, 0.35), (0.4, 0.4, 0.4)], atol=1e-6)
 
 
-def test_cropped() -> None:
-    """A crop of a pattern is the pattern of the crop."""
-    whole = Pattern(
-        np.zeros((5, 6, 3)), (Layer("dot", (np.arange(30).reshape(5, 6),), np.ones((5, 6)), (0.5, 0.5, 0.5)),)
-    )
-    part = whole.crop(2)
-    assert part.layers[0].index[0].tolist() == [[14, 15]] and part.ideal().shape == (1, 2, 3)
-    assert whole.crop(0).ideal().shape == (5, 6, 3)
+def test_hash_knows_its_index_alone() -> None:
+    """A number depends on seed and index only: any part of a grid is the same part of the whole, negative or not."""
+    y, x = np.arange(-20, 30)[:, np.newaxis], np.arange(-10, 50)
+    whole = hash_bits(7, y, x)
+    np.testing.assert_array_equal(hash_bits(7, y[5:9], x[20:33]), whole[5:9, 20:33])
+    assert np.unique(whole).size == whole.size
+    assert not (hash_bits(8, y, x) == whole).any() and not (hash_bits(7, x[:50], y)[:, :50] == whole[:, :50]).all()
 
 
-def test_tinted() -> None:
-    """A matrix turns the colors of ground and elements alike, and what leaves [0, 1] is cut off."""
-    turned = PATTERN.recolor(np.array([[0.0, 0, 1], [1, 0, 0], [0, 2, 0]]))
-    assert turned.layers[0].color == pytest.approx(np.array((0.6, 0.8, 0.4)))
-    assert turned.ground == pytest.approx(np.array((0.4, 0.4, 0.8)))
+def test_known_hash() -> None:
+    """The numbers are pinned: a change here changes every texture ever rendered."""
+    assert [int(word) for word in hash_bits(1, np.arange(-1, 2))] == [
+        6238072747940578789,
+        10451216379200822465,
+        13757245211066428519,
+    ]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_fields_are_smoothed_as_scipy_does(dtype: type[np.floating[Any]]) -> None:
+    """Where the kernel does not overhang, the smoothed field is that of scipy, to the bit."""
+    field = np.random.default_rng(0).standard_normal((90, 41)).astype(dtype)
+    kernel = np.array([0.01, 0.3, 0.9, 0.3, 0.01])
+    smooth = smooth_inside(field, kernel)
+    assert smooth.dtype == dtype
+    np.testing.assert_array_equal(smooth, scipy.ndimage.correlate1d(field, kernel, 0)[2:-2])
+
+
+def test_uniform_moments() -> None:
+    """Uniform numbers have mean 0, variance 1 and the bounds of that."""
+    numbers = uniform(5, np.arange(100000))
+    assert abs(numbers.mean()) < 0.015 and numbers.var() == pytest.approx(1, abs=0.01)
+    assert math.sqrt(3) * 0.999 < np.abs(numbers).max() <= math.sqrt(3)
+
+
+def test_factor_variance_is_that_of_factors() -> None:
+    """The variance used for the regular share is the factors' own."""
+    index = np.arange(50000)[:, np.newaxis]
+    table = factors(2, "tile", index, 0.6, 0.4)
+    assert table.var() == pytest.approx(factor_variance(0.6, 0.4), rel=0.03)
+    assert table.mean() == pytest.approx(1, abs=0.005)
+
+
+def test_grain_is_stationary_and_correlated() -> None:
+    """Grain has mean 0, variance 1 up to the border, a near-normal shape, and the correlation of a 0.7 px Gaussian."""
+    field = grain(1, (400, 400)).astype(np.float64)
+    assert abs(field.mean()) < 0.02 and field.var() == pytest.approx(1, abs=0.03)
+    border = np.concatenate([field[0], field[-1], field[:, 0], field[:, -1]])
+    assert border.var() == pytest.approx(1, abs=0.2)
+    assert (field**4).mean() == pytest.approx(3, abs=0.15)
+    for lag, expected in ((1, 0.60), (2, 0.13), (5, 0.0)):
+        assert (field[lag:] * field[:-lag]).mean() == pytest.approx(expected, abs=0.03)
+        assert (field[:, lag:] * field[:, :-lag]).mean() == pytest.approx(expected, abs=0.03)
+
+
+def test_moments_over_draws() -> None:
+    """At every pixel, over seeds, the mean is 0 and the variance 1, for one wave as for many."""
+    for count in (1, 12):
+        fields = np.stack([waves(seed, (12, 9), 30.0, count) for seed in range(600)])
+        assert np.abs(fields.mean(0)).max() < 0.2 and np.abs(fields.var(0) - 1).max() < 0.25
+        assert np.abs(fields).max() <= np.sqrt(2 * count)
+
+
+def test_lengths() -> None:
+    """Waves are about as long as stated: a field of 30 px waves crosses zero some 2 times in 30 px along a line."""
+    rows = np.concatenate([waves(seed, (2, 600), 30.0)[0] for seed in range(40)])
+    crossings = (np.diff(np.sign(rows)) != 0).mean()
+    assert 30 * crossings == pytest.approx(2 / np.sqrt(2), rel=0.25)
