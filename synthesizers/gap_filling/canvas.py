@@ -20,7 +20,7 @@ from .blocks import OWN, Block, BlockGrid, Box, Sides, box_slices
 SeamMethod = Literal["blend", "graphcut"]
 Places = NDArray[np.float64]
 """``float64 (rows, columns, 2)``: the real-valued (x, y) in the sample of every block's first pixel."""
-Layers = tuple[Image, Source]
+GapLayers = tuple[Image, Source]
 """``(5, block, block, C)`` and ``(5, block, block, 3)``: what the patch of each neighbor shows in a gap, 0 where it
 does not reach. The last layer is the gap's own patch."""
 
@@ -122,7 +122,7 @@ class BlockCanvas:
         y0, y1, x0, x1 = box
         return self.patches.cut_patch(np.add(place, (x0, y0)), (y1 - y0, x1 - x0))
 
-    def _layers(self, gap: Block) -> Layers:
+    def _layers(self, gap: Block) -> GapLayers:
         size = self.grid.size
         image = np.zeros((5, size, size, self.image.shape[2]), np.float32)
         source = np.ones((5, size, size, 3), np.float32)

@@ -71,8 +71,8 @@ class FrameMatcher:
         Array
             ``(n,)``: higher is better.
         """
-        tables = (table[positions[:, 1], positions[:, 0]] for table in self._tables(template, hole))
-        return self._ratings(*tables, template, hole)
+        products, sums, spread = (table[positions[:, 1], positions[:, 0]] for table in self._tables(template, hole))
+        return self._ratings(products, sums, spread, template, hole)
 
     def rate_everywhere(self, template: NDArray[np.float32], hole: Box) -> Array:
         """Rate every place: an array of :attr:`search_shape`. Parameters as in :meth:`rate`."""

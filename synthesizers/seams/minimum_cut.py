@@ -17,6 +17,9 @@ from .seam_kernels import SOURCE, grow_trees
 
 Mask = NDArray[np.bool_]
 Weights = NDArray[np.float64]
+Slices = tuple[slice, slice]
+ENDS: tuple[tuple[Slices, Slices], ...] = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :]))
+"""The first and the second pixel of each link across, and of each link down."""
 
 
 class Links(NamedTuple):
@@ -107,8 +110,6 @@ def record_seams(seams: Links, links: Links, new: Mask, known: Mask) -> None:
     new, known
         ``bool (H, W)``: where the new picture is shown, and where either picture is known.
     """
-    for seam, cost, here, there in zip(
-        seams, links, (np.s_[:, 1:], np.s_[1:]), (np.s_[:, :-1], np.s_[:-1]), strict=True
-    ):
+    for seam, cost, (here, there) in zip(seams, links, ENDS, strict=True):
         cut = (new[here] != new[there]) & known[here] & known[there]
         np.copyto(seam, np.where(cut, cost, 0), where=new[here] | new[there])

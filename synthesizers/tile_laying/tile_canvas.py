@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 
-from ..seams.minimum_cut import Links, cut_overlap, record_seams
+from ..seams.minimum_cut import ENDS, Links, cut_overlap, record_seams
 from ..seams.seam_kernels import cheapest_path, link_costs
 from .tile_stock import CoveredPixels, TilePlaces, TileStock
 
@@ -96,18 +96,18 @@ class TileCanvas:
         filled, weights, seams = self.filled[window], self.weights[window].astype(np.float64), self.seams[window]
         empty = self._own & ~filled
         canvas, tile = self.values[window], source[y + y0 : y + y1 + 1, x + x0 : x + x1 + 1]
-        new = np.where(self._own[..., np.newaxis], tile, canvas) / np.float32(255)
-        old = np.where(empty[..., np.newaxis], new, canvas / np.float32(255))
+        new: Image = np.where(self._own[..., np.newaxis], tile, canvas) / np.float32(255)
+        old = np.asarray(np.where(empty[..., np.newaxis], new, canvas / np.float32(255)), np.float32)
         if (old == new).all():
-            return empty[dy - y0, dx - x0].astype(np.float64)
+            return np.asarray(empty[dy - y0, dx - x0], np.float64)
         links = Links(*link_costs(old, new, False))
-        for cost, here, there in zip(links, (np.s_[:, :-1], np.s_[:-1]), (np.s_[:, 1:], np.s_[1:]), strict=True):
+        for cost, (here, there) in zip(links, ENDS, strict=True):
             cost *= (weights[here] + weights[there]) / 2
             cost[empty[here] != empty[there]] *= 2
         old_seams = Links(seams[:, :-1, 0], seams[:-1, :, 1])
         shown = cut_overlap(links, ~(self._free | empty), empty, old_seams)
         record_seams(old_seams, links, shown, filled | shown)
-        return shown[dy - y0, dx - x0].astype(np.float64)
+        return np.asarray(shown[dy - y0, dx - x0], np.float64)
 
     def _blend(self, left: int, top: int, source: NDArray[np.uint8], x: int, y: int) -> NDArray[np.float64]:
         """Return the weight of each of a tile's pixels over what is filled, given its two seams.
