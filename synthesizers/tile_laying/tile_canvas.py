@@ -96,8 +96,8 @@ class TileCanvas:
         filled, weights, seams = self.filled[window], self.weights[window].astype(np.float64), self.seams[window]
         empty = self._own & ~filled
         canvas, tile = self.values[window], source[y + y0 : y + y1 + 1, x + x0 : x + x1 + 1]
-        new: Image = np.where(self._own[..., np.newaxis], tile, canvas) / np.float32(255)
-        old = np.asarray(np.where(empty[..., np.newaxis], new, canvas / np.float32(255)), np.float32)
+        new = np.asarray(np.where(self._own[..., np.newaxis], tile, canvas) / np.float32(255), np.float32)
+        old = np.where(empty[..., np.newaxis], new, np.asarray(canvas / np.float32(255), np.float32))
         if (old == new).all():
             return np.asarray(empty[dy - y0, dx - x0], np.float64)
         links = Links(*link_costs(old, new, False))
