@@ -1,9 +1,13 @@
+"""Claims about the cheapest paths, minimum cuts and L-shaped seams between a picture and a patch laid over it."""
+
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
@@ -15,7 +19,49 @@ from nrbench.synthesizers.seams.minimum_cut import (
     cut_overlap,
     minimum_cut,
 )
-from nrbench.synthesizers.seams.seam_kernels import link_costs
+from nrbench.synthesizers.seams.overlap_seam import cut_sides, l_shaped_seam
+from nrbench.synthesizers.seams.seam_kernels import cheapest_path, link_costs
+
+sizes = st.tuples(st.integers(1, 5), st.integers(1, 5))
+seeds = st.integers(0, 10_000)
+
+
+def paths(rows: int, columns: int) -> list[tuple[int, ...]]:
+    """Return every 8-connected path."""
+    return [
+        path
+        for path in itertools.product(range(columns), repeat=rows)
+        if all(abs(a - b) <= 1 for a, b in itertools.pairwise(path))
+    ]
+
+
+def cost(error: NDArray[np.float64], path: NDArray[np.int64] | tuple[int, ...]) -> float:
+    """Return the sum of errors along a path."""
+    return float(error[np.arange(len(error)), np.array(path)].sum())
+
+
+@given(sizes, seeds)
+def test_no_path_is_cheaper(shape: tuple[int, int], seed: int) -> None:
+    """The seam is a path, and costs no more than any other path."""
+    error = np.random.default_rng(seed).integers(0, 4, shape).astype(float)
+    seam = cheapest_path(error)
+    every = paths(*shape)
+    assert tuple(seam) in every
+    assert cost(error, seam) == min(cost(error, path) for path in every)
+
+
+def test_ties_are_broken_always_alike() -> None:
+    """On a flat surface the seam is the straight line at the left."""
+    np.testing.assert_array_equal(cheapest_path(np.zeros((6, 4))), np.zeros(6))
+
+
+def test_forbidden_pixels_are_avoided() -> None:
+    """A seam passes through the only gap in a wall of infinities."""
+    error = np.ones((9, 7))
+    error[4] = np.inf
+    error[4, 5] = 100
+    assert cheapest_path(error)[4] == 5
+
 
 Problem = tuple[Links, Weights, Weights]
 BOUND = 1 << 20
@@ -92,14 +138,6 @@ def test_no_labeling_costs_less(shape: tuple[int, int], seed: int) -> None:
     found = minimum_cut(*made)
     assert cut_value(found, *made) == least
     assert found.sum() == min(one.sum() for one in best)
-
-
-def test_real_valued_weights_are_cut_as_well() -> None:
-    """With real-valued weights no labeling of a 3 x 4 grid costs less."""
-    rng = np.random.default_rng(5)
-    made = Links(rng.random((3, 3)), rng.random((2, 4))), rng.random((3, 4)), rng.random((3, 4))
-    every = (np.array(bits).reshape(3, 4) for bits in itertools.product([False, True], repeat=12))
-    assert cut_value(minimum_cut(*made), *made) == pytest.approx(min(cut_value(one, *made) for one in every), abs=1e-12)
 
 
 def graphcut_seam(old: Image, new: Image, fixed_old: Mask, fixed_new: Mask, squared: bool = False) -> Mask:
@@ -182,10 +220,75 @@ def test_old_seams_are_covered_where_that_is_worth_it(seed: int) -> None:
     assert cost(cut_overlap(links, fixed_old, fixed_new, seams)) == pytest.approx(least, abs=1e-9)
 
 
-def test_squared_costs_are_plain_ones_times_the_difference() -> None:
-    """On flat pictures that differ by 0.3, a link costs 0.6 over one gray level, and squared 0.36 over it."""
-    old, new = np.zeros((3, 9, 1), np.float32), np.full((3, 9, 1), 0.3, np.float32)
-    plain, squared = (Links(*link_costs(old, new, squared)) for squared in (False, True))
-    for one, other in zip(plain, squared, strict=True):
-        np.testing.assert_allclose(one, 0.6 * 255, rtol=1e-6)
-        np.testing.assert_allclose(other, 0.36 * 255, rtol=1e-6)
+fewer_examples = settings(max_examples=40)
+Pixel = tuple[int, int]
+
+
+def upward_paths(start: Pixel, rows: int, width: int) -> Iterator[list[Pixel]]:
+    """Yield every path from a pixel down to the last row, in columns below ``width``."""
+    y, x = start
+    if y == rows - 1:
+        yield [start]
+        return
+    for step in (-1, 0, 1):
+        if 0 <= x + step < width:
+            for rest in upward_paths((y + 1, x + step), rows, width):
+                yield [start, *rest]
+
+
+def least_cut(error: NDArray[np.float64], overlap: int) -> float:
+    """Return the least cost over every pair of paths that meet at a pixel of the corner, by exhaustive search."""
+    height, width = error.shape
+    costs = []
+    for meeting in itertools.product(range(overlap), repeat=2):
+        down = min(sum(error[pixel] for pixel in path) for path in upward_paths(meeting, height, overlap))
+        level = min(
+            sum(error[x, y] for y, x in path) for path in upward_paths((meeting[1], meeting[0]), width, overlap)
+        )
+        costs.append(down + level - error[meeting])
+    return float(min(costs))
+
+
+@fewer_examples
+@given(st.integers(2, 5), st.integers(2, 5), st.integers(1, 3), st.integers(0, 10_000), st.booleans())
+def test_no_l_shaped_cut_is_cheaper(height: int, width: int, overlap: int, seed: int, ties: bool) -> None:
+    """The cost of the cut equals that of an exhaustive search over all pairs of paths and all meeting pixels."""
+    overlap = min(overlap, height, width)
+    draw = np.random.default_rng(seed)
+    error = draw.integers(0, 3, (height, width)).astype(float) if ties else draw.random((height, width))
+    _, cost = l_shaped_seam(error, overlap)
+    assert cost == pytest.approx(least_cut(error, overlap))
+
+
+@fewer_examples
+@given(st.integers(3, 8), st.integers(3, 8), st.integers(1, 4), st.integers(0, 10_000))
+def test_the_patch_begins_on_the_cut(height: int, width: int, overlap: int, seed: int) -> None:
+    """The patch's outermost pixels are on the paths: along each line that a path crosses, they cost what the cut costs.
+
+    Errors of distinct powers of two show in the cost which pixels the paths consist of.
+    """
+    overlap = min(overlap, height, width)
+    order = np.random.default_rng(seed).permutation(height * width).reshape(height, width)
+    error = np.where(order < 50, 2.0 ** np.minimum(order, 50), 2.0**50)
+    mask, cost = l_shaped_seam(error, overlap)
+    assert mask[overlap:, overlap:].all()
+    on_cut = {(y, int(mask[y].argmax())) for y in range(overlap, height)}
+    on_cut |= {(int(mask[:, x].argmax()), x) for x in range(overlap, width)}
+    assert sum(error[pixel] for pixel in on_cut) <= cost
+    assert all(int(cost) & int(error[pixel]) for pixel in on_cut if error[pixel] < 2.0**50)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_cut_along_one_side_is_the_cheapest_path(channels: int) -> None:
+    """With one overlap the cut equals an exhaustive search over the squared differences, at the left and at the top."""
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        old, new = rng.integers(0, 256, (2, 6, 5, channels), dtype=np.uint8)
+        error = ((old.astype(float) - new) ** 2).sum(-1)
+        least = min(sum(error[pixel] for pixel in path) for x in range(3) for path in upward_paths((0, x), 6, 3))
+        mask = cut_sides(old, new, 3, left=True, top=False)
+        first = mask.argmax(1)
+        assert error[np.arange(6), first].sum() == least
+        assert (np.abs(np.diff(first)) <= 1).all()
+        turned = cut_sides(old.swapaxes(0, 1), new.swapaxes(0, 1), 3, left=False, top=True)
+        np.testing.assert_array_equal(turned, mask.T)
