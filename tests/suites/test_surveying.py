@@ -243,10 +243,10 @@ def test_the_origin_is_written() -> None:
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({}, "has no picture"), ({"least": 1.5}, "give a probability"), ({"detector": "gnc"}, "gnc")],
+    [({}, "has no picture"), ({"detector": "gnc"}, "gnc")],
 )
 def test_misuse(options: dict[str, object], message: str) -> None:
-    """A folder without pictures, a limit that is no probability and an unknown detector are refused."""
+    """A folder without pictures and an unknown detector are refused."""
     if options:
         add("a.png")
     else:
