@@ -100,9 +100,9 @@ def lattice_command(
     if every:
         return lattice_detection.compare_detectors(picture, output, as_json)
     if straighten:
-        lattice_detection.straighten(picture, detector or "consensus", lattice, output, straighten, as_json)
+        lattice_detection.straighten_picture(picture, detector or "consensus", lattice, output, straighten, as_json)
     elif pick or lattice is not None:
-        lattice_detection.use_given(picture, lattice, output, as_json)
+        lattice_detection.print_given(picture, lattice, output, as_json)
     else:
-        lattice_detection.detect(picture, detector, output, diagnostics, as_json)
+        lattice_detection.print_detection(picture, detector, output, diagnostics, as_json)
     return 0

@@ -64,7 +64,7 @@ def survey_folder(folder: Path, detector: str, output: Path | None, least: float
     return int(failed > 0)
 
 
-def use_given(image: Image, numbers: str | None, output: Path | None, as_json: bool) -> None:
+def print_given(image: Image, numbers: str | None, output: Path | None, as_json: bool) -> None:
     """Print and draw the user's lattice, given as numbers or picked in a window."""
     if numbers is None:
         from nrbench.cli.lattice_figures import pick
@@ -83,7 +83,9 @@ def _print_numbers(lattice: Lattice) -> None:
     click.echo(f"for other verbs: --lattice {lattice_text(lattice, has_origin=True)}", err=True)
 
 
-def detect(image: Image, chosen: str | None, output: Path | None, diagnostics: Path | None, as_json: bool) -> None:
+def print_detection(
+    image: Image, chosen: str | None, output: Path | None, diagnostics: Path | None, as_json: bool
+) -> None:
     """Print and draw the lattice that one detector finds.
 
     If the default detector finds none, the mean lattice of a bent image is looked for.
@@ -185,7 +187,9 @@ def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Pat
     write_image(output, contact_sheet(pictures, captions, columns=3))
 
 
-def straighten(image: Image, spec: str, lattice: str | None, overlay: Path | None, output: Path, as_json: bool) -> None:
+def straighten_picture(
+    image: Image, spec: str, lattice: str | None, overlay: Path | None, output: Path, as_json: bool
+) -> None:
     """Print the mean lattice, the deformation and the short list, and write the image with its deformation undone.
 
     Parameters
