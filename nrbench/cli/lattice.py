@@ -98,7 +98,7 @@ def lattice_command(
         written[path.resolve()] = "would be written twice; choose another name for one of the pictures"
     picture = read_image(image)
     if every:
-        return lattice_detection.compare_detectors(picture, output, as_json)
+        return lattice_detection.print_comparison(picture, output, as_json)
     if straighten:
         lattice_detection.straighten_picture(picture, detector or "consensus", lattice, output, straighten, as_json)
     elif pick or lattice is not None:

@@ -141,7 +141,7 @@ def _draw_diagnostics(diagnostics: Mapping[str, Any], title: str, output: Path) 
         write_aside(output, lambda aside: figure.savefig(aside, dpi=110))
 
 
-def compare_detectors(image: Image, output: Path | None, as_json: bool) -> int:
+def print_comparison(image: Image, output: Path | None, as_json: bool) -> int:
     """Print and draw the lattices of all detectors; return 1 if one of them failed, else 0."""
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
