@@ -10,7 +10,7 @@ from nrbench.detectors.frdft import Frdft, surplus
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import NoLatticeFound, Texture
-from nrbench.spectra.harmonic_groups import Basis, Peaks, find_fundamental, find_fundamentals
+from nrbench.spectra.harmonic_groups import Basis, SpectrumPeaks, find_fundamental, find_fundamentals
 
 FAMILIES = {"brick": Brick, "weave": Weave, "hexagon": Hexagon}
 FAST = Frdft(reject="none")
@@ -22,9 +22,9 @@ def texture(family: str, seed: int = 0, **strengths: float) -> Texture:
     return rendered
 
 
-def waveset(places: np.ndarray, spread: float = 0.05) -> Peaks:
+def waveset(places: np.ndarray, spread: float = 0.05) -> SpectrumPeaks:
     """Return waves of equal weight."""
-    return Peaks(places, np.full(len(places), spread), np.ones(len(places)))
+    return SpectrumPeaks(places, np.full(len(places), spread), np.ones(len(places)))
 
 
 @pytest.mark.parametrize("family", FAMILIES)

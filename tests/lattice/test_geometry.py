@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
-from nrbench.lattice.geometry import Lattice, hermite_matrices, integers_within, shortest_pair
+from nrbench.lattice.geometry import Lattice, hermite_matrices, integers_within, reduce_bases
 from nrbench.lattice.relation import lattice_error
 
 HEXAGONAL = Lattice((20.0, 0.0), (10.0, 10 * math.sqrt(3)))
@@ -311,12 +311,12 @@ REBASED = Lattice((27.3 + 3 * 8.0, 1.0 + 3 * 12.2), (27.3 + 2 * 8.0, 1.0 + 2 * 1
 
 def coarser(lattice: Lattice, index: int) -> list[Lattice]:
     """Return the supercells of an index."""
-    return [Lattice.from_basis(shortest_pair(basis)) for basis in hermite_matrices(index) @ lattice.matrix]
+    return [Lattice.from_basis(basis) for basis in reduce_bases(hermite_matrices(index) @ lattice.matrix)]
 
 
 def finer(lattice: Lattice, index: int) -> list[Lattice]:
     """Return the subcells of an index."""
-    return [Lattice.from_basis(shortest_pair(basis)) for basis in hermite_matrices(index) @ lattice.matrix / index]
+    return [Lattice.from_basis(basis) for basis in reduce_bases(hermite_matrices(index) @ lattice.matrix / index)]
 
 
 @pytest.mark.parametrize("index", [1, 2, 3, 4, 5, 6, 7, 12, 30])

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.errors import BadInput
-from nrbench.spectra.harmonics import Harmonics, analyze, lowest_period
+from nrbench.spectra.harmonics import WaveAnalysis, analyze, lowest_period
 from nrbench.spectra.spectrum import Spectrum, dirichlet_sum, pair_kernels
 from nrbench.spectra.wave_fit import Waves
 from nrbench.spectra.wave_search import analytic_signal, find_complex_waves, find_waves, noise_floor
@@ -45,7 +45,7 @@ def test_the_lowest_wave_gives_the_tile_of_equation_7() -> None:
     assert lowest_period(np.zeros((0, 2)), np.zeros((0, 3)), (128, 128)) == (None, None)
 
 
-def errors(found: Harmonics, f: np.ndarray) -> np.ndarray:
+def errors(found: WaveAnalysis, f: np.ndarray) -> np.ndarray:
     """Return how far, bins, each true frequency's nearest found one is, the larger component, (n,)."""
     apart = [np.abs(f[:, None] - sign * found.frequencies).max(2).min(1) for sign in (1, -1)]
     return np.asarray(np.minimum(*apart) * SIDE)
@@ -259,7 +259,7 @@ def test_the_normal_equations_hold_the_gradient() -> None:
     f, amplitude, phase = draw_waves(4, rng)
     spectrum = Spectrum(picture(f, amplitude, phase) + rng.standard_normal((SIDE, SIDE, 1)))
     start, step = f + 0.2 / SIDE, 1e-7
-    right = Waves(spectrum, start).normal[1]
+    right = Waves(spectrum, start).normal_equations()[1]
     for k, a in np.ndindex(4, 2):
         move = np.zeros((4, 2))
         move[k, a] = step
