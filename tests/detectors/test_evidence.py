@@ -66,15 +66,6 @@ def test_agreement_is_the_mean_over_multiples(evidence: LatticeEvidence) -> None
     assert found.variance == pytest.approx(np.average((values - mean) ** 2, weights=weights), abs=1e-9)
 
 
-def test_agreement_leaves_out_a_coarser_lattice(evidence: LatticeEvidence) -> None:
-    """Without the multiples of a supercell of 4, three of four multiples are left, and their mean with them."""
-    coarse = 2 * BASIS
-    whole, rest, part = evidence.agreement(BASIS), evidence.agreement(BASIS, coarse), evidence.agreement(coarse)
-    assert whole.lags == rest.lags + part.lags
-    assert rest.lags == pytest.approx(3 * part.lags, rel=0.1)
-    assert rest.mean == pytest.approx(whole.mean, abs=0.02)
-
-
 def test_a_split_is_the_difference_of_both_parts(evidence: LatticeEvidence) -> None:
     """The excess of supercells equals the agreement at their multiples less that at all others, in standard errors."""
     changes = np.concatenate([hermite_matrices(index) for index in (2, 3, 4)])
@@ -193,10 +184,3 @@ def test_a_ridge_has_agreement_at_every_index() -> None:
         known = LatticeEvidence(half_autocorrelation(image[..., np.newaxis].astype(np.float32)))
         assert low < ridge_height(known, basis) / known.repeated(basis) < high
         assert highest_added(known, basis) > 0.95 * known.repeated(basis)
-
-
-def test_many_lattices_at_once(evidence: LatticeEvidence) -> None:
-    """Agreements of many lattices equal those of each."""
-    finer = finer_bases(BASIS)
-    one_by_one = [evidence.agreement(basis, BASIS) for basis in finer]
-    assert evidence.agreements(finer, BASIS) == one_by_one
