@@ -65,7 +65,7 @@ class PictureGrid:
             return []
         paths = []
         for kind in ("pdf", "png"):
-            content = plot_pictures(comparison, rows, methods, kind, self.replicate, self.width, self.insets)
+            content = plot_pictures(kind, comparison, rows, methods, self.replicate, self.width, self.insets)
             path = directory / f"figure.{kind}"
             write_bytes(path, content)
             paths.append(path)

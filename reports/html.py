@@ -4,64 +4,47 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 from markupsafe import Markup
 
 from nrbench.errors import strip_control
+from nrbench.labelling import questions
 from nrbench.labelling.labels import content_hash
-from nrbench.labelling.questions import ANSWERS, WHOLE_SCORE
 from nrbench.runs.records import CellRecord, Run
-from nrbench.runs.store import RUN_FILE
 from nrbench.storage import write_text
 
 from .csv import csv_text, summary_table
 from .latex import bibliography, latex_text
+from .page import gallery
 from .page.environment import make_environment
 from .page.forest_plot import forest_axes
-from .page.gallery import SOURCE_MAP, build_disagreement, build_gallery, list_failings, list_layers, score_shade
 from .page.inline_svg import inline_svg
 from .page.pictures import CROP, PictureStore
-from .plots.cost_plane import has_cost, plot_cost
-from .plots.critical_difference import plot_ranks
-from .plots.heat_map import plot_heat_map
+from .plots.comparison_plots import plot_cost, plot_heat_map, plot_ranks, timed_methods
 from .plots.perils_plane import plot_perils_plane
 from .plots.series_plot import plot_claim, plot_levels
-from .statistics.detections import KINDS, STOCHASTIC, DetectorComparison, compare_detectors
-from .statistics.expectations import SENTENCE, compare_with_published, evaluate_claims
+from .statistics.detections import compare_detectors
+from .statistics.expectations import compare_with_published, evaluate_claims
 from .statistics.levels import BROKEN, compare_levels
-from .statistics.method_comparison import LEADING_SIGN, compare_methods
+from .statistics.method_comparison import compare_methods
 from .statistics.people import compare_people
-from .statistics.summaries import describe_scores, list_patch_terms, other_score_rows, perils_points
-from .statistics.verdicts import (
-    BASELINE_LEGEND,
-    BASELINE_SIGN,
-    MARKS,
-    MEANINGS,
-    explain_valid_baseline,
-    explain_verdict,
-    verdict,
+from .statistics.summaries import (
+    describe_scores,
+    headline_columns,
+    list_patch_terms,
+    other_score_rows,
+    perils_points,
+    sort_headlines_first,
 )
+from .statistics.verdicts import SCORE
 
-_KEY_VERSIONS = ("nrbench", "python", "numpy", "scipy", "scikit-image", "numba", "pandas", "pillow")
-_MOST_DIFFERENCES = 1000
-"""More paired differences than this are in the CSV tables only: their number grows with the square of the methods."""
 _LEVELS_WIDTH = 8.7
 """Width of the plot of levels, inches: three columns."""
-
-
-_FILTERS: Mapping[str, Callable[..., Any]] = {
-    "score_shade": score_shade,
-    "strip_control": strip_control,
-    "verdict": verdict,
-    "explain_verdict": explain_verdict,
-    "explain_valid_baseline": explain_valid_baseline,
-}
 
 
 @dataclass(frozen=True)
@@ -106,114 +89,80 @@ class HtmlReport:
         """Return the page as it will lie in ``directory``."""
         comparison = compare_methods(run, self.tests, self.baseline)
         pictures = PictureStore(directory, self.single_file)
-        detectors = compare_detectors(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
-        people, claims = compare_people(run, self.labels), evaluate_claims(run)
-        disagreements = {
-            name: [(one, build_disagreement(run, one.record, asked.question, pictures)) for one in asked.disagreements]
-            for name, asked in (people.questions.items() if people else ())
-        }
-        sections = build_gallery(run, comparison, pictures)
-        failings = list_failings(comparison, pictures)
-        embed = pictures.embeds()
-        references = (i for i, method in enumerate(comparison.methods) if i and method.reference)
+        people, claims, timed = compare_people(run, self.labels), evaluate_claims(run), timed_methods(comparison)
+        sections = gallery.build_gallery(run, comparison, pictures)
         content: dict[str, Any] = {
-            "info": run.info,
-            "created": _creation_time(run),
             "command": shlex.join(map(str, run.info.get("argv") or [])),
-            "versions": _split_versions(run.info.get("versions", {})),
             "run": run,
             "comparison": comparison,
             "patch_terms": list_patch_terms(run),
-            "first_reference": next(references, -1),
+            "first_reference": next((i for i, one in enumerate(comparison.methods) if i and one.reference), -1),
             "more_rows": other_score_rows(run, comparison.summaries),
             "axes": forest_axes(comparison.summary_rows),
             "points": points,
-            "plane": inline_svg(plot_perils_plane(points, "svg"), "plane") if points else "",
-            "ranks": inline_svg(plot_ranks(comparison), "ranks") if comparison.tests else "",
-            "heat_map": inline_svg(plot_heat_map(comparison), "heat") if comparison.has_ranking else "",
-            "cost_plane": inline_svg(plot_cost(comparison), "cost") if has_cost(comparison) else "",
+            "plane": inline_svg(plot_perils_plane("svg", points), "plane") if points else "",
+            "ranks": inline_svg(plot_ranks("svg", comparison), "ranks") if comparison.tests else "",
+            "heat_map": inline_svg(plot_heat_map("svg", comparison), "heat") if comparison.has_ranking else "",
+            "cost_plane": inline_svg(plot_cost("svg", timed), "cost") if timed else "",
             "summary_csv": csv_text(summary_table(comparison)),
             "summary_latex": latex_text(run, comparison) if comparison.scored and comparison.rows else "",
             "bibliography": bibliography(run),
             "panels": panels,
-            "level_plot": inline_svg(plot_levels(panels, "svg", _LEVELS_WIDTH), "levels") if panels else "",
+            "level_plot": inline_svg(plot_levels("svg", panels, _LEVELS_WIDTH), "levels") if panels else "",
             "broken": BROKEN,
-            "leading_sign": LEADING_SIGN,
-            "leading_legend": comparison.leading_legend,
+            "disagreements": {
+                name: [
+                    (one, gallery.load_disagreement(one.record, asked.question, pictures))
+                    for one in asked.disagreements
+                ]
+                for name, asked in (people.questions.items() if people else ())
+            },
             "sections": sections,
-            "layers": list_layers(sections),
-            "failings": failings,
-            "crop": CROP,
-            "most_differences": _MOST_DIFFERENCES,
-            "source_map": SOURCE_MAP,
-            "address": cache(lambda picture: pictures.address(picture, embed)),
-            "embedded": embed,
+            "layers": gallery.list_layers(sections),
+            "failings": gallery.list_failings(comparison, pictures),
+            "crop_side": CROP,
+            "gallery": gallery,
+            "headline": [name for name in headline_columns(run) if name != SCORE],
+            "every_score": sort_headlines_first(run.columns),
+            "score_lines": partial(gallery.score_lines, run),
             "unfinished": _unfinished_cells(run.cells),
-            "missing": _missing_cells(run.cells),
+            "missing": Counter(record.texture for record in run.cells if record.status == "missing"),
             "failed_scores": _failed_scores(run.cells),
             "columns": describe_scores(run),
-            "meanings": MEANINGS,
-            "marks": MARKS,
             "claims": claims,
-            "claim_plots": [inline_svg(plot_claim(one, "svg"), f"claim{i}") for i, one in enumerate(claims)],
+            "claim_plots": [inline_svg(plot_claim("svg", one), f"claim{i}") for i, one in enumerate(claims)],
             "published": compare_with_published(run, comparison),
-            "published_sentence": SENTENCE,
-            "baseline_sign": BASELINE_SIGN,
-            "baseline_legend": BASELINE_LEGEND,
             "single_file": self.single_file,
-            "scored": comparison.scored,
-            "detectors": detectors,
-            "families": _families(detectors),
-            "kinds": KINDS,
+            "detectors": compare_detectors(run),
             "people": people,
-            "answers": ANSWERS,
-            "whole_score": WHOLE_SCORE,
-            "disagreements": disagreements,
+            "questions": questions,
         }
-        page = _fill_template(content)
+        page = _fill_template(content, pictures)
         pictures.sweep()
         return page
 
 
-def _fill_template(content: Mapping[str, Any]) -> str:
+def _fill_template(content: Mapping[str, Any], pictures: PictureStore) -> str:
     """Return the page; its content policy names style and script by hash, so that nothing else on it can run."""
-    environment = make_environment(_FILTERS, autoescape=True)
+    environment = make_environment(
+        {"score_shade": gallery.score_shade, "strip_control": strip_control}, autoescape=True
+    )
+    embed = pictures.embeds()
+    address = cache(lambda picture: pictures.address(picture, embed))
     style = Markup(environment.get_template("style.css").render(content))
     script = Markup(environment.get_template("script.js").render())
-    hashes = {"style_hash": content_hash(style), "script_hash": content_hash(script)}
-    return environment.get_template("report.html").render(content, style=style, script=script, **hashes)
-
-
-def _families(detectors: DetectorComparison | None) -> list[str]:
-    """Return the families of the textures that have a lattice."""
-    groups = detectors.groups if detectors else []
-    return list(dict.fromkeys(group.family for group in groups if group.departure != STOCHASTIC))
-
-
-def _creation_time(run: Run) -> str:
-    """Return the creation time of the run, from its record or the time of its file."""
-    known, file = run.info.get("created"), run.root / RUN_FILE
-    if known or not file.is_file():
-        return str(known or "")
-    return datetime.fromtimestamp(file.stat().st_mtime, UTC).strftime("%Y-%m-%d %H:%M UTC")
-
-
-def _split_versions(versions: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the versions that matter most, and the others."""
-    main = {name: versions[name] for name in _KEY_VERSIONS if name in versions}
-    return main, {name: version for name, version in versions.items() if name not in main}
+    return environment.get_template("report.html").render(
+        content,
+        **{"style": style, "style_hash": content_hash(style), "script": script, "script_hash": content_hash(script)},
+        **{"address": address, "embedded": embed},
+    )
 
 
 def _unfinished_cells(cells: Sequence[CellRecord]) -> list[CellRecord]:
     """Return the cells that ended without an output: failures first, then refusals."""
     rest = [record for record in cells if record.status not in ("ok", "missing")]
     return sorted(rest, key=lambda record: record.status == "refused")
-
-
-def _missing_cells(cells: Sequence[CellRecord]) -> dict[str, int]:
-    """Return how many cells of each texture have not run: most of a run can be missing while it goes on."""
-    return dict(Counter(record.texture for record in cells if record.status == "missing"))
 
 
 def _failed_scores(cells: Sequence[CellRecord]) -> list[tuple[CellRecord, str, str]]:

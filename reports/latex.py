@@ -13,10 +13,9 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
 from .page.environment import make_environment
-from .statistics.expectations import SENTENCE, compare_with_published
+from .statistics.expectations import compare_with_published
 from .statistics.method_comparison import Comparison, choose_rows, compare_methods
 from .statistics.summaries import SummaryRow, list_patch_terms
-from .statistics.verdicts import BASELINE_LEGEND, SHARES_LEGEND
 
 _SPECIAL: Mapping[str, str] = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
@@ -127,8 +126,6 @@ def _fill(run: Run, comparison: Comparison, table: str, **content: Any) -> str:
         table=table,
         comparison=comparison,
         suite=f"{suite.get('name', 'run')} {suite.get('version', '')} ({suite.get('hash', 'no hash')})",
-        baseline_legend=f"{BASELINE_LEGEND} ({SHARES_LEGEND})",
-        published_sentence=SENTENCE,
         **content,
     )
 

@@ -12,9 +12,9 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
 from .page.environment import make_environment
-from .statistics.method_comparison import LEADING_SIGN, compare_methods
+from .statistics.method_comparison import compare_methods
 from .statistics.summaries import list_patch_terms
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MEANINGS, SHARES_LEGEND, count_reasons
+from .statistics.verdicts import count_reasons
 
 _ACTIVE = re.compile(r"([\\`*_\[\]<>|~&@#]|:(?=//)|(?<=www)\.|^[-+=])")
 
@@ -48,19 +48,9 @@ class MarkdownTables:
 
     def render(self, run: Run) -> str:
         """Return the tables as text; every line ends in a newline."""
-        return (
-            make_environment({"escape_markdown": escape_markdown})
-            .get_template("comparison.md")
-            .render(
-                comparison=compare_methods(run, self.tests, self.baseline),
-                reasons=count_reasons(run),
-                patch_terms=list_patch_terms(run),
-                leading_sign=LEADING_SIGN,
-                meanings=MEANINGS,
-                baseline_sign=BASELINE_SIGN,
-                baseline_legend=f"{BASELINE_LEGEND} ({SHARES_LEGEND})",
-            )
-        )
+        template = make_environment({"escape_markdown": escape_markdown}).get_template("comparison.md")
+        comparison = compare_methods(run, self.tests, self.baseline)
+        return template.render(comparison=comparison, reasons=count_reasons(run), patch_terms=list_patch_terms(run))
 
 
 def escape_markdown(text: str) -> str:

@@ -10,9 +10,7 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_bytes
 
-from .plots.cost_plane import has_cost, plot_cost
-from .plots.critical_difference import plot_ranks
-from .plots.heat_map import plot_heat_map
+from .plots.comparison_plots import plot_cost, plot_heat_map, plot_ranks, timed_methods
 from .plots.perils_plane import plot_perils_plane
 from .plots.series_plot import plot_levels
 from .statistics.levels import compare_levels
@@ -37,8 +35,8 @@ class PerilsPlane:
     ``levels.svg`` and ``levels.pdf`` show the quality of each method by the level of a difficulty, with one panel for
     each difficulty. They are written if the suite has textures at two levels or more of one departure.
 
-    ``ranks.svg`` and ``ranks.pdf`` are the critical-difference diagram, from 10 textures up; ``cost.*`` shows quality
-    against time, ``heat-map.*`` the quality of every method on every texture.
+    ``ranks.svg`` and ``ranks.pdf`` show average ranks, with bars over methods that do not differ, from 10 textures up;
+    ``cost.*`` shows quality against time, ``heat-map.*`` the quality of every method on every texture.
 
     Parameters
     ----------
@@ -64,15 +62,15 @@ class PerilsPlane:
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         paths = []
         for kind in ("svg", "pdf"):
-            contents = {"perils": plot_perils_plane(points, kind, self.width)} if points else {}
+            contents = {"perils": plot_perils_plane(kind, points, self.width)} if points else {}
             if panels:
-                contents["levels"] = plot_levels(panels, kind, self.width)
+                contents["levels"] = plot_levels(kind, panels, self.width)
             if comparison.tests:
-                contents["ranks"] = plot_ranks(comparison, kind, self.width)
-            if has_cost(comparison):
-                contents["cost"] = plot_cost(comparison, kind, self.width)
+                contents["ranks"] = plot_ranks(kind, comparison, self.width)
+            if timed := timed_methods(comparison):
+                contents["cost"] = plot_cost(kind, timed, self.width)
             if comparison.has_ranking:
-                contents["heat-map"] = plot_heat_map(comparison, kind)
+                contents["heat-map"] = plot_heat_map(kind, comparison)
             for name, content in contents.items():
                 path = directory / f"{name}.{kind}"
                 write_bytes(path, content)
@@ -90,4 +88,4 @@ class PerilsPlane:
         points = perils_points(compare_methods(run).summaries)
         if not points:
             raise BadInput(f"{run.root}: no method has a quality, so there is nothing to plot")
-        return plot_perils_plane(points, kind, self.width)
+        return plot_perils_plane(kind, points, self.width)

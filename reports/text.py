@@ -22,9 +22,9 @@ from nrbench.storage import write_text
 from .statistics.detections import DetectorSummary, compare_detectors
 from .statistics.estimates import Estimate
 from .statistics.format import format_number, format_percent, pluralize
-from .statistics.method_comparison import LEADING_SIGN, Comparison, Entry, choose_rows, compare_methods
+from .statistics.method_comparison import Comparison, Entry, choose_rows, compare_methods
 from .statistics.summaries import MethodSummary, SummaryRow
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, MARKS, SHARES_LEGEND, count_reasons
+from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, LEADING_SIGN, MARKS, SHARES_LEGEND, count_reasons
 
 _MOST_REASONS = 8
 """Number of reasons that are printed."""

@@ -9,6 +9,7 @@ from typing import Any
 import jinja2
 
 from ..statistics import format as text_format
+from ..statistics import verdicts
 
 _FORMATS = (
     *("format_number", "format_percent", "format_signed", "format_interval", "format_count", "format_successes"),
@@ -34,5 +35,6 @@ def make_environment(filters: Mapping[str, Callable[..., Any]], **options: Any) 
         keep_trailing_newline=True,
         **options,
     )
+    environment.globals["verdicts"] = verdicts
     environment.filters.update({name: getattr(text_format, name) for name in _FORMATS}, **filters)
     return environment

@@ -15,24 +15,8 @@ Scale = Callable[[float | None], float | None]
 """Maps a value to its place on an axis, from 0 to 100."""
 
 
-@dataclass(frozen=True)
-class ForestPoint:
-    """One estimate on its axis.
-
-    Parameters
-    ----------
-    value, low, high
-        Places on the axis, 0 to 100; None if there is none.
-    text, interval, count
-        The estimate as text.
-    """
-
-    value: float | None
-    low: float | None
-    high: float | None
-    text: str
-    interval: str
-    count: str
+Point = tuple[float | None, float | None, float | None]
+"""Places of a value and of the ends of its interval on an axis; None if there is none."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +25,8 @@ class ForestAxis:
 
     Parameters
     ----------
-    name, meaning
-        The score and the description of its column.
+    row
+        The numbers of the methods.
     ends
         The ends of the axis as text.
     one
@@ -51,17 +35,13 @@ class ForestAxis:
         Which values are better, in words.
     points
         One for each method.
-    values
-        The numbers of the points.
     """
 
-    name: str
-    meaning: str
+    row: SummaryRow
     ends: tuple[str, str]
     one: float | None
     better: str
-    points: Sequence[ForestPoint]
-    values: Sequence[float | None]
+    points: Sequence[Point]
 
 
 _BETTER = {"higher": "better →", "lower": "← better", "one": "best at 1", "none": ""}
@@ -78,17 +58,13 @@ def _axis(row: SummaryRow) -> ForestAxis:
     logarithmic = row.name in COSTS and bool(known) and min(known) > 0
     low, high = _whole_decades(known) if logarithmic else _linear_range(row.column, known)
     scale = _scale(low, high, math.log if logarithmic else float)
-    places = ((one.value, one.low, one.high) if one else (None, None, None) for one in row.estimates)
     return ForestAxis(
-        name=row.title,
-        meaning=row.meaning,
+        row,
         ends=(text(low), text(high)),
         one=scale(1.0) if row.column.better == "one" else None,
         better=_BETTER[row.column.better],
-        values=[one.value if one else None for one in row.estimates],
         points=[
-            ForestPoint(scale(value), scale(low), scale(high), *words)
-            for (value, low, high), *words in zip(places, row.values, row.intervals, row.counts, strict=True)
+            (scale(one.value), scale(one.low), scale(one.high)) if one else (None, None, None) for one in row.estimates
         ],
     )
 

@@ -21,7 +21,7 @@ def inline_svg(svg: bytes, name: str) -> Markup:
     Parameters
     ----------
     svg
-        A plot of :func:`~nrbench.reports.plots.figure_file.render_figure`.
+        A plot of :func:`~nrbench.reports.plots.figure_file.returns_file`.
     name
         The prefix of its ids, unique on the page.
     """

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Concatenate, ParamSpec
 
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+P = ParamSpec("P")
 
 INK, GRAY, FAINT = "black", "0.45", "0.8"
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
@@ -51,17 +54,17 @@ def open_frame(axes: Axes) -> None:
         axes.spines[side].set_visible(False)
 
 
-def render_figure(draw: Callable[[], Figure], kind: str) -> bytes:
-    """Return the figure that ``draw`` makes, as a file of a kind (``svg``, ``pdf``, ``png``) without a date."""
-    with matplotlib.rc_context(_STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # an emoji in a name is drawn as a box
+def returns_file(draw: Callable[P, Figure]) -> Callable[Concatenate[str, P], bytes]:
+    """Let a function that draws a figure return its file. Its new first argument is the kind: svg, pdf or png."""
+
+    @functools.wraps(draw)
+    def render(kind: str, /, *args: P.args, **kwargs: P.kwargs) -> bytes:
         file = io.BytesIO()
-        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-        draw().savefig(
-            file,
-            format=kind,
-            facecolor="white" if kind == "png" else "none",
-            metadata=dates.get(kind),
-            dpi=160 if kind == "png" else 72,
-        )
-    return file.getvalue()
+        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs give equal bytes
+        with matplotlib.rc_context(_STYLE), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph .* missing from font")  # an emoji in a name is drawn as a box
+            back, dots = ("white", 160) if kind == "png" else ("none", 72)
+            draw(*args, **kwargs).savefig(file, format=kind, facecolor=back, metadata=dates.get(kind), dpi=dots)
+        return file.getvalue()
+
+    return render

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ..statistics.summaries import PerilsPoint
-from ..statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, SHARES_LEGEND, method_label
+from ..statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, SHARES_LEGEND
 from .captions import choose_named, describe_unnamed, draw_captions
-from .figure_file import FAINT, GRAY, INK, SMALL, add_axes, make_figure, render_figure
+from .figure_file import FAINT, GRAY, INK, SMALL, add_axes, make_figure, returns_file
 
 _SIZE = 6.4
 """Size of a marker, pt."""
@@ -27,29 +26,25 @@ _FIRST_ROW, _NEXT_ROW = -0.15, -0.07
 """Height of the first method whose randomness is not scored, and distance to the next one, in units of randomness."""
 
 
-def plot_perils_plane(points: Sequence[PerilsPoint], kind: str, width: float = 5.5) -> bytes:
-    """Return the plane as a file of a kind (``svg``, ``pdf``, ``png``); the same points give the same bytes."""
-    return render_figure(partial(_perils_figure, points, width), kind)
+def caption_text(point: PerilsPoint) -> str:
+    """Return the caption of a point: method, lattice source, what the height rests on, validity."""
+    count = "" if point.has_height else f" n = {point.structure.n}"
+    return point.method.label + point.rests_on + point.validity.sign + count
 
 
-def caption_text(group: Sequence[PerilsPoint]) -> str:
-    """Return the caption of the points of one method: name, lattice sources, what the height rests on, validity."""
-    sources = ", ".join(point.method.lattice_source for point in group)
-    count = "" if group[0].has_height else f" n = {group[0].structure.n}"
-    return method_label(group[0].method.name, sources) + group[0].rests_on + group[0].validity.sign + count
-
-
-def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
+@returns_file
+def plot_perils_plane(points: Sequence[PerilsPoint], width: float = 5.5) -> Figure:
+    """Plot the plane, ``width`` inches wide."""
     narrow, shown = width < _NARROW, choose_named([point.method.reference for point in points])
     unscored = [point for point, named in zip(points, shown, strict=True) if named and not point.has_height]
     rows = {id(point): _FIRST_ROW + _NEXT_ROW * i for i, point in enumerate(unscored)}
     places = [(float(one.structure.value or 0), rows.get(id(one), float(one.randomness.value or 0))) for one in points]
-    groups = _group_points(points, places, shown)
+    chosen = [i for i, named in enumerate(shown) if named]
     notes = [line for note in _footnotes(points, shown) for line in textwrap.wrap(note, int(18 * width))]
-    texts = [textwrap.fill(caption_text([points[i] for i in group]), 26) for group in groups]
+    texts = [textwrap.fill(caption_text(points[i]), 26) for i in chosen]
     lowest = min([-0.05, *(height - 0.05 for height in rows.values())])
     below = (96.0 if narrow else 62.0) + 9.0 * len(notes)
-    listed = _LIST_ROW * len(groups) + 6.0 if narrow else 0.0
+    listed = _LIST_ROW * len(chosen) + 6.0 if narrow else 0.0
     figure = make_figure(width, 72 * width * 0.6 * (1.05 - lowest) + below + listed + 16)
     axes = add_axes(figure, 46, below + listed, 36 if narrow else 182, 16)
     _draw_frame(axes, lowest, narrow)
@@ -58,8 +53,8 @@ def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
             _draw_point(axes, point, *place)
         elif point.has_height:
             axes.plot(*place, marker="o", ms=3, mfc=INK, mec="none", zorder=3)
-    anchors = np.array([places[group[0]] for group in groups])
-    slanted = [points[group[0]].method.reference for group in groups]
+    anchors = np.array([places[i] for i in chosen])
+    slanted = [points[i].method.reference for i in chosen]
     if narrow:
         order = np.lexsort((anchors[:, 0], -anchors[:, 1]))
         _list_names(figure, [(texts[i].replace("\n", " "), slanted[i]) for i in order], listed)
@@ -67,18 +62,6 @@ def _perils_figure(points: Sequence[PerilsPoint], width: float) -> Figure:
     draw_captions(axes, anchors, texts, slanted)
     _draw_key(figure, axes, points, notes, listed + 4)
     return figure
-
-
-def _group_points(
-    points: Sequence[PerilsPoint], places: Sequence[tuple[float, float]], shown: Sequence[bool]
-) -> list[list[int]]:
-    """Return groups that share a caption: points of one method that coincide and differ only in the lattice source."""
-    groups: dict[Any, list[int]] = {}
-    for i, (point, (x, y)) in enumerate(zip(points, places, strict=True)):
-        if shown[i]:
-            key = point.method.name, point.rests_on, point.validity.sign, round(x, 2), round(y, 2)
-            groups.setdefault(key, []).append(i)
-    return list(groups.values())
 
 
 def _draw_frame(axes: Axes, lowest: float, narrow: bool) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from nrbench.runs.records import CellRecord
 from ..statistics.method_comparison import Comparison, ComparisonRow
 from ..statistics.summaries import Method
 from ..statistics.verdicts import MARKS, verdict
-from .figure_file import GRAY, INK, add_axes, make_figure, render_figure
+from .figure_file import GRAY, INK, add_axes, make_figure, returns_file
 from .marks import DEFECTS, worst_place
 
 _INSET = 0.4
@@ -30,36 +29,8 @@ _FRAME = "#D55E00"
 Pixels = NDArray[np.uint8]
 
 
+@returns_file
 def plot_pictures(
-    comparison: Comparison,
-    rows: Sequence[ComparisonRow],
-    methods: Sequence[Method],
-    kind: str,
-    replicate: int = 0,
-    width: float = 7.0,
-    insets: bool = True,
-) -> bytes:
-    """Return the grid as a file of a kind (``pdf``, ``png``): a row for each texture, a column for each method.
-
-    Parameters
-    ----------
-    comparison
-        The comparison that has the rows and methods.
-    rows, methods
-        The textures and methods to show.
-    kind
-        The kind of file.
-    replicate
-        Number of the draw.
-    width
-        Width in inches.
-    insets
-        Whether to magnify the worst place of each output.
-    """
-    return render_figure(partial(_figure, comparison, rows, methods, replicate, width, insets), kind)
-
-
-def _figure(
     comparison: Comparison,
     rows: Sequence[ComparisonRow],
     methods: Sequence[Method],
@@ -67,6 +38,21 @@ def _figure(
     width: float,
     insets: bool,
 ) -> Figure:
+    """Plot the grid: a row for each texture, a column for each method.
+
+    Parameters
+    ----------
+    comparison
+        The comparison that has the rows and methods.
+    rows, methods
+        The textures and methods to show.
+    replicate
+        Number of the draw.
+    width
+        Width in inches.
+    insets
+        Whether to magnify the worst place of each output.
+    """
     side = 72 * width / (len(methods) + 1) - 4
     font = float(np.clip(side / 11, 4.0, 8.0))
     titles = [_wrap(name, side, font) for name in ("sample", *(method.label for method in methods))]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from ..statistics.expectations import ClaimResult
 from ..statistics.levels import BROKEN, LevelPanel
 from ..statistics.summaries import Method
 from .captions import LINE, draw_captions
-from .figure_file import COLORS, FAINT, GRAY, SIGNS, SMALL, add_axes, make_figure, open_frame, render_figure
+from .figure_file import COLORS, FAINT, GRAY, SIGNS, SMALL, add_axes, make_figure, open_frame, returns_file
 
 _NARROWEST = 2.9
 """Smallest width of a panel with its labels, inches."""
@@ -27,31 +26,17 @@ _SPREAD = 0.07
 """Distance of the points of two series at one level, in levels, so that their intervals do not cover each other."""
 
 
-def plot_levels(panels: Sequence[LevelPanel], kind: str, width: float = 5.5) -> bytes:
-    """Return the quality by level as a file of a kind (``svg``, ``pdf``, ``png``), one panel for each difficulty.
+@returns_file
+def plot_levels(panels: Sequence[LevelPanel], width: float = 5.5) -> Figure:
+    """Plot the quality by level, one panel for each difficulty.
 
     Parameters
     ----------
     panels
         At least one.
-    kind
-        The kind of file.
     width
         Width in inches. The number of columns follows from it.
     """
-    return render_figure(partial(_levels_figure, panels, width), kind)
-
-
-def plot_claim(result: ClaimResult, kind: str, width: float = 4.3, height: float = 150.0) -> bytes:
-    """Return the panel of a claim as a file of a kind (``svg``, ``pdf``, ``png``); width in inches, height in points.
-
-    All levels of all series lie at equal distances, in the order of their numbers. The scale of the scores shows 0, and
-    1 if it is the best or the highest value.
-    """
-    return render_figure(partial(_claim_figure, result, width, height), kind)
-
-
-def _levels_figure(panels: Sequence[LevelPanel], width: float) -> Figure:
     columns = min(len(panels), max(1, int(width / _NARROWEST + 0.15)))
     methods = [series.method for series in panels[0].series]
     sources = {method.lattice_source for method in methods if not method.reference} - {"none"}
@@ -122,9 +107,15 @@ def _draw_line(
     return places[-1], values[-1]
 
 
-def _claim_figure(result: ClaimResult, width: float, height: float) -> Figure:
-    figure = make_figure(width, height)
-    axes = add_axes(figure, 0.11 * 72 * width, 0.2 * height, 0.33 * 72 * width, 0.06 * height)
+@returns_file
+def plot_claim(result: ClaimResult) -> Figure:
+    """Plot the panel of a claim.
+
+    All levels of all series lie at equal distances, in the order of their numbers. The scale of the scores shows 0, and
+    1 if it is the best or the highest value.
+    """
+    figure = make_figure(4.3, 150)
+    axes = add_axes(figure, 34, 30, 102, 9)
     levels = sorted({level for series in result.series for level in series.levels})
     for i, series in enumerate(result.series):
         shift = _SPREAD * (i - (len(result.series) - 1) / 2)

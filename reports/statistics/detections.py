@@ -52,11 +52,6 @@ class CalibrationBin:
     right: Estimate
     share: float
 
-    @property
-    def radius(self) -> float:
-        """Radius of the point in the diagram, in hundredths of its side: the area grows with the count."""
-        return 1.2 + 5 * math.sqrt(self.share)
-
 
 @dataclass(frozen=True)
 class Calibration:

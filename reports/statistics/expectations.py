@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -40,10 +41,6 @@ from .summaries import Method
 from .verdicts import PRESERVED, QUALITY, RANKING, tabulate_cells
 
 _WORDS = {"less": "less than", "greater": "greater than", "equal": "equal to"}
-SENTENCE = (
-    "The textures are analogues, not the report's images: they were drawn from the descriptions of its figures. "
-    "They are a fixed list and no sample of a population of textures."
-)
 GROUPS: Mapping[str, tuple[int, int, tuple[str, ...]]] = {
     "figures 3-7": (3, 7, ("graph-cuts", "tile-set", "regularized-patch", "patch-based")),
     "figures 8-29": (8, 29, ("graph-cuts", "tile-set", "regularized-patch", "patch-based")),
@@ -373,6 +370,11 @@ class PublishedComparison:
     classes: Sequence[ClassRow]
     kappa: float | None
     chance: tuple[float, float] | None
+
+    sentence: ClassVar[str] = (
+        "The textures are analogues, not the report's images: they were drawn from the descriptions of its figures. "
+        "They are a fixed list and no sample of a population of textures."
+    )
 
     def table(self, regular: bool) -> list[FigureRow]:
         """Return the rows of table 2 (regular textures, figures 3 to 7) or of table 3 (figures 8 to 45)."""

@@ -13,9 +13,7 @@ from nrbench.errors import BadInput
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import CellRecord, Run
 
-from .format import (
-    pluralize,
-)
+from .format import pluralize
 from .significance import (
     BaselineDifference,
     PairedDifference,
@@ -47,8 +45,6 @@ from .verdicts import (
     tabulate_cells,
     verdict,
 )
-
-LEADING_SIGN = "★"
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ DERIVED_COLUMNS: Mapping[str, Column] = {
     ),
 }
 """Columns that reports compute from the scores of the metric ``quality``."""
-BASELINE_SIGN = "‡"
+LEADING_SIGN, BASELINE_SIGN = "★", "‡"
 BASELINE_LEGEND = "valid baseline: what this baseline does is correct on this kind of texture"
 SHARES_LEGEND = "k/n: on k of n textures"
 """The explanation of :attr:`BaselineValidity.share`."""

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
-import PIL.Image
 import pytest
 import skimage.data
 import skimage.io
@@ -18,33 +15,19 @@ from commands import call
 @pytest.fixture(autouse=True)
 def pictures(tmp_path: Path) -> Path:
     """Write pictures that no sane person would pass, and some good ones, into the current directory."""
-    rng = np.random.default_rng(0)
     brick = skimage.data.brick()[:160, :160]
     (tmp_path / "text.png").write_text("this is no picture")
-    (tmp_path / "empty.png").write_bytes(b"")
     (tmp_path / "folder").mkdir()
     skimage.io.imsave("tiny.png", np.zeros((4, 4, 3), np.uint8), check_contrast=False)
-    skimage.io.imsave("rgba.png", rng.integers(0, 255, (64, 64, 4)).astype(np.uint8), check_contrast=False)
     skimage.io.imsave("constant.png", np.full((64, 64, 3), 99, np.uint8), check_contrast=False)
     skimage.io.imsave("tinted.png", np.full((64, 64, 3), (99, 120, 140), np.uint8), check_contrast=False)
     skimage.io.imsave("brick.png", brick)
-    skimage.io.imsave("sixteen.png", brick.astype(np.uint16) * 257)
-    PIL.Image.fromarray(brick).convert("P").save("palette.png")
-    exif = PIL.Image.Exif()
-    exif[0x0112] = 6
-    PIL.Image.fromarray(brick[:, :120]).save("rotated.jpg", exif=exif)
-    PIL.Image.open("brick.png").save("cut.png")
-    whole = (tmp_path / "cut.png").read_bytes()
-    (tmp_path / "cut.png").write_bytes(whole[: len(whole) // 2])
     return tmp_path
 
 
 BAD = {
     "synth text.png -m scatter --size 64x64 -o o.png": "text.png: is no picture",
-    "synth empty.png -m scatter --size 64x64 -o o.png": "is empty",
-    "synth cut.png -m scatter --size 64x64 -o o.png": "cannot be read",
     "synth tiny.png -m scatter --size 64x64 -o o.png": "at least 8 px a side",
-    "synth rgba.png -m scatter --size 64x64 -o o.png": "flatten it",
     "synth folder -m scatter --size 64x64 -o o.png": "is a directory",
     "synth missing.png -m scatter --size 64x64 -o o.png": "there is no such file",
     "synth constant.png -m rsgf --size 64x64 -o o.png": "nothing to synthesize from",
@@ -57,10 +40,8 @@ BAD = {
     "synth brick.png -m scatter --size 64x64 -o no/where/o.png": "its directory does not exist",
     "synth brick.png -m rsgf --size 64x64 --lattice 3,0,6,0 -o o.png": "parallel",
     "synth brick.png -m rsgf --size 64x64 --lattice 3,0,6 -o o.png": "four numbers",
-    "synth brick.png -m rsgf --size 64x64 --lattice nan,0,0,6 -o o.png": "finite",
     "synth brick.png -m oracle --size 64x64 -o o.png": "nrbench: ",
     "lattice brick.png -d gnc": "did you mean 'gncc'",
-    "lattice text.png": "is no picture",
     "score brick.png tinted.png": "channels",
     "run nosuch": "no suite, TOML file or directory of that name",
     "run brick.png": "is no TOML file",
@@ -68,8 +49,6 @@ BAD = {
     "run core -m nosuch": "method 'nosuch' is not known",
     "run core -t nosuch*": "matches no texture",
     "run core --lattice somewhere": "--lattice 'somewhere' is not known",
-    "run core --lattice none": "use one of: given, own, x1,y1,x2,y2",
-    "run core --lattice 3,0,6": "four numbers",
     "plan core --lattice 3,0,6,0": "parallel",
     "run core --size 9x": "write WIDTHxHEIGHT",
     "run core --jobs many": "is not a valid integer",
@@ -105,43 +84,11 @@ def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Traceback" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["brick.png", "sixteen.png", "palette.png", "rotated.jpg"])
-def test_unusual_pictures_simply_work(name: str, tmp_path: Path) -> None:
-    """Gray, 16-bit, palette and EXIF-rotated pictures are synthesized from."""
-    assert call(f"synth {name} -m scatter --size 70x50 -o out.png") == 0
-    assert skimage.io.imread("out.png").shape[:2] == (50, 70)
-
-
 def test_a_constant_image_has_no_lattice(capsys: pytest.CaptureFixture[str]) -> None:
     """`lattice` answers null with a reason, exit code 0."""
     assert call("lattice constant.png --json") == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["lattice"] is None and "constant" in answer["reason"]
-
-
-def test_lattice_prints_what_the_contract_says(capsys: pytest.CaptureFixture[str]) -> None:
-    """`lattice --json` prints t1, t2, detector, confidence and the ranking; the overlay holds the picture."""
-    assert call("render hexagon:color=0.1 --sample 128x128 -o out") == 0
-    capsys.readouterr()
-    assert call("lattice out/hexagon.png --json -o overlay.png") == 0
-    ranking = {"probabilities", "alternatives"}
-    assert set(json.loads(capsys.readouterr().out)) == {"t1", "t2", "detector", "confidence"} | ranking
-    overlay, picture = skimage.io.imread("overlay.png"), skimage.io.imread("out/hexagon.png")
-    factor = 2  # a small picture is enlarged by a whole factor
-    enlarged = picture.repeat(factor, 0).repeat(factor, 1)
-    between_lines = (overlay[: 128 * factor, : 128 * factor] == enlarged).all(-1)
-    assert 0.6 < between_lines.mean() < 0.99
-
-
-def test_score_prints_flat_names(capsys: pytest.CaptureFixture[str]) -> None:
-    """`score --json` prints every score as ``metric.column``; a None comes with its reason."""
-    assert call("render brick:color=0.2 --sample 192x192 -o out") == 0
-    capsys.readouterr()
-    assert call("score out/brick.png out/brick.png --json") == 0
-    shown = json.loads(capsys.readouterr().out)
-    reasons = shown.pop("reasons")
-    assert {"regularity.preserved", "regularity.score", "randomness.variation", "cost.seconds"} <= set(shown)
-    assert all(reasons[name] for name, value in shown.items() if value is None)
 
 
 def test_run_prints_json_on_standard_output_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -189,10 +136,3 @@ def test_show(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert name in capsys.readouterr().out
     assert call(f"show {name} --json") == 0
     assert json.loads(capsys.readouterr().out)[0]["name"] == name
-
-
-def test_help_imports_nothing_heavy() -> None:
-    """`--help` answers without importing numpy."""
-    program = "import sys; from nrbench.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
-    done = subprocess.run([sys.executable, "-c", program + "assert 'numpy' not in sys.modules"], capture_output=True)
-    assert done.returncode == 0, done.stderr

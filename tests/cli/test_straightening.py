@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 import skimage.io
+from commands import call
 
 import nrbench
 from nrbench.cli.lattice_results import describe_deformation
-from nrbench.cli.main import main
 from nrbench.cli.straightening import find_bent_lattice
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
@@ -21,13 +20,6 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import relate
 from nrbench.tracking.deformation import Deformation
 from nrbench.tracking.homography import map_points
-
-
-def call(line: str) -> int:
-    """Run a command line in this process and return its exit code."""
-    with pytest.raises(SystemExit) as left:
-        main(shlex.split(line))
-    return int(left.value.code or 0)
 
 
 @pytest.fixture(autouse=True)
@@ -123,11 +115,20 @@ def test_without_a_lattice_nothing_is_written(capsys: pytest.CaptureFixture[str]
     assert json.loads(capsys.readouterr().out)["lattice"] is None and not Path("out.png").exists()
 
 
-@pytest.mark.parametrize("option", ["--all", "--pick", "--diagnostics d.png"])
-def test_misuse(option: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """One lattice is followed; the message names the options that do not fit."""
-    assert call(f"lattice bent.png --straighten out.png {option}") == 2
-    assert "leave --all, --pick and --diagnostics out" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        *(
+            (option, "leave --all, --pick and --diagnostics out")
+            for option in ("--all", "--pick", "--diagnostics d.png")
+        ),
+        ("-o ./out.png", "would be written twice"),
+    ],
+)
+def test_misuse(options: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """One lattice is followed, and two pictures need two names; nothing is written."""
+    assert call(f"lattice bent.png --straighten out.png {options}") == 2
+    assert message in capsys.readouterr().err and not Path("out.png").exists()
 
 
 def test_a_lattice_that_was_not_followed_is_not_called_straight() -> None:
@@ -135,9 +136,3 @@ def test_a_lattice_that_was_not_followed_is_not_called_straight() -> None:
     image, nothing = np.zeros((64, 64, 1), np.float32), np.zeros((1, 2))
     found = Deformation(image, Lattice((16, 0), (0, 16)), nothing, nothing, np.zeros(1), covered=0.0, confidence=0.7)
     assert "not known" in describe_deformation(found) and "not bent" not in describe_deformation(found)
-
-
-def test_two_pictures_need_two_names(capsys: pytest.CaptureFixture[str]) -> None:
-    """One would replace the other one; nothing is written."""
-    assert call("lattice bent.png --straighten out.png -o ./out.png") == 2
-    assert "would be written twice" in capsys.readouterr().err and not Path("out.png").exists()

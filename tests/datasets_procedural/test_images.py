@@ -64,17 +64,19 @@ def test_small_picture_is_taken_whole(picture: Path, shape: Shape, found: Shape)
 
 
 def test_again_is_disjoint(picture: Path) -> None:
-    """The oracle's region has the requested shape, shares no pixel with the sample, and varies with the stream."""
+    """Over streams the oracle's region takes every place that shares no pixel with the sample, and no other."""
     plugin = Images(picture)
     texture = plugin.render((20, 30), np.random.default_rng(1))
+    assert texture.region is not None
+    places = [(x, y, x + 24, y + 57) for x in range(90 - 23) for y in range(60 - 56)]
+    free = {place for place in places if not _touch(place, texture.region)}
     seen = set()
-    for seed in range(60):
-        other = plugin.again(texture, (32, 24), np.random.default_rng(seed))
-        assert other is not None and other.image.shape == (32, 24, 3)
+    for seed in range(400):
+        other = plugin.again(texture, (57, 24), np.random.default_rng(seed))
+        assert other is not None and other.image.shape == (57, 24, 3)
         np.testing.assert_array_equal(other.image, _part(read_image(picture), other.region))
-        assert other.region is not None and texture.region is not None and not _touch(other.region, texture.region)
         seen.add(other.region)
-    assert len(seen) > 30
+    assert seen == free
 
 
 def _touch(a: Region, b: Region) -> bool:
@@ -87,31 +89,6 @@ def test_again_without_room(picture: Path) -> None:
     texture = plugin.render((40, 60), np.random.default_rng(1))
     assert plugin.again(texture, (60, 90), np.random.default_rng(0)) is None
     assert plugin.again(texture, (61, 8), np.random.default_rng(0)) is None
-
-
-@settings(max_examples=200)
-@given(st.data())
-def test_free_corners_are_equally_likely(data: st.DataObject) -> None:
-    """The corner drawn is the k-th of all that are free, for every k: none is missed, none is taken twice."""
-    whole = data.draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
-    shape = data.draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
-    x0, y0 = data.draw(st.integers(0, whole[1] - 1)), data.draw(st.integers(0, whole[0] - 1))
-    region = (x0, y0, data.draw(st.integers(x0 + 1, whole[1])), data.draw(st.integers(y0 + 1, whole[0])))
-    places = [(x, y) for y in range(whole[0] - shape[0] + 1) for x in range(whole[1] - shape[1] + 1)]
-    free = [(x, y) for x, y in places if not _touch((x, y, x + shape[1], y + shape[0]), region)]
-    drawn = [_free_corner(whole, shape, region, _Fixed(k)) for k in range(max(1, len(free)))]  # type: ignore[arg-type]
-    assert [corner for corner in drawn if corner] == free
-
-
-class _Fixed:
-    """A stream whose next whole number is known."""
-
-    def __init__(self, k: int) -> None:
-        self.k = k
-
-    def integers(self, _end: int) -> int:
-        """Return the number."""
-        return self.k
 
 
 @pytest.mark.parametrize(
@@ -272,28 +249,19 @@ def test_rendered(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("file,t1x,t1y,t2x\na.png,1,2,3\n", r"truth\.csv line 1: column 't2y' is missing"),
-        ("", r"line 1: column .* is missing"),
         (HEADER + "a.png,12,0,0,9\nb.png,12,zero,0,9\n", r"line 3: .*'12,zero,0,9' are not four numbers"),
-        (HEADER + "a.png,12,0,0\n", r"line 2: .*are not four numbers"),
-        (HEADER + "a.png,12,0,24,0\n", r"line 2: .*parallel"),
         (HEADER + "a.png,12,0,nan,0\n", r"line 2: .*finite"),
         (HEADER + "c.png,12,0,0,9\n", r"line 2: there is no file 'c\.png'"),
-        (HEADER + "a.png,,,,\na.png,,,,\n", r"line 3: 'a\.png' occurs a second time; keep one"),
         (HEADER + "a.png,,,,\n\na.png ,12,0,0,9\n", r"line 4: 'a\.png' occurs a second time; keep one"),
         (HEADER + "a.png,12,0,,\n", r"line 2: '12,0,,' are not four numbers; give all of t1x,t1y,t2x,t2y, or none"),
-        (HEADER + "a.png,inf,0,0,9\n", r"line 2: .*finite"),
         (HEADER + "a.png,0,0,0,9\n", r"line 2: .*parallel or zero; give two independent vectors"),
         (HEADER + "a.png,12,0,0,9,3\n", r"line 2: has 6 fields for 5 columns; quote fields that contain a comma"),
         (HEADER + "./a.png,12,0,0,9\n", r"line 2: './a\.png' is a path; give the name of a picture in the folder"),
-        (HEADER + "sub\\a.png,12,0,0,9\n", r"line 2: .* is a path"),
         (HEADER + "..,12,0,0,9\n", r"line 2: '\.\.' is a path"),
         (HEADER + ",12,0,0,9\n", r"line 2: has no file name; give it, or delete the line"),
         ("file,t1x,t1y,t2x,t2y,t1x\n", r"line 1: column 't1x' occurs a second time; keep one"),
         ("file,t1x,t1y,t2x,t2y,originx\n", r"line 1: has only 'originx'; give both columns originx,originy, or neit"),
-        ("file,t1x,t1y,t2x,t2y,originy\n", r"line 1: has only 'originy'"),
         (ORIGINS + "a.png,12,0,0,9,3,\n", r"line 2: '3,' are not two numbers; give all of originx,originy, or none"),
-        (ORIGINS + "a.png,12,0,0,9,,3\n", r"line 2: ',3' are not two numbers"),
-        (ORIGINS + "a.png,12,0,0,9,x,3\n", r"line 2: 'x,3' are not two numbers"),
         (ORIGINS + "a.png,12,0,0,9,nan,3\n", r"line 2: .*finite"),
         (ORIGINS + "a.png,,,,,x,y\n", r"line 2: 'x,y' are not two numbers"),
         (ORIGINS + "a.png,,,,,1,2\n", r"line 2: has an origin without vectors; give t1x,t1y,t2x,t2y, or delete"),

@@ -100,12 +100,3 @@ def test_sizes_are_real_numbers(model: type[Model]) -> None:
     points = np.random.default_rng(0).uniform(-80, 80, (1500, 2))
     moved = points + np.array((3, -2)) @ np.array(made.vectors)
     assert lengths and np.abs(_ideal_at(made, points) - _ideal_at(made, moved)).max() < 1e-5
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_rotation_turns_the_lattice(model: type[Model]) -> None:
-    """The lattice of a turned texture is the lattice turned, x towards y."""
-    angle = math.radians(33.3)
-    turn = np.array([(math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))])
-    lattice, _ = truth(render(model(rotation=33.3)))
-    np.testing.assert_allclose(lattice.matrix, np.array(model().vectors) @ turn, atol=1e-9)

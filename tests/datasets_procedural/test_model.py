@@ -1,23 +1,28 @@
-"""Claims that every texture model must keep: its elements, its fresh draws, its streams."""
+"""Claims that every texture model must keep, and claims about stochastic textures."""
 
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import math
-import subprocess
-import sys
 import typing
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
+from conformance import violations
+from scipy import fft
 
 from nrbench import plugins
 from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.datasets_procedural.noise import Noise
+from nrbench.datasets_procedural.weave import Weave
 from nrbench.errors import BadInput
+from nrbench.imaging.convert import gray
+from nrbench.imaging.files import write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Texture
 
@@ -85,34 +90,6 @@ def test_larger_render_continues_the_smaller(model: type[Model]) -> None:
     assert small.lattice == large.lattice
 
 
-def test_equal_seeds_equal_bytes() -> None:
-    """Another process renders the same bytes from the same seed; another seed renders others."""
-    program = inspect.getsource(_hashes) + "print(_hashes(3))"
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    first, other = _hashes(3), _hashes(4)
-    assert run.stdout.strip() == str(first) and len(first) == len(MODELS) + 1
-    assert not set(first.values()) & set(other.values())
-
-
-def _hashes(seed):  # type: ignore[no-untyped-def]
-    """Return the hash of a draw of each model; another process runs this text."""
-    import hashlib
-
-    import numpy
-
-    from nrbench import plugins
-
-    hashes = {}
-    for plugin in plugins.inventory("datasets"):
-        if plugin.name != "images":
-            more = {} if plugin.name == "noise" else {"jitter": 0.2, "bend": 0.2, "damage": 0.2, "light": 0.3}
-            model = plugin.cls(rotation=7.0, **more)
-            vars(model)["regular_share"] = 0.5  # measuring it would take longer than all draws
-            image = model.render((40, 60), numpy.random.default_rng(seed)).image
-            hashes[plugin.name] = hashlib.sha256(image.tobytes()).hexdigest()
-    return hashes
-
-
 @pytest.mark.parametrize("model", MODELS)
 def test_elements_have_their_strength(model: type[Model]) -> None:
     """Element factors have mean 1, half the strength as standard deviation, and independent channels."""
@@ -130,30 +107,6 @@ def test_intensity_is_common_to_the_channels(model: type[Model]) -> None:
     elements = render(model(color=0.0, intensity=0.4, noise=0.0)).elements
     for name in (name for name in elements if name.endswith(".factor")):
         assert (elements[name] == elements[name][:, :1]).all() and elements[name].std() > 0.1
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"color": 1.2}, "color is 1.2; give a strength from 0 to 1"),
-        ({"noise": -0.1}, "noise is -0.1; give a strength"),
-        ({"intensity": math.nan}, "intensity is nan; give a strength"),
-        ({"rotation": math.inf}, "rotation is inf; give degrees"),
-        ({"phase": (0.0, math.nan)}, "phase .* two fractions"),
-    ],
-)
-def test_bad_departures(parameters: dict[str, Any], message: str) -> None:
-    """A strength outside [0, 1], or an angle or phase that is no number, is refused with what to give."""
-    with pytest.raises(BadInput, match=message):
-        Brick(**parameters)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_page_tells_all_parameters(model: type[Model]) -> None:
-    """A model's page has its own parameters and those that all models share, under one heading."""
-    page = model.__doc__ or ""
-    assert page.count("Parameters\n") == 1
-    assert all(field.name in page for field in dataclasses.fields(model))
 
 
 DATASETS = [plugin for plugin in plugins.inventory("datasets") if plugin.name != "images"]
@@ -190,9 +143,90 @@ def test_bad_shapes(plugin: plugins.Plugin, shape: tuple[int, int]) -> None:
         typing.cast(Any, model).render(shape, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize("plugin", DATASETS, ids=lambda plugin: plugin.name)
-def test_tiny_pictures(plugin: plugins.Plugin) -> None:
-    """A picture of one pixel, and a line, are drawn."""
-    for shape in ((1, 1), (1, 40), (40, 1)):
-        texture = typing.cast(Any, plugin.cls)().render(shape, np.random.default_rng(0))
-        assert texture.image.shape == (*shape, 3) and texture.image.dtype == np.float32
+@pytest.mark.parametrize(
+    ("model", "parameters", "message"),
+    [
+        (Brick, {"color": 1.2}, "color is 1.2; give a strength from 0 to 1"),
+        (Brick, {"noise": -0.1}, "noise is -0.1; give a strength"),
+        (Brick, {"intensity": math.nan}, "intensity is nan; give a strength"),
+        (Brick, {"rotation": math.inf}, "rotation is inf; give degrees"),
+        (Brick, {"phase": (0.0, math.nan)}, "phase .* two fractions"),
+        (Brick, {"bond": "english", "small_every": 3}, "small_every"),
+        (Brick, {"small_every": 1}, "small_every"),
+        *((Brick, each, "give at least") for each in ({"joint": 0.5}, {"width": 3.0}, {"width": 1e6})),
+        *((Hexagon, each, "give at least") for each in ({"joint": 0.9}, {"period": 4.0})),
+        *((Weave, each, "give at least") for each in ({"gap": 0.0}, {"warp": 3.0})),
+        (Noise, {"spectrum": "loud"}, "give one of: white, pink"),
+        (Noise, {"scale": 0.0}, "scale is 0.0 px; give at least 3"),
+        (Noise, {"contrast": 0.5}, "give a standard deviation from 0 to 0.3"),
+        (Noise, {"rotation": math.nan}, "give degrees"),
+    ],
+)
+def test_bad_parameters(model: Any, parameters: dict[str, Any], message: str) -> None:
+    """What cannot be drawn, such as an element that its joints swallow, is refused with what to give."""
+    with pytest.raises(BadInput, match=message):
+        model(**parameters)
+
+
+@pytest.mark.parametrize("name", [plugin.name for plugin in DATASETS if plugin.own])
+def test_a_model_conforms(name: str) -> None:
+    """The model fails no clause; `noise` has no elements that could be copied."""
+    assert violations("datasets", name, {}, (), ("recomposition",) if name == "noise" else ()) == []
+
+
+def test_pictures_conform(tmp_path: Path) -> None:
+    """A picture fails no clause; it has no model that could copy elements."""
+    write_image(tmp_path / "one.png", np.random.default_rng(0).random((240, 260, 3), np.float32))
+    assert violations("datasets", "images", {"path": str(tmp_path / "one.png")}, (), ("recomposition",)) == []
+
+
+SPECTRA = get_args(get_type_hints(Noise)["spectrum"])
+
+
+def _power(noise: Noise, side: int = 256) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Return the mean power by frequency in cycles a px, (fx, fy), of eight draws."""
+    draws = [gray(noise.render((side, side), np.random.default_rng(seed)).image) for seed in range(8)]
+    window = np.outer(np.hanning(side), np.hanning(side))
+    power = np.mean([np.abs(fft.fft2((draw - draw.mean()) * window)) ** 2 for draw in draws], 0)
+    return power, np.stack(np.meshgrid(fft.fftfreq(side), fft.fftfreq(side)), -1)
+
+
+@pytest.mark.parametrize("spectrum", SPECTRA)
+def test_truth(spectrum: Any) -> None:
+    """Noise says of itself that it is stochastic: no lattice, no regular part, one color as its ideal image."""
+    texture = Noise(spectrum=spectrum).render((40, 50), np.random.default_rng(0))
+    assert texture.kind == "stochastic" and texture.lattice is None and texture.lattices == ()
+    assert texture.regular_share == 0.0 and texture.ideal is not None
+    assert texture.ideal.shape == texture.image.shape == (40, 50, 3) and np.ptp(texture.ideal, (0, 1)).max() == 0
+
+
+@pytest.mark.parametrize("spectrum", SPECTRA)
+def test_statistics_agree_between_sizes(spectrum: Any) -> None:
+    """Mean and contrast over draws are those stated, at any size, and hardly a value is clipped."""
+    noise = Noise(spectrum=spectrum, contrast=0.12)
+    for side, draws in ((48, 60), (200, 8)):
+        images = np.stack([noise.render((side, side), np.random.default_rng(seed)).image for seed in range(draws)])
+        ideal = noise.render((8, 8), np.random.default_rng(0)).ideal
+        assert ideal is not None
+        np.testing.assert_allclose(images.mean((0, 1, 2)), ideal[0, 0], atol=0.03)
+        assert gray(images.reshape(-1, side, 3)).std() == pytest.approx(0.12 * 0.98 / 1.1, rel=0.25)
+        assert ((images <= 0) | (images >= 1)).mean() < 0.002
+
+
+def test_spectra() -> None:
+    """Power falls as 1 / f (pink) or 1 / f^2 (brown), is level (white), or stands on a ring (blobs)."""
+    for spectrum, slope in (("white", 0.0), ("pink", -1.0), ("brown", -2.0)):
+        power, f = _power(Noise(spectrum=spectrum, scale=40))  # type: ignore[arg-type]
+        radius = np.hypot(*np.moveaxis(f, -1, 0))
+        low, high = (power[(radius > r) & (radius < 1.3 * r)].mean() for r in (0.04, 0.16))
+        assert np.log(high / low) / np.log(4) == pytest.approx(slope, abs=0.15)
+    power, f = _power(Noise(spectrum="blobs", scale=16))
+    assert np.average(np.hypot(*np.moveaxis(f, -1, 0)), weights=power) == pytest.approx(1 / 16, rel=0.15)
+
+
+def test_grass_is_turned() -> None:
+    """Stretched blots are four times as long as broad, and turn with the rotation."""
+    for rotation, axis in ((0.0, 0), (90.0, 1)):
+        power, f = _power(Noise(spectrum="grass", scale=10, rotation=rotation))
+        spread = np.sqrt([np.average(f[..., k] ** 2, weights=power) for k in (0, 1)])
+        assert spread[axis] > 2.5 * spread[1 - axis]

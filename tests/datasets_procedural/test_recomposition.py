@@ -16,7 +16,6 @@ from nrbench.datasets_procedural.modelling.pattern import Frame, Layer
 from nrbench.datasets_procedural.overlap import Overlap
 from nrbench.datasets_procedural.pavement import Pavement
 from nrbench.datasets_procedural.squares import Squares
-from nrbench.datasets_procedural.weave import Weave
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Texture
 
@@ -128,17 +127,6 @@ def test_jitter_is_copied_and_bend_is_not() -> None:
         sample = render(model)
         pictures = [_recompose(model, sample, seed).image[:128, :128] for seed in (1, 2)]
         assert min(np.abs(a - b).mean() for a, b in [pictures, (pictures[0], sample.image)]) > 0.01
-
-
-def test_a_number_of_the_stream_decides() -> None:
-    """Equal streams give equal pixels, other streams other choices; the sample and its truth stay as they were."""
-    model = without_share(Weave(**ALL))
-    sample = render(model)
-    before = sample.image.copy()
-    one, same, other = (_recompose(model, sample, seed).image for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, same)
-    assert np.abs(one - other).mean() > 0.01
-    np.testing.assert_array_equal(sample.image, before)
 
 
 def test_each_lattice_of_two_counts_for_itself() -> None:

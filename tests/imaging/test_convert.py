@@ -56,11 +56,6 @@ def test_opaque_alpha_is_left_out(peak: float, channels: int) -> None:
     np.testing.assert_array_equal(as_image(opaque), as_image(color))
 
 
-def test_truth_values_are_black_and_white() -> None:
-    """An image of truth values is an image of 0 and 1."""
-    np.testing.assert_array_equal(as_image(GRAY > 0.5)[..., 0], GRAY > 0.5)
-
-
 def test_rounding_is_what_the_png_holds() -> None:
     """Rounded to 8 bits an image stays as it is, however often; values outside [0, 1] are clipped."""
     once = quantize(np.array([[[-0.2], [0.5], [1.7]]], np.float32))

@@ -58,17 +58,6 @@ def test_equal_cells_are_cut_alike() -> None:
     np.testing.assert_allclose(tiles, np.broadcast_to(tiles[0], tiles.shape), atol=0.02)
 
 
-def test_a_frozen_image_is_cut_like_any_other() -> None:
-    """What must not be changed - a score's sample and output - can be cut, whatever its order in memory."""
-    image = waves((60, 70), OBLIQUE)
-    points = OBLIQUE.points((60, 70))
-    frozen = np.asfortranarray(image)
-    frozen.setflags(write=False)
-    np.testing.assert_array_equal(cut_tiles(frozen, OBLIQUE, points)[0], cut_tiles(image, OBLIQUE, points)[0])
-    image.setflags(write=False)
-    np.testing.assert_array_equal(cut_tiles(image, OBLIQUE, points)[0], cut_tiles(frozen, OBLIQUE, points)[0])
-
-
 def test_cell_coordinates_are_those_of_every_pixel() -> None:
     """Every pixel's cell coordinates are the lattice's own, of an oblique lattice with an origin too."""
     lattice = Lattice((7.3, 1.2), (-2.1, 9.4), (3.5, -11.25))

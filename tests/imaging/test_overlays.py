@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.overlays import COLOR, contact_sheet, draw_lattice, draw_overview, stack, zoom_panels
+from nrbench.imaging.overlays import COLOR, contact_sheet, draw_lattice, draw_overview, zoom_panels
 from nrbench.lattice.geometry import Lattice
 
 
@@ -20,15 +20,6 @@ def test_lines_pass_through_the_lattice(channels: int) -> None:
     np.testing.assert_allclose(
         share[:, [2, 3, 4, 5, 13, 23]], np.tile([0, 0.75, 0.25, 0, 0.75, 0.75], (300, 1)), atol=1e-5
     )
-
-
-def test_the_origin_moves_the_lines() -> None:
-    """A lattice point on a pixel is drawn in full color, and so are all others at whole pixels."""
-    drawn = draw_lattice(
-        np.zeros((60, 60, 3), np.float32), Lattice((12.0, 4.0), (-4.0, 16.0), (7.0, 5.0)), (0.0, 1.0, 0.0)
-    )
-    for x, y in Lattice((12.0, 4.0), (-4.0, 16.0), (7.0, 5.0)).points((60, 60)).astype(int):
-        np.testing.assert_allclose(drawn[y, x], (0, 1, 0), atol=1e-6)
 
 
 def line_columns(picture: Image) -> list[int]:
@@ -53,15 +44,6 @@ def test_panels_show_one_part_of_the_image() -> None:
         assert len(drawn) and np.abs((places - 3 + step / 2) % step - step / 2).max() < 0.5
 
 
-def test_a_coarse_candidate_widens_the_part() -> None:
-    """The part shows two cells of each candidate; without candidates there is no panel."""
-    image = np.zeros((300, 300, 3), np.float32)
-    lattices = [Lattice((10.0, 0.0), (0.0, 10.0)), Lattice((100.0, 0.0), (0.0, 10.0))]
-    wide = zoom_panels(image, lattices, 220)[1]
-    assert wide.shape == (220, 220, 3) and len(line_columns(wide)) == 2
-    assert zoom_panels(image, [], 220) == []
-
-
 def test_the_whole_image_is_scaled() -> None:
     """A large image is shrunk and a small one enlarged; lines whose cells would be too small are left out."""
     large = draw_overview(
@@ -71,14 +53,6 @@ def test_the_whole_image_is_scaled() -> None:
     assert draw_overview(np.full((30, 40, 1), 0.5, np.float32), None, 200).shape == (150, 200, 3)
     fine = draw_overview(np.full((1000, 1000, 3), 0.5, np.float32), Lattice((20.0, 0.0), (0.0, 20.0)), 200)
     np.testing.assert_allclose(fine, 0.5, atol=0.003)
-
-
-def test_images_of_different_widths_are_stacked() -> None:
-    """The upper one keeps its coordinates; white fills the narrower one up."""
-    upper, lower = np.zeros((2, 3, 3), np.float32), np.full((1, 5, 3), 0.5, np.float32)
-    stacked = stack(upper, lower)
-    assert stacked.shape == (3, 5, 3) and (stacked[:2, :3] == 0).all() and (stacked[:2, 3:] == 1).all()
-    np.testing.assert_array_equal(stacked[2:], lower)
 
 
 def test_every_picture_is_there() -> None:
@@ -91,11 +65,3 @@ def test_every_picture_is_there() -> None:
         assert same.sum() >= picture.shape[0] * picture.shape[1]
         above = sheet[rows[-1] - picture.shape[0] - 20 : rows[-1] - picture.shape[0], columns[0] : columns[0] + 40]
         assert above.min() < 0.3 and above.max() == 1
-
-
-def test_long_captions_are_cut() -> None:
-    """A caption never runs into the next column."""
-    pictures = [np.ones((10, 10, 3), np.float32)] * 2
-    sheet = contact_sheet(pictures, ["W" * 300, ""], columns=2)
-    middle = sheet.shape[1] // 2
-    assert sheet[:20, : middle - 8].min() < 0.5 and sheet[:20, middle + 4 :].min() == 1

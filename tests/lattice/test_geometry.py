@@ -1,3 +1,5 @@
+"""The algebra of lattices: bases, wrapping, points, kinds, duals, supercells and subcells."""
+
 from __future__ import annotations
 
 import math
@@ -125,17 +127,6 @@ def test_long_lattices_wrap_and_list_their_points(lattice: Lattice) -> None:
     np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
     assert (np.hypot(*wrapped.T) <= lattice.covering_radius * (1 + 1e-9)).all()
     assert abs(len(lattice.points((40, 1000))) - 40_000 / lattice.area) <= 501
-
-
-def test_points_come_quickly_from_any_basis() -> None:
-    """A sheared basis, whose parallelogram of cells around the image is huge, gives the same points in its order."""
-    lattice = Lattice((7.0, 0.0), (1.0, 6.0))
-    sheared = Lattice((7.0, 0.0), (1.0 + 7.0 * 500, 6.0))
-    few, found = lattice.points((60, 5000)), sheared.points((60, 5000))
-    order = [np.lexsort(np.rint(points * 1000).T) for points in (few, found)]
-    np.testing.assert_allclose(found[order[1]], few[order[0]], atol=1e-6)
-    u, v = np.rint(sheared.to_cell(found)).T
-    assert (np.diff(u) >= 0).all() and (np.diff(v)[np.diff(u) == 0] > 0).all()
 
 
 @given(lattices())
@@ -286,14 +277,6 @@ def test_every_point_in_the_box_is_found_once(
     assert integers <= {tuple(numbers) for numbers in grid[depth > -1e-4].tolist()}
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.7, 1.5707963267948966])
-def test_a_long_thin_box_costs_its_points_not_its_square(turn: float) -> None:
-    """A strip 1e6 px long and 2 px high gives about as many integers as its area holds points."""
-    basis = 5 * np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    integers = integers_within(basis, (0, -1), (1e6, 1))
-    assert 60_000 < len(integers) < 210_000
-
-
 LATTICE = Lattice((27.3, 1.0), (8.0, 12.2), (4.0, 1.0))
 REBASED = Lattice((27.3 + 3 * 8.0, 1.0 + 3 * 12.2), (27.3 + 2 * 8.0, 1.0 + 2 * 12.2), (4.0, 1.0))
 
@@ -328,3 +311,21 @@ def test_coarser_and_finer_are_each_others(index: int) -> None:
     for lattice in finer(LATTICE, index):
         assert lattice_error(lattice, LATTICE, (100, 100)).label == f"subcell 1/{index}"
         assert sum(other.is_equivalent(LATTICE) for other in coarser(lattice, index)) == 1
+
+
+def test_many_bases_are_reduced_as_each_alone() -> None:
+    """The bases reduced at once are those reduced one by one, to the bit, ties included."""
+    rng = np.random.default_rng(0)
+    bases = np.concatenate([rng.uniform(-40, 40, (200, 2, 2)), rng.integers(-9, 10, (400, 2, 2))])
+    bases = bases[np.abs(np.linalg.det(bases)) > 0.5]
+    expected = [Lattice.from_basis(basis).reduced().matrix for basis in bases]
+    np.testing.assert_array_equal(reduce_bases(bases), expected)
+    plain = np.array([reduce_bases(basis[np.newaxis], False)[0] for basis in bases])
+    np.testing.assert_array_equal(reduce_bases(bases, False), plain)
+    np.testing.assert_array_equal(np.abs(plain), np.abs(expected))
+
+
+def test_parallel_vectors_are_reduced_to_one() -> None:
+    """Of parallel vectors one is left, with a vector of length 0 or nearly 0."""
+    (first, second) = reduce_bases(np.array([[(6.0, 3.0), (4.0, 2.0)]]), False)[0]
+    assert min(np.hypot(*first), np.hypot(*second)) < 1e-9

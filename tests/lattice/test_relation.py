@@ -38,20 +38,6 @@ def test_supercells_and_subcells_tell_their_index(change: object) -> None:
     assert above.vector == pytest.approx(0, abs=1e-9) and below.drift == pytest.approx(0, abs=1e-8)
 
 
-@pytest.mark.parametrize(("off", "label"), [(0.9, "exact"), (1.1, "wrong")])
-def test_the_tolerance_is_one_px(off: float, label: str) -> None:
-    """On a large lattice a vector may be off by just under 1 px."""
-    error = lattice_error(times(np.eye(2), [[off, 0], [0, 0]]), TRUTH, SHAPE)
-    assert error.label == label and error.vector == pytest.approx(off)
-
-
-def test_the_tolerance_shrinks_on_small_lattices() -> None:
-    """0.9 px are an eighth of a period of 7 px: too much; 0.6 px are not."""
-    small = Lattice((7.0, 0.0), (0.0, 7.0))
-    assert lattice_error(Lattice((7.9, 0.0), (0.0, 7.0)), small, SHAPE).label == "wrong"
-    assert lattice_error(Lattice((7.6, 0.0), (0.0, 7.0)), small, SHAPE).label == "exact"
-
-
 def test_a_supercells_error_counts_for_the_true_vectors() -> None:
     """A vector of three periods that is off by 1.2 px is off by 0.4 px a period."""
     error = lattice_error(times([[3, 0], [0, 1]], [[1.2, 0], [0, 0]]), TRUTH, SHAPE)
@@ -140,13 +126,26 @@ def test_an_estimate_with_other_shortest_vectors_is_matched(lean: float) -> None
         assert error.label == "exact" and error.vector <= 0.15 and error.angle < 0.5
 
 
-@pytest.mark.parametrize(("off", "share", "label"), [(1.8, 0.0, "wrong"), (1.8, 0.04, "exact"), (2.1, 0.04, "wrong")])
-def test_a_share_of_s_counts_where_it_is_more(off: float, share: float, label: str) -> None:
-    """On a lattice of 50 px 4 % are 2 px, more than the 1.5 px of a hand measurement; on one of 20 px they are less."""
-    large = Lattice((50.0, 0.0), (0.0, 50.0))
-    assert lattice_error(Lattice((50.0 + off, 0.0), (0.0, 50.0)), large, SHAPE, 1.5, share).label == label
-    small = Lattice((20.0, 0.0), (0.0, 20.0))
-    assert lattice_error(Lattice((21.4, 0.0), (0.0, 20.0)), small, SHAPE, 1.5, share).label == "exact"
+@pytest.mark.parametrize(
+    ("side", "off", "limits", "label"),
+    [
+        (27.3, 0.9, (), "exact"),
+        (27.3, 1.1, (), "wrong"),
+        (7.0, 0.6, (), "exact"),  # a twelfth of a period
+        (7.0, 0.9, (), "wrong"),  # an eighth of a period
+        (50.0, 1.8, (1.5, 0.0), "wrong"),
+        (50.0, 1.8, (1.5, 0.04), "exact"),
+        (50.0, 2.1, (1.5, 0.04), "wrong"),
+        (20.0, 1.4, (1.5, 0.04), "exact"),
+    ],
+)
+def test_the_tolerance_is_in_px_and_in_shares_of_s(
+    side: float, off: float, limits: tuple[float, ...], label: str
+) -> None:
+    """It is 1 px and shrinks on small lattices; a share of s counts where it is more, as 2 px on 50 px are 4 %."""
+    true, found = (Lattice((length, 0.0), (0.0, side)) for length in (side, side + off))
+    error = lattice_error(found, true, SHAPE, *limits)
+    assert error.label == label and error.vector == pytest.approx(off)
 
 
 @pytest.mark.parametrize(

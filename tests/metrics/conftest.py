@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -14,11 +14,12 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
+from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.verdict import examination
 from nrbench.metrics.verdict.examination import examine
 from nrbench.metrics.verdict.reference import KnownLattice, Reference, make_reference
 from nrbench.metrics.verdict.verdict import Verdict
-from nrbench.plugins.forms import Observation, Shape, Task, Texture
+from nrbench.plugins.forms import Metric, Observation, Score, Shape, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.planted import Planted
 
@@ -35,12 +36,26 @@ class Case:
 
     model: Model
     texture: Texture
+    streams: int | None = None
     draws: dict[tuple[Shape, int], Texture | None] = field(default_factory=dict, init=False)
+
+    @classmethod
+    def of(cls, model: Model, seed: int = 0, side: int = 128, streams: int | None = None) -> Case:
+        """Return the case of a model, the seed and the side of its sample, and the seed of its fresh draws."""
+        texture = model.render((side, side), np.random.default_rng(seed))
+        return cls(model, replace(texture, image=quantize(texture.image)), streams)
+
+    @property
+    def lattice(self) -> Lattice:
+        """The lattice of the texture."""
+        assert self.texture.lattice is not None
+        return self.texture.lattice
 
     def again(self, shape: Shape, k: int) -> Texture | None:
         """Return the k-th fresh draw, rounded to 8 bits; each is drawn once."""
         if (shape, k) not in self.draws:
-            drawn = self.model.again(self.texture, shape, stream("again", "tests", k))
+            rng = stream("again", "tests", k) if self.streams is None else np.random.default_rng([self.streams, k])
+            drawn = self.model.again(self.texture, shape, rng)
             self.draws[shape, k] = None if drawn is None else replace(drawn, image=quantize(drawn.image))
         return self.draws[shape, k]
 
@@ -70,10 +85,17 @@ class Case:
 
 
 @cache
-def make_case(name: str) -> Case:
-    """Return the case of a model."""
-    texture = MODELS[name].render((128, 128), np.random.default_rng(5))
-    return Case(MODELS[name], replace(texture, image=quantize(texture.image)))
+def case(name: str) -> Case:
+    """Return the case of a model by its name."""
+    return Case.of(MODELS[name], 5)
+
+
+def scored(metric: type[Metric], observation: Observation) -> Score:
+    """Return the score of a metric, and check that every None has its reason."""
+    score = metric().score(observation)
+    assert set(score.values) == set(metric.columns)
+    assert all(score.reasons.get(column) for column, value in score.values.items() if value is None)
+    return score
 
 
 def copy_cells(task: Task) -> Image:
@@ -108,9 +130,3 @@ def references() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(examination, "make_reference", make_once)
         yield
-
-
-@pytest.fixture
-def case() -> Callable[[str], Case]:
-    """Return cases by the name of their model."""
-    return make_case

@@ -1,6 +1,6 @@
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -18,27 +18,18 @@ from nrbench.metrics.appearance import (
     histogram_distance,
     histograms,
 )
-from nrbench.metrics.seam_detection.line_kernels import steep_line_sums
 from nrbench.metrics.seam_detection.seam_lines import find_worst_lines
-from nrbench.plugins.forms import Observation, Score, Texture
+from nrbench.plugins.forms import Observation, Texture
 
-from .conftest import MODELS, Case, make_case
+from .conftest import MODELS, Case, case, scored
 
-Cases = Callable[[str], Case]
-
-
-def appearance(observation: Observation) -> Score:
-    """Return the score, and check that every None has its reason."""
-    score = Appearance().score(observation)
-    assert set(score.values) == set(Appearance.columns)
-    assert all(score.reasons.get(column) for column, value in score.values.items() if value is None)
-    return score
+appearance = partial(scored, Appearance)
 
 
 @cache
 def fresh_values(name: str, k: int, side: int = 192) -> Mapping[str, Any]:
     """Return the scores of a fresh draw."""
-    return appearance(make_case(name).observe(make_case(name).fresh(side, k))).values
+    return appearance(case(name).observe(case(name).fresh(side, k))).values
 
 
 def value(case: Case, image: Image, column: str) -> float:
@@ -68,7 +59,7 @@ def test_a_fresh_draw_looks_like_one(name: str) -> None:
 )
 @pytest.mark.parametrize("name", MODELS)
 def test_each_score_follows_its_defect(
-    case: Cases, name: str, kind: str, column: str, sizes: tuple[float, ...], sign: int, side: int
+    name: str, kind: str, column: str, sizes: tuple[float, ...], sign: int, side: int
 ) -> None:
     """Over single images the rank correlation of defect size and score is at least 0.95."""
     pairs = [(size, seed) for size in sizes for seed in range(2)]
@@ -85,7 +76,7 @@ def test_each_score_follows_its_defect(
         ("two-tone", 0.3, ("sharpness_worst", "gradient")),
     ],
 )
-def test_scores_ignore_other_defects(case: Cases, kind: str, size: float, columns: tuple[str, ...]) -> None:
+def test_scores_ignore_other_defects(kind: str, size: float, columns: tuple[str, ...]) -> None:
     """A defect of one kind leaves the scores for other defects within the range of fresh draws."""
     image, _ = case("hexagon").planted(kind, size)
     own = appearance(case("hexagon").observe(image)).values
@@ -95,7 +86,7 @@ def test_scores_ignore_other_defects(case: Cases, kind: str, size: float, column
         assert abs(own[column] - np.mean(usual)) < max(6 * np.std(usual), 0.15 * np.mean(usual)), column
 
 
-def test_the_phase_of_the_output_does_not_matter(case: Cases) -> None:
+def test_the_phase_of_the_output_does_not_matter() -> None:
     """Cropping the output elsewhere changes no score by more than fresh draws scatter."""
     wide = case("hexagon").fresh(210)
     one, other = (
@@ -106,11 +97,11 @@ def test_the_phase_of_the_output_does_not_matter(case: Cases) -> None:
     assert one["color"] == pytest.approx(other["color"], abs=0.005)
 
 
-def test_the_seam_is_drawn_where_it_is(case: Cases) -> None:
+def test_the_seam_is_drawn_where_it_is() -> None:
     """The worst line of an image with one step lies on the step, and the picture marks it."""
     image = np.array(case("weave").fresh())
     image[:, 70:] = np.clip(image[:, 70:] + 0.1, 0, 1)
-    step, _ = find_worst_lines(quantize(image), case("weave").texture.lattice)
+    step, _ = find_worst_lines(quantize(image), case("weave").lattice)
     assert [x for x, _ in step.ends] == pytest.approx([69.5, 69.5], abs=1.5)
     marked = appearance(case("weave").observe(quantize(image))).pictures["seam"]
     assert set(np.flatnonzero((marked != quantize(image)).any((0, 2)))) <= {68, 69, 70, 71}
@@ -129,15 +120,6 @@ def test_seams_are_found_in_any_direction(angle: float) -> None:
         assert abs((np.array(end) - (80, 64)) @ normal) < 6
 
 
-def test_line_sums_are_those_of_digital_lines() -> None:
-    """Upright and diagonal lines are summed exactly, and every direction sums each pixel once."""
-    image = np.random.default_rng(0).random((16, 16), np.float32)
-    sums = steep_line_sums(image)
-    assert sums[0, 16:] == pytest.approx(image.sum(0), rel=1e-5)
-    assert sums[15, 16] == pytest.approx(np.trace(image), rel=1e-5)
-    assert sums.sum(1) == pytest.approx(np.full(16, image.sum()), rel=1e-5)
-
-
 def test_distances_are_those_of_wasserstein() -> None:
     """The distance of histograms is that of their values, and proportional to a shift of all colors."""
     rng = np.random.default_rng(0)
@@ -152,20 +134,20 @@ def test_distances_are_those_of_wasserstein() -> None:
     assert moved * color_scale(1) == pytest.approx(0.1, rel=1e-3)
 
 
-def test_photographs_are_compared_with_the_sample(case: Cases) -> None:
+def test_photographs_are_compared_with_the_sample() -> None:
     """Without fresh draws the sample is the reference, and its distance to itself is 0."""
     score = appearance(case("brick").observe(case("brick").texture.image, model=False))
     assert score.records["reference"] == "sample"
     assert score.values["color"] == 0 and score.values["seam"] == pytest.approx(1)
 
 
-def test_a_texture_without_lattice_is_scored(case: Cases) -> None:
+def test_a_texture_without_lattice_is_scored() -> None:
     """Appearance needs no lattice."""
     observation = case("brick").observe(case("brick").fresh(), model=False)
     assert appearance(replace(observation, truth=None)).values["seam"] is not None
 
 
-def test_small_outputs_leave_the_seam_open(case: Cases) -> None:
+def test_small_outputs_leave_the_seam_open() -> None:
     """The seam of an output of 12 px is undecided."""
     score = appearance(case("brick").observe(case("brick").fresh()[:12, :12], model=False))
     assert score.reasons["seam"].startswith("undecided")
@@ -195,7 +177,7 @@ def test_a_periodic_tile_has_no_visible_border() -> None:
         ({"tileable": np.array(1)}, 192 * 192 * 3),
     ],
 )
-def test_claimed_tiles_are_measured(case: Cases, extras: Mapping[str, NDArray[Any]], size: int) -> None:
+def test_claimed_tiles_are_measured(extras: Mapping[str, NDArray[Any]], size: int) -> None:
     """The border and size of a tile in the extras, or of an output that claims to be tileable, are measured."""
     observation = replace(case("brick").observe(case("brick").fresh()), extras=extras)
     values = appearance(observation).values
@@ -212,13 +194,13 @@ def test_claimed_tiles_are_measured(case: Cases, extras: Mapping[str, NDArray[An
         ({"tile": np.zeros(9)}, "no image of at least"),
     ],
 )
-def test_no_claim_is_no_score(case: Cases, extras: Mapping[str, NDArray[Any]], why: str) -> None:
+def test_no_claim_is_no_score(extras: Mapping[str, NDArray[Any]], why: str) -> None:
     """Without a usable tile or a claim both columns are None, with the reason."""
     score = appearance(replace(case("brick").observe(case("brick").fresh(64)), extras=extras))
     assert why in score.reasons["tileable"] and why in score.reasons["tile_bytes"]
 
 
-def test_basis_and_origin_of_the_truth_do_not_matter(case: Cases) -> None:
+def test_basis_and_origin_of_the_truth_do_not_matter() -> None:
     """Another basis or origin changes the seam by less than fresh draws scatter, and no other score."""
     observation = case("hexagon").observe(case("hexagon").fresh())
     assert observation.truth is not None and observation.truth.lattice is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -15,72 +14,36 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.overlap import Overlap
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
-from nrbench.metrics.bending import tracked_image
 from nrbench.metrics.bending.covariance import Covariance, SampledField, Variogram
 from nrbench.metrics.bending.field_tests import drop_outliers, measure_faults, smooth_field
-from nrbench.metrics.bending.tracked_image import TrackedImage, straighten
 from nrbench.metrics.quality import Quality
 from nrbench.metrics.randomness import Randomness
 from nrbench.metrics.regularity import Regularity
 from nrbench.metrics.verdict.bent import BentReference, compute_bent_verdict
 from nrbench.metrics.verdict.examination import examine
-from nrbench.plugins.forms import Observation, Shape, Task, Texture
-from nrbench.synthesizers.planted import Planted
-from nrbench.tracking.known_texture import FollowedImage
+from nrbench.plugins.forms import Observation
 
-BENT = Weave(bend=0.5, color=0.2)
-SIDE = 192
+from .conftest import Case
 
-
-@cache
-def sample() -> Texture:
-    """Return a sample of the bent texture."""
-    texture = BENT.render((128, 128), np.random.default_rng(3))
-    return replace(texture, image=quantize(texture.image))
+BENT, STRONG = Weave(bend=0.5, color=0.2), Weave(bend=1.0, color=0.2, noise=0.03)
+"""A bent texture, and one that is bent as much as models can."""
+CASES = {BENT: (Case.of(BENT, 3, streams=4), 192), STRONG: (Case.of(STRONG, 6, streams=7), 224)}
+"""Their samples, and the sides of their outputs in px."""
 
 
 @cache
-def draw(shape: Shape, k: int) -> Texture:
-    """Return a fresh draw of the bent texture."""
-    return BENT.again(sample(), shape, np.random.default_rng([4, k]))
-
-
-def observe(output: Image) -> Observation:
-    """Return an observation of an output."""
-    return Observation(sample().image, quantize(np.clip(output, 0, 1)), sample(), again=draw)
-
-
-@cache
-def fresh() -> Observation:
+def fresh(model: Model = BENT) -> Observation:
     """Return an observation of a fresh draw."""
-    return observe(draw((SIDE, SIDE), 9).image)
+    own, side = CASES[model]
+    return own.observe(own.fresh(side, 9))
 
 
 @cache
-def straight() -> Observation:
+def straight(model: Model) -> Observation:
     """Return an observation of a draw of the same texture without its displacements."""
-    return observe(replace(BENT, bend=0.0).again(sample(), (SIDE, SIDE), np.random.default_rng(5)).image)
-
-
-STRONG = Weave(bend=1.0, color=0.2, noise=0.03)
-
-
-@cache
-def strong_sample() -> Texture:
-    """Return a sample of a texture that is bent as much as models can."""
-    texture = STRONG.render((128, 128), np.random.default_rng(6))
-    return replace(texture, image=quantize(texture.image))
-
-
-@cache
-def strong_draw(shape: Shape, k: int) -> Texture:
-    """Return a fresh draw of the strongly bent texture."""
-    return STRONG.again(strong_sample(), shape, np.random.default_rng([7, k]))
-
-
-def observe_strong(output: Image) -> Observation:
-    """Return an observation of an output of the strongly bent texture."""
-    return Observation(strong_sample().image, quantize(np.clip(output, 0, 1)), strong_sample(), again=strong_draw)
+    own, side = CASES[model]
+    upright = replace(model, bend=0.0).again(own.texture, (side, side), np.random.default_rng(5))
+    return own.observe(quantize(upright.image))
 
 
 def sine_waves(rng: np.random.Generator, count: int = 16, spread: float = 0.12) -> SampledField:
@@ -214,47 +177,36 @@ def test_a_bent_fresh_draw_is_preserved() -> None:
     assert score.values["preserved"] is True
     assert score.values["score"] > 0.98
     assert 0.7 < float(score.values["misplacement_ratio"] or 0) < 1.4
-    assert score.pictures["defects"].shape[:2] == (SIDE, SIDE)
+    assert score.pictures["defects"].shape[:2] == (192, 192)
 
 
-def test_a_phase_step_in_a_bent_texture_is_lost() -> None:
-    """Regularity is lost with a phase step of 0.25 s, which is much less than the displacements of the texture."""
-    task = Task(sample().image, (SIDE, SIDE), None, np.random.default_rng(0), again=draw)
-    score = Regularity().score(observe(Planted("phase-step", 0.25).synthesize(task).image))
+@pytest.mark.parametrize("model", CASES)
+def test_a_phase_step_in_a_bent_texture_is_lost(model: Model) -> None:
+    """A phase step of 0.25 s, at most as large as the displacements of the texture, is found and measured."""
+    own, side = CASES[model]
+    score = Regularity().score(own.observe(own.planted("phase-step", 0.25, side=side)[0]))
     assert score.values["preserved"] is False
     assert score.records["excess"]["phase step"] > 1
     assert score.values["score"] < 0.9
+    (sentence,) = (fault for fault in score.records["faults"] if fault.startswith("a phase step"))
+    assert float(sentence.split()[-2]) == pytest.approx(0.25, abs=0.08)
 
 
-def test_a_straightened_output_has_lost_randomness() -> None:
+@pytest.mark.parametrize("model", CASES)
+def test_a_straightened_output_has_lost_randomness(model: Model) -> None:
     """An output without the displacements keeps its regularity; its amplitude shows that it is too regular."""
-    score = Regularity().score(straight())
+    score = Regularity().score(straight(model))
     assert score.values["preserved"] is True
     assert score.records["displacements"]["too_regular"] is True
     assert score.values["misplacement_ratio"] < 0.3
-    assert Randomness().score(straight()).values["score"] < 0.4
-    assert Randomness().score(fresh()).values["score"] > 0.9
+    assert Randomness().score(straight(model)).values["score"] < 0.4
 
 
 def test_an_output_on_a_slightly_larger_lattice_has_no_phase_step() -> None:
     """Where all tiles are 4 % larger, as in a continued sample whose lattice departs, no step is found."""
-    large = draw((SIDE, SIDE), 9).image
-    zoomed = np.clip(ndimage.zoom(large, (1.04, 1.04, 1), order=3)[:SIDE, :SIDE], 0, 1).astype(np.float32)
-    score = Regularity().score(observe(zoomed))
+    zoomed = ndimage.zoom(fresh().output, (1.04, 1.04, 1), order=3)[:192, :192]
+    score = Regularity().score(CASES[BENT][0].observe(quantize(np.clip(zoomed, 0, 1))))
     assert score.values["preserved"] is True and score.records["excess"]["phase step"] < 1
-
-
-def test_places_of_a_straightened_image_lie_in_the_image(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the content of a place in the middle lies beyond the image, its place is at the border."""
-    x, y = np.meshgrid(np.arange(0, 97, 8.0), np.arange(0, 97, 8.0))
-    nodes = np.stack([x, y], -1)
-    followed = FollowedImage(np.zeros((97, 97, 1), np.float32), nodes, np.zeros_like(nodes), np.ones(x.shape))
-    places = np.stack(np.meshgrid(np.arange(97.0), np.arange(97.0)), -1)
-    places[40:44, 40:44] = (-3, 99)
-    monkeypatch.setattr(tracked_image, "_invert", lambda tracked: places)
-    sources = straighten(TrackedImage(followed, 12.0, 0.5)).sources
-    assert sources.shape == (97, 97, 2)
-    assert sources.min() >= 0 and sources.max() <= 96
 
 
 def test_places_are_mapped_to_the_output() -> None:
@@ -268,41 +220,12 @@ def test_places_are_mapped_to_the_output() -> None:
     assert np.abs(fresh().output[y, x] - straight_colors).mean() < 0.15
 
 
-def test_the_chain_of_scores_speaks_on_a_fresh_draw_of_bend_1() -> None:
+@pytest.mark.parametrize("model", CASES)
+def test_the_chain_of_scores_speaks_on_a_bent_fresh_draw(model: Model) -> None:
     """Displacements of half a tile are followed: the draw is preserved, and all three perils have full scores."""
-    observation = observe_strong(strong_draw((224, 224), 3).image)
-    score = Quality().score(observation)
-    assert Regularity().score(observation).values["preserved"] is True
+    score = Quality().score(fresh(model))
+    assert Regularity().score(fresh(model)).values["preserved"] is True
     assert all(float(score.values[name] or 0) > 0.9 for name in ("score", "regularity", "integrity", "randomness"))
-
-
-def test_a_phase_step_in_a_texture_of_bend_1_is_lost() -> None:
-    """A step of 0.25 s is found and measured among displacements of the same size."""
-    task = Task(strong_sample().image, (224, 224), None, np.random.default_rng(0), again=strong_draw)
-    score = Regularity().score(observe_strong(Planted("phase-step", 0.25).synthesize(task).image))
-    assert score.values["preserved"] is False and score.records["excess"]["phase step"] > 1
-    (sentence,) = (fault for fault in score.records["faults"] if fault.startswith("a phase step"))
-    assert float(sentence.split()[-2]) == pytest.approx(0.25, abs=0.08)
-
-
-def test_an_output_without_the_displacements_of_bend_1_is_too_regular() -> None:
-    """A draw whose geometry does not vary keeps its regularity and has lost randomness."""
-    straightened = replace(STRONG, bend=0.0).again(strong_sample(), (224, 224), np.random.default_rng(8)).image
-    score = Regularity().score(observe_strong(straightened))
-    assert score.values["preserved"] is True and score.records["displacements"]["too_regular"] is True
-    assert Randomness().score(observe_strong(straightened)).values["score"] < 0.4
-
-
-def observe_model(model: Model, make_output: Callable[[Image], Image], side: int) -> Observation:
-    """Return an observation of an output that is made of a fresh draw of a model, ``side`` px wide and high."""
-    truth = model.render((128, 128), np.random.default_rng(11))
-    truth = replace(truth, image=quantize(truth.image))
-
-    def again(shape: Shape, k: int) -> Texture:
-        return model.again(truth, shape, np.random.default_rng([12, k]))
-
-    output = quantize(make_output(again((side, side), 0).image))
-    return Observation(truth.image, output, truth, again=again)
 
 
 def shuffle_patches(image: Image) -> Image:
@@ -318,13 +241,15 @@ def shuffle_patches(image: Image) -> Image:
 
 def test_rubble_is_lost_although_its_displacement_is_unknown() -> None:
     """Random patches of a texture of large bent tiles are lost: nothing of the output is left out of the verdict."""
-    score = Regularity().score(observe_model(Jigsaw(color=0.2, noise=0.03, bend=0.5), shuffle_patches, 192))
+    own = Case.of(Jigsaw(color=0.2, noise=0.03, bend=0.5), 11, streams=12)
+    score = Regularity().score(own.observe(shuffle_patches(own.fresh())))
     assert score.values["preserved"] is False
     assert any(fault.startswith("the tile was not found") for fault in score.records["faults"])
 
 
 def test_a_cell_larger_than_the_fresh_draws_is_undecided() -> None:
     """A bent texture whose fresh draws hold no two tiles gives a reason instead of an error."""
-    score = Regularity().score(observe_model(Overlap(color=0.2, bend=0.5), lambda image: image, 400))
+    own = Case.of(Overlap(color=0.2, bend=0.5), 11, streams=12)
+    score = Regularity().score(own.observe(own.fresh(400)))
     assert score.values["preserved"] is None
     assert score.reasons["preserved"] == "undecided: the fresh draws are smaller than a window of 2 tiles"

@@ -1,9 +1,8 @@
-"""Deformation fields of known displacements, and the scores of warped outputs."""
+"""Deformation fields of known displacements, the scores of warped outputs, and G and A of known departures."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,25 +14,20 @@ from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.deformation import Deformation
 from nrbench.metrics.deformations.tracked_lattices import DeformationField
+from nrbench.metrics.geometry_appearance import GeometryAppearance
 from nrbench.plugins.forms import Metric, Observation, Texture
 
-from .conftest import Case
+from .conftest import Case, case
 
-Cases = Callable[[str], Case]
 SQUARE = Lattice((20.0, 0.0), (0.0, 20.0), (3.0, 5.0))
 
 
 def make_observation(model: Model, output: Model | None = None, side: int = 192, again: bool = False) -> Observation:
     """Return a sample of a model and a draw of another on the same lattice."""
-    texture = model.render((128, 128), np.random.default_rng(5))
-    texture = replace(texture, image=quantize(texture.image))
-
-    def draw(shape: tuple[int, int], k: int) -> Texture:
-        return model.again(texture, shape, np.random.default_rng([7, k]))
-
-    drawn = (output or model).again(texture, (side, side), np.random.default_rng(6))
-    truth = replace(texture, displacement=None)
-    return Observation(texture.image, quantize(drawn.image), truth, again=draw if again else None)
+    own = Case.of(model, 5)
+    drawn = (output or model).again(own.texture, (side, side), np.random.default_rng(6))
+    truth = replace(own.texture, displacement=None)
+    return Observation(truth.image, quantize(drawn.image), truth, again=own.again if again else None)
 
 
 def planted(amplitude: float, wave: float, side: int = 400) -> DeformationField:
@@ -113,12 +107,9 @@ def test_the_lattice_alone_is_enough() -> None:
     assert amplitudes[3] == amplitudes[2]
 
 
-def test_missing_scores_have_reasons(case: Cases) -> None:
-    """Without a lattice, contrast, enough tiles or the texture in the output the scores are None, with a reason."""
+def test_missing_scores_have_reasons() -> None:
+    """Without contrast, enough tiles or the texture in the output the scores are None, with a reason."""
     one = case("hexagon").observe(case("hexagon").fresh())
-    none = Deformation().score(replace(one, truth=Texture(one.sample)))
-    assert set(none.values.values()) == {None}
-    assert set(none.reasons.values()) == {"not applicable: no lattice in the truth"}
     plain = np.full_like(one.sample, 0.5)
     flat = Deformation().score(replace(one, sample=plain, truth=Texture(plain, SQUARE), again=None))
     assert set(flat.reasons.values()) == {"not applicable: the mean tile is flat"}
@@ -136,3 +127,44 @@ def test_parts_are_alike_and_cover_the_image() -> None:
     some = field.parts((400, 400), (200, 200))
     assert len(some) == 9
     assert max(np.ptp(part.places, 0).max() for part in some) <= 200
+
+
+PLAIN = Weave(color=0.0, intensity=0.0, noise=0.0)
+
+
+def test_a_perfect_texture_has_neither() -> None:
+    """Identical tiles on a regular lattice have a G under 0.01 s and an A under the error of resampling."""
+    values = GeometryAppearance().score(make_observation(PLAIN)).values
+    assert isinstance(GeometryAppearance(), Metric) and set(values) == set(GeometryAppearance.columns)
+    assert values["g"] is not None and values["a"] is not None
+    assert values["g"] < 0.01 and values["a"] < 0.02
+
+
+def test_appearance_measures_noise() -> None:
+    """A is the standard deviation of grain, less what bilinear resampling removes, and G stays small."""
+    values = GeometryAppearance().score(make_observation(replace(PLAIN, noise=0.08))).values
+    assert values["a"] is not None and values["g"] is not None
+    assert 0.05 < values["a"] < 0.08
+    assert values["g"] < 0.02
+
+
+def test_each_score_responds_to_its_own_departure() -> None:
+    """Color changes A and hardly G; a warp changes G and hardly A."""
+    g, a = [], []
+    for departure in ({}, {"color": 0.2}, {"color": 0.4}, {"bend": 0.2}, {"bend": 0.4}):
+        values = GeometryAppearance().score(make_observation(Weave(noise=0.02, **{"color": 0.1, **departure}))).values
+        g.append(values["g"])
+        a.append(values["a"])
+    assert a[0] < a[1] < a[2] and a[2] > 2 * a[0]
+    assert g[0] < g[3] < g[4] and g[4] > 5 * g[0]
+    assert max(g[1:3]) < 0.03 and max(a[3:]) < 1.3 * a[0]
+
+
+def test_one_tile_repeated_lacks_appearance() -> None:
+    """The A ratio of one tile repeated is far below 1, that of a fresh draw near 1."""
+    one = case("hexagon")
+    drawn = one.again((192, 192), 0)
+    assert drawn is not None and drawn.ideal is not None
+    fresh, paper = (GeometryAppearance().score(one.observe(image)).values for image in (drawn.image, drawn.ideal))
+    assert fresh["a_ratio"] == pytest.approx(1, abs=0.25)
+    assert paper["a_ratio"] is not None and paper["a_ratio"] < 0.3

@@ -1,5 +1,6 @@
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,16 +18,12 @@ from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.metrics.integrity import LEAST_POWER, Integrity, learn_references
 from nrbench.metrics.verdict.reference import Reference
-from nrbench.metrics.whole_elements.composite_tiles import Discriminant, WholeTiles, compose_tiles
-from nrbench.metrics.whole_elements.elements import Box, Cutter, find_elements
-from nrbench.metrics.whole_elements.joint_test import Cuts, JointTest
-from nrbench.plugins.forms import Observation, Score, Task, Texture
+from nrbench.metrics.whole_elements.elements import Cutter, find_elements
+from nrbench.plugins.forms import Observation, Task
 from nrbench.suites.suite import TextureRow, load_suite
 from nrbench.synthesizers.rsgf import Rsgf
 
-from .conftest import MODELS, Case, copy_cells
-
-Cases = Callable[[str], Case]
+from .conftest import MODELS, Case, case, copy_cells, scored
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -45,16 +42,11 @@ def learned() -> Iterator[None]:
         yield
 
 
-def integrity(observation: Observation) -> Score:
-    """Return the score, and check that every None has its reason."""
-    score = Integrity().score(observation)
-    assert set(score.values) == set(Integrity.columns)
-    assert all(score.reasons.get(column) for column, value in score.values.items() if value is None)
-    return score
+integrity = partial(scored, Integrity)
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_fresh_draw_is_whole(case: Cases, name: str) -> None:
+def test_a_fresh_draw_is_whole(name: str) -> None:
     """Fresh draws have no broken tile, and evidence of about 1."""
     values = [integrity(case(name).observe(case(name).fresh(k=k))).values for k in range(3)]
     assert [one["broken_tiles"] for one in values] == [0, 0, 0]
@@ -66,9 +58,7 @@ def test_a_fresh_draw_is_whole(case: Cases, name: str) -> None:
     ("name", "sizes"),
     [("brick", (0.05, 0.2, 0.4, 0.7, 1.0)), ("weave", (0.02, 0.08, 0.2, 0.5)), ("hexagon", (0.05, 0.2, 0.4, 0.7, 1.0))],
 )
-def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(
-    case: Cases, name: str, sizes: tuple[float, ...]
-) -> None:
+def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(name: str, sizes: tuple[float, ...]) -> None:
     """Over single images the rank correlation is at least 0.95, up to where threads across tiles are whole again."""
     pairs = [(size, seed) for seed, size in enumerate(sizes)]
     images = [case(name).planted("two-tone", size, seed)[0] for size, seed in pairs]
@@ -79,11 +69,9 @@ def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(
 @pytest.mark.parametrize("row", load_suite("core").texture, ids=lambda row: row.name)
 def test_copies_of_cells_with_hard_edges_break_the_elements(row: TextureRow) -> None:
     """Cells that are copied at random join parts of different elements: the score is at most 0.2."""
-    model = plugins.build("datasets", row.dataset, row.parameters)
-    drawn = model.render((128, 128), np.random.default_rng(3))
-    case = Case(model, replace(drawn, image=quantize(drawn.image)))
-    copies = copy_cells(Task(case.texture.image, (192, 192), case.texture.lattice, np.random.default_rng(0)))
-    value = integrity(case.observe(quantize(copies))).values["score"]
+    own = Case.of(plugins.build("datasets", row.dataset, row.parameters), 3)
+    copies = copy_cells(Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0)))
+    value = integrity(own.observe(quantize(copies))).values["score"]
     assert value is not None
     assert value <= 0.2
 
@@ -109,10 +97,10 @@ def test_windows_have_the_extent_of_the_elements(model: Model, sides: tuple[floa
 
 
 @pytest.mark.parametrize("name", ["brick", "hexagon"])
-def test_the_sample_alone_tells_whole_from_broken_elements(case: Cases, name: str) -> None:
+def test_the_sample_alone_tells_whole_from_broken_elements(name: str) -> None:
     """Without a model a fresh draw has a score of at least 0.95, and copies of cells have at most 0.2."""
     own = case(name)
-    copies = copy_cells(Task(own.texture.image, (192, 192), own.texture.lattice, np.random.default_rng(0)))
+    copies = copy_cells(Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0)))
     values = [integrity(own.observe(image, model=False)).values for image in (own.fresh(), quantize(copies))]
     assert None not in (values[0]["score"], values[1]["score"])
     assert values[0]["score"] >= 0.95
@@ -122,17 +110,17 @@ def test_the_sample_alone_tells_whole_from_broken_elements(case: Cases, name: st
 def test_windows_of_a_square_lattice_lie_at_the_same_places_in_sample_and_output() -> None:
     """Where two vectors are equally long, a small error of the output's lattice does not move or mirror the windows."""
     model = Ceramic(period=21.3, rotation=37.0, color=0.2, noise=0.03)
-    own = Case(model, model.render((192, 192), np.random.default_rng(0)))
+    own = Case.of(model, 0, 192)
     values = [integrity(own.observe(own.fresh(192, k), model=False)).values for k in range(3)]
     assert min(one["detection_power"] for one in values) > 0.6
     assert min(one["score"] for one in values) >= 0.95
 
 
 @pytest.mark.parametrize("blur", [0.0, 2.0])
-def test_the_sample_alone_shows_feathered_joints(case: Cases, blur: float) -> None:
+def test_the_sample_alone_shows_feathered_joints(blur: float) -> None:
     """Copies of cells have a score of at most 0.2 without a model, also if the joints alone are blurred by 2 px."""
     own = case("brick")
-    task = Task(own.texture.image, (192, 192), own.texture.lattice, np.random.default_rng(0))
+    task = Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0))
     copies = copy_cells(task)
     assert task.lattice is not None
     y, x = np.indices(task.shape)
@@ -146,7 +134,7 @@ def test_the_sample_alone_shows_feathered_joints(case: Cases, blur: float) -> No
 def test_few_elements_are_not_judged() -> None:
     """Without a model, an output of two dozen elements needs more power than one of many."""
     model = Hexagon(period=14.3, color=0.03, intensity=0.0, noise=0.06)
-    own = Case(model, model.render((160, 160), np.random.default_rng(0)))
+    own = Case.of(model, 0, 160)
     large, small = (integrity(own.observe(own.fresh()[:side, :side], model=False)) for side in (192, 90))
     assert large.values["score"] is not None
     assert small.values["score"] is None
@@ -154,7 +142,7 @@ def test_few_elements_are_not_judged() -> None:
     assert small.reasons["score"].startswith("undecided: only")
 
 
-def test_one_two_tone_brick_is_found_in_its_place(case: Cases) -> None:
+def test_one_two_tone_brick_is_found_in_its_place() -> None:
     """A brick whose half has another one's color is the only broken tile."""
     texture, image = case("brick").texture, np.array(case("brick").fresh())
     assert texture.lattice is not None
@@ -170,7 +158,7 @@ def test_one_two_tone_brick_is_found_in_its_place(case: Cases) -> None:
 
 
 @pytest.mark.parametrize("model", [True, False])
-def test_a_method_that_cuts_bricks_breaks_them(case: Cases, model: bool) -> None:
+def test_a_method_that_cuts_bricks_breaks_them(model: bool) -> None:
     """Blended patches smaller than a brick break more than a fifth of the bricks, with or without the model."""
     texture = case("brick").texture
     task = Task(texture.image, (192, 192), texture.lattice, np.random.default_rng(0))
@@ -195,14 +183,14 @@ def test_a_method_that_cuts_bricks_breaks_them(case: Cases, model: bool) -> None
     ],
 )
 @pytest.mark.parametrize("name", MODELS)
-def test_other_defects_break_no_tile(case: Cases, name: str, kind: str, size: float) -> None:
+def test_other_defects_break_no_tile(name: str, kind: str, size: float) -> None:
     """At most 2 % of tiles that change alike, are blurred, lit or bent count as broken."""
     score = integrity(case(name).observe(case(name).planted(kind, size)[0]))
     assert score.values["broken_share"] is not None
     assert score.values["broken_share"] <= 0.02
 
 
-def test_origin_and_basis_of_the_truth_do_not_matter(case: Cases) -> None:
+def test_origin_and_basis_of_the_truth_do_not_matter() -> None:
     """Another basis leaves every score; another origin hardly changes them."""
     observation = case("brick").observe(case("brick").planted("two-tone", 0.3)[0])
     assert observation.truth is not None and observation.truth.lattice is not None
@@ -220,7 +208,7 @@ def test_origin_and_basis_of_the_truth_do_not_matter(case: Cases) -> None:
     assert again["broken_share"] == pytest.approx(own["broken_share"], abs=0.06)
 
 
-def test_the_phase_of_the_output_does_not_matter(case: Cases) -> None:
+def test_the_phase_of_the_output_does_not_matter() -> None:
     """Cropping the output elsewhere changes the share only by the tiles at its border."""
     wide = case("brick").planted("two-tone", 0.4, side=230)[0]
     values = [integrity(case("brick").observe(wide[y : y + 200, x : x + 200])).values for x, y in ((0, 0), (9, 5))]
@@ -230,7 +218,7 @@ def test_the_phase_of_the_output_does_not_matter(case: Cases) -> None:
 def test_without_power_the_share_is_undecided() -> None:
     """If bricks have no tone of their own, joined bricks look whole, and the share is undecided."""
     model = Brick(color=0.0, intensity=0.0, noise=0.1)
-    plain = Case(model, model.render((128, 128), np.random.default_rng(0)))
+    plain = Case.of(model)
     score = integrity(plain.observe(plain.fresh()))
     assert score.values["score"] is None
     assert score.values["broken_share"] is None
@@ -238,72 +226,17 @@ def test_without_power_the_share_is_undecided() -> None:
     assert score.reasons["broken_share"].startswith("undecided: only")
 
 
-def test_missing_scores_have_reasons(case: Cases) -> None:
-    """Without a lattice the scores are not applicable; with few tiles they are undecided."""
-    observation = case("brick").observe(case("brick").fresh())
-    bare = integrity(replace(observation, truth=Texture(observation.sample)))
-    assert set(bare.reasons.values()) == {"not applicable: no lattice in the truth"}
+def test_missing_scores_have_reasons() -> None:
+    """With few tiles the scores are undecided."""
     small = integrity(case("brick").observe(case("brick").fresh()[:60, :60]))
     assert all(reason.startswith("undecided") for reason in small.reasons.values())
 
 
-def test_the_discriminant_separates_composite_from_whole_tiles() -> None:
-    """For tiles of one tone each, composite tiles have five times the evidence of whole ones."""
-    rng = np.random.default_rng(0)
-    one, other = (np.repeat(rng.normal(size=(200, 1)), 49, 1) + 0.1 * rng.normal(size=(200, 49)) for _ in range(2))
-    discriminant = Discriminant.fit(
-        *(WholeTiles(rows, np.zeros((49, 49))) for rows in (one, other)), np.full(49, 1e-4), (7, 7)
-    )
-    whole, composite = discriminant.evidence(other), discriminant.evidence(compose_tiles(other, (7, 7)))
-    assert np.median(composite) > 5 * np.quantile(whole, 0.95)
-    assert (discriminant.composite > 2 * discriminant.whole).all()
-
-
-def test_the_joint_test_weighs_each_cut_by_the_tones_on_both_sides() -> None:
-    """The test separates whole elements from joined ones along any cut; elements without tones give no evidence."""
-    rng = np.random.default_rng(0)
-    cuts = Cuts.through(Box(np.array([[20.0, 0.0], [0.0, 12.0]]), (4, 4)))
-    grain = 0.05 * rng.normal(size=(60, 240))
-    toned = 0.1 * rng.normal(size=(60, 1)) + grain
-    rows = [one - one.mean(0) for one in (toned, grain)]
-    found = []
-    for one in rows:
-        test = JointTest.fit(cuts, one[::2], None)
-        whole, joined = test.evidence(one[1::2]), test.evidence(compose_tiles(one[1::2], cuts.box.samples))
-        found.append(float((joined > np.quantile(whole, 0.9)).mean()))
-    assert found[0] > 0.8
-    assert found[1] < 0.2
-    step = np.where(np.arange(240) % 20 < 10, 0.1, -0.1)[np.newaxis]
-    lit = JointTest.fit(cuts, rows[0], np.ones(1))
-    assert lit.evidence(step)[0] < 0.1 * JointTest.fit(cuts, rows[0], None).evidence(step)[0]
-
-
 def test_elements_are_found_beneath_strong_grain() -> None:
     """Where grain is twice as strong as the tones of hexagons, fresh draws are whole and 30 % two-tone tiles show."""
-    model = Hexagon(period=31.0, color=0.07, intensity=0.1, noise=0.055)
-    texture = model.render((128, 128), np.random.default_rng(0))
-    texture = replace(texture, image=quantize(texture.image))
-
-    def again(shape: tuple[int, int], k: int) -> Texture:
-        return model.again(texture, shape, np.random.default_rng((k, 7)))
-
-    task = Task(texture.image, (256, 256), texture.lattice, np.random.default_rng(1), again=again)
-    joined = plugins.build("synthesizers", "planted", {"kind": "two-tone", "size": 0.3}).synthesize(task).image
-    fresh, broken = (
-        integrity(Observation(texture.image, quantize(image), texture, again=again)).values
-        for image in (again((256, 256), 0).image, joined)
-    )
+    own = Case.of(Hexagon(period=31.0, color=0.07, intensity=0.1, noise=0.055))
+    images = own.fresh(256), own.planted("two-tone", 0.3, 1, 256)[0]
+    fresh, broken = (integrity(own.observe(image)).values for image in images)
     assert fresh["score"] > 0.95
     assert fresh["detection_power"] > 0.5
     assert broken["score"] == pytest.approx(0.7, abs=0.12)
-
-
-def test_windows_of_one_thread_count_as_one() -> None:
-    """If all windows of a row exceed a limit together, they count as one; if they exceed it independently, singly."""
-    rng = np.random.default_rng(0)
-    rows = np.repeat(np.arange(40), 10)
-    numbers = np.stack([np.tile(np.arange(10), 40), rows], 1)
-    for one_value, size in ((rng.random((4, 40))[:, rows], 10), (rng.random((4, 400)), 1)):
-        images = tuple((numbers, -np.log(values)) for values in one_value)
-        found = metrics.integrity._Surprisals(np.zeros(400), np.zeros(400), 1.0, 1600, images).clump(0.09)
-        assert found == pytest.approx(size, rel=0.35)

@@ -1,5 +1,3 @@
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -13,9 +11,8 @@ from nrbench.synthesizers.shuffle import Shuffle
 from nrbench.synthesizers.supertile import Supertile
 from nrbench.synthesizers.tiling import Tiling
 
-from .conftest import MODELS, Case, copy_cells, make_case
+from .conftest import MODELS, Case, case, copy_cells
 
-Cases = Callable[[str], Case]
 PERILS = ("regularity", "integrity", "randomness")
 
 
@@ -30,13 +27,13 @@ def quality(observation: Observation) -> Score:
 
 def synthesis_task(case: Case, seed: int = 0) -> Task:
     """Return the task of a case, with its lattice."""
-    return Task(case.texture.image, (208, 208), case.texture.lattice, np.random.default_rng(seed), again=case.again)
+    return Task(case.texture.image, (208, 208), case.lattice, np.random.default_rng(seed), again=case.again)
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_fresh_draws_have_full_quality(name: str) -> None:
     """The mean quality of fresh draws is at least 0.95, in each peril."""
-    scores = [quality(make_case(name).observe(make_case(name).fresh(208, k))).values for k in range(3)]
+    scores = [quality(case(name).observe(case(name).fresh(208, k))).values for k in range(3)]
     for column in ("score", *PERILS):
         assert np.mean([one[column] for one in scores]) >= 0.95
 
@@ -45,19 +42,19 @@ def test_fresh_draws_have_full_quality(name: str) -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_baselines_have_little_quality(baseline: Synthesizer, name: str) -> None:
     """Each baseline avoids some perils and falls into another, so its quality is at most 0.25."""
-    image = baseline.synthesize(synthesis_task(make_case(name))).image
-    assert quality(make_case(name).observe(quantize(image))).values["score"] <= 0.25
+    image = baseline.synthesize(synthesis_task(case(name))).image
+    assert quality(case(name).observe(quantize(image))).values["score"] <= 0.25
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_hard_edged_copies_of_cells_have_little_quality(name: str) -> None:
     """Random cells with hard edges keep lattice and variation, but hardly any element is whole."""
-    scores = quality(make_case(name).observe(copy_cells(synthesis_task(make_case(name))))).values
+    scores = quality(case(name).observe(copy_cells(synthesis_task(case(name))))).values
     assert scores["regularity"] > 0.9
     assert scores["score"] <= 0.2
 
 
-def test_a_lost_lattice_counts_a_quarter(case: Cases) -> None:
+def test_a_lost_lattice_counts_a_quarter() -> None:
     """After a phase step half of the tiles are in place; the regularity is a quarter of their share."""
     observation = case("brick").observe(case("brick").planted("phase-step", 0.3)[0])
     share = Regularity().score(observation).values["score"]
@@ -65,7 +62,7 @@ def test_a_lost_lattice_counts_a_quarter(case: Cases) -> None:
     assert quality(observation).values["randomness"] is None
 
 
-def test_no_quality_without_a_verdict(case: Cases) -> None:
+def test_no_quality_without_a_verdict() -> None:
     """If regularity is undecided all columns are None, with its reason."""
     observation = case("hexagon").observe(case("hexagon").fresh(60))
     score = Quality().score(observation)

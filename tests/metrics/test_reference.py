@@ -1,6 +1,5 @@
 """The known lattice, and what an output is compared with."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +24,7 @@ from nrbench.metrics.verdict.verdict import compute_verdict
 from nrbench.plugins.forms import Observation, Texture
 from nrbench.running.phases import score_observation
 
-from .conftest import MODELS, Case
-
-Cases = Callable[[str], Case]
+from .conftest import MODELS, case
 
 
 def reference_of(observation: Observation) -> Reference:
@@ -38,7 +35,7 @@ def reference_of(observation: Observation) -> Reference:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_the_reference_of_a_model_is_its_ideal_image(case: Cases, name: str) -> None:
+def test_the_reference_of_a_model_is_its_ideal_image(name: str) -> None:
     """With the model, the periodic image is the ideal one, and no reference image equals an output."""
     reference = reference_of(case(name).observe(case(name).fresh()))
     assert reference.source == "model"
@@ -50,7 +47,7 @@ def test_the_reference_of_a_model_is_its_ideal_image(case: Cases, name: str) -> 
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_the_reference_of_a_sample_comes_near_the_ideal_image(case: Cases, name: str) -> None:
+def test_the_reference_of_a_sample_comes_near_the_ideal_image(name: str) -> None:
     """Without the model the mean tile resembles the ideal image, and the regular share is near that of the model."""
     reference = reference_of(case(name).observe(case(name).fresh(), model=False))
     assert reference.source == "sample"
@@ -59,7 +56,7 @@ def test_the_reference_of_a_sample_comes_near_the_ideal_image(case: Cases, name:
     assert reference.regular_share == pytest.approx(case(name).model.regular_share, abs=0.2)
 
 
-def test_varying_pixels_weigh_less(case: Cases) -> None:
+def test_varying_pixels_weigh_less() -> None:
     """Joints, which are equal in all tiles, have larger weights than faces, which are not."""
     reference = reference_of(case("hexagon").observe(case("hexagon").fresh()))
     ideal, weights = reference.periodic.image((80, 80)).mean(-1), reference.periodic.weights((80, 80))
@@ -69,21 +66,28 @@ def test_varying_pixels_weigh_less(case: Cases) -> None:
 
 
 @pytest.mark.parametrize("error", [-0.012, 0.012])
-def test_a_lattice_that_is_a_little_off_is_fitted_to_the_sample(case: Cases, error: float) -> None:
+def test_a_lattice_that_is_a_little_off_is_fitted_to_the_sample(error: float) -> None:
     """An error of the vectors of 1.2 % is reduced to 0.3 % before the sample is folded."""
-    true = case("brick").texture.lattice
-    assert true is not None
+    true = case("brick").lattice
     true = true.reduced()
     off = Lattice(*((x * (1 + error), y * (1 + error)) for x, y in (true.t1, true.t2)))
     fitted = fold_reference(case("brick").fresh(256), off).lattice
     assert np.abs(fitted.matrix - true.matrix).max() < 0.003 * true.s
 
 
-def test_a_truth_without_a_lattice_has_no_reference(case: Cases) -> None:
-    """Without a truth, or with a truth without a lattice, there is no reference."""
+@pytest.mark.parametrize("name", ["regularity", "integrity", "randomness", "deformation", "geometry_appearance"])
+def test_a_truth_without_a_lattice_is_not_applicable(name: str) -> None:
+    """Without a lattice in the truth every column is None, with that reason."""
     observation = case("brick").observe(case("brick").fresh())
-    for truth in (Texture(observation.sample), None):
-        assert examine(replace(observation, truth=truth)).reference == "not applicable: no lattice in the truth"
+    score = score_observation(replace(observation, truth=Texture(observation.sample)), name)
+    assert set(score.values.values()) == {None}
+    assert set(score.reasons.values()) == {"not applicable: no lattice in the truth"}
+
+
+def test_without_a_truth_there_is_no_reference() -> None:
+    """An output of unknown origin has no reference."""
+    observation = replace(case("brick").observe(case("brick").fresh()), truth=None)
+    assert examine(observation).reference == "not applicable: no lattice in the truth"
 
 
 @pytest.mark.parametrize("model", ["brick", "bent"])
@@ -105,21 +109,19 @@ def test_without_fresh_draws_nothing_is_scored(model: str, largest: int) -> None
         assert all("no fresh draw" in reason for reason in score.reasons.values()), (name, score.reasons)
 
 
-def test_each_part_of_a_sample_is_compared_with_the_rest(case: Cases) -> None:
+def test_each_part_of_a_sample_is_compared_with_the_rest() -> None:
     """If one half of the sample is darker, the template of the other half is darker, and not its own."""
     sample = np.array(case("brick").texture.image)
     sample[:, :64] *= 0.5
-    assert case("brick").texture.lattice is not None
-    first, last = fold_reference(sample, case("brick").texture.lattice.reduced()).images
+    first, last = fold_reference(sample, case("brick").lattice.reduced()).images
     assert first.image.mean() < 0.7 * first.periodic.image((60, 60)).mean()
     assert last.periodic.image((60, 60)).mean() < 0.7 * last.image.mean()
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_a_samples_regular_share_is_on_the_scale_of_its_models(case: Cases, name: str) -> None:
+def test_a_samples_regular_share_is_on_the_scale_of_its_models(name: str) -> None:
     """The regular share is corrected for the smoothing by folding and for the departures in a mean of few tiles."""
-    image, lattice = case(name).fresh(256), case(name).texture.lattice
-    assert lattice is not None
+    image, lattice = case(name).fresh(256), case(name).lattice
     share = fold_reference(image, lattice).regular_share
     assert share == pytest.approx(case(name).model.regular_share, abs=0.06)
     periodic = case(name).again((256, 256), 0).ideal  # type: ignore[union-attr]
@@ -143,7 +145,7 @@ def test_detail_is_compared_where_colors_hide_the_joints() -> None:
 
 
 @pytest.mark.parametrize("model", [True, False])
-def test_the_truth_comes_first(case: Cases, model: bool) -> None:
+def test_the_truth_comes_first(model: bool) -> None:
     """A lattice in the truth is taken, and it is said whether a model or a person knows it."""
     observation = case("brick").observe(case("brick").fresh(), model)
     known = find_known_lattice(replace(observation, lattice_used=Lattice((9, 0), (0, 9))))
@@ -153,13 +155,13 @@ def test_the_truth_comes_first(case: Cases, model: bool) -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_without_a_truth_the_detector_finds_the_lattice(case: Cases, name: str) -> None:
+def test_without_a_truth_the_detector_finds_the_lattice(name: str) -> None:
     """Without a given lattice the detector finds it, a record names the detector, and a fresh draw is preserved."""
     one = case(name)
     observation = Observation(one.texture.image, one.fresh(), Texture(one.texture.image))
     known = find_known_lattice(observation)
-    assert known.origin == "dominance" and known.lattice is not None and one.texture.lattice is not None
-    assert lattice_error(known.lattice, one.texture.lattice, (128, 128)).relation == "exact"
+    assert known.origin == "dominance" and known.lattice is not None and one.lattice is not None
+    assert lattice_error(known.lattice, one.lattice, (128, 128)).relation == "exact"
     score = Regularity().score(observation)
     assert score.records["lattice_from"] == "dominance"
     assert score.values["preserved"] is True
@@ -173,7 +175,7 @@ def test_a_sample_without_a_lattice_is_not_applicable() -> None:
     assert all("dominance finds none" in reason for reason in score.reasons.values())
 
 
-def test_a_stochastic_truth_has_no_lattice(case: Cases) -> None:
+def test_a_stochastic_truth_has_no_lattice() -> None:
     """A texture whose truth is stochastic has no lattice, even if a detector finds one."""
     one = case("brick")
     observation = Observation(one.texture.image, one.fresh(), Texture(one.texture.image, kind="stochastic"))

@@ -13,7 +13,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.residual_tiles.dependence import sum_variance
 from nrbench.metrics.residual_tiles.distance import compare_sets, measure_distances
 from nrbench.metrics.residual_tiles.repetition import SIZES, Share, Twins, find_pairs, find_twins
-from nrbench.metrics.residual_tiles.tiles import TileSet, even_grid, quarters
+from nrbench.metrics.residual_tiles.tiles import TileSet
 
 SQUARE = Lattice((16, 0), (0, 16))
 FLAT = np.ones((16, 16), np.float32)
@@ -72,14 +72,6 @@ def test_blocks_cover_the_image() -> None:
     assert {tuple(number) for block in blocks for number in block.numbers} == {tuple(n) for n in found.numbers}
     assert all((np.ptp(block.centers, 0) <= (99, 79)).all() for block in blocks)
     assert [len(block) for block in found.blocks((144, 192), (144, 192))] == [len(found)]
-
-
-def test_quarters_lie_as_their_order_says() -> None:
-    """Left quarters precede right ones, upper precede lower ones, and all four have one size."""
-    y, x = np.indices((16, 16))
-    parts = quarters(np.stack([x, y], -1)[np.newaxis].astype(np.float32))
-    np.testing.assert_allclose(parts.mean((1, 2, 3)), [[3.5, 3.5], [11.5, 3.5], [3.5, 11.5], [11.5, 11.5]])
-    assert all(side % 2 == 0 for side in even_grid(Lattice((15, 0), (0, 16.2))))
 
 
 def test_pair_distances_are_mean_squared_differences() -> None:

@@ -1,21 +1,51 @@
+"""The comparison of methods: verdicts, ranks, levels, baselines, and what a notebook shows."""
+
 from __future__ import annotations
 
+import csv
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from nrbench.errors import BadInput
+from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
+from nrbench.reports.plots.perils_plane import caption_text
+from nrbench.reports.statistics import verdicts
+from nrbench.reports.statistics.levels import (
+    LevelPanel,
+    LevelSeries,
+    breaking_points_table,
+    compare_levels,
+    levels_table,
+)
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
-from nrbench.reports.statistics.summaries import COSTS, list_patch_terms, other_score_rows, sort_headlines_first
-from nrbench.reports.statistics.verdicts import SCORE
-from nrbench.runs.records import Run
+from nrbench.reports.statistics.summaries import (
+    COSTS,
+    list_patch_terms,
+    other_score_rows,
+    perils_points,
+    sort_headlines_first,
+)
+from nrbench.reports.statistics.verdicts import (
+    BASELINE_LEGEND,
+    BASELINE_SIGN,
+    SCORE,
+    BaselineValidity,
+    explain_valid_baseline,
+    is_valid_baseline,
+)
+from nrbench.reports.text import TextTable
+from nrbench.runs.records import CellRecord, Run
 from nrbench.synthesizers.tile_set import TileSet
 
-from .conftest import COLUMNS, PERILS
+from .conftest import COLUMNS, HOSTILE, PERILS, MakeCell, MakeRun
 
 Make = Callable[..., Any]
 
@@ -197,3 +227,274 @@ def test_metrics_of_the_headlines_come_first() -> None:
     assert sort_headlines_first(names) == [
         "quality.score", "regularity.defects", "randomness.x", "appearance.seam", "appearance.color",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("cell", "verdict"),
+    [
+        ({"preserved": True}, "preserved"),
+        ({"preserved": False}, "lost"),
+        ({"preserved": None, "reasons": {"regularity.preserved": "undecided: low power"}}, "undecided"),
+        ({"preserved": None, "reasons": {"regularity.preserved": "not applicable: stochastic"}}, "not applicable"),
+        ({"preserved": None, "lattice_truth": None}, "not applicable"),
+        ({"preserved": None, "reasons": {"regularity.preserved": "failed: ValueError"}}, "unscored"),
+        ({"status": "refused"}, "refused"),
+        ({"status": "missing"}, "missing"),
+        *[({"status": status}, "failed") for status in ("error", "timeout", "memory", "crash", "invalid")],
+    ],
+)
+def test_each_ending_has_its_verdict(make_cell: Make, cell: dict[str, object], verdict: str) -> None:
+    """A cell's status, value and reason decide its verdict."""
+    assert verdicts.verdict(make_cell(**cell)) == verdict
+
+
+def test_a_cell_without_a_regularity_score_is_unscored(make_cell: Make) -> None:
+    """A cell is unscored, not undecided, if the metric is not installed."""
+    record = make_cell()
+    bare = CellRecord(record.cell, record.folder, record.result)
+    assert verdicts.verdict(bare) == "unscored"
+
+
+def test_marks_tell_verdicts_apart() -> None:
+    """Every verdict has a mark of its own, and a meaning."""
+    assert len(set(verdicts.MARKS.values())) == len(verdicts.MARKS)
+    assert set(verdicts.MARKS) == set(verdicts.MEANINGS)
+
+
+def test_table_holds_numbers(every_ending: Run) -> None:
+    """Truth values become 0 and 1, None becomes NaN, and only cells that ended well have seconds."""
+    table = verdicts.tabulate_cells(every_ending)
+    assert len(table) == len(every_ending.cells)
+    assert set(table["regularity.preserved"].dropna()) == {0.0, 1.0}
+    assert table.loc[table["status"] == "ok", "seconds"].notna().all()
+    assert math.isnan(table.loc[table["status"] == "timeout", "seconds"].iloc[0])
+
+
+def test_table_of_an_empty_run_has_its_columns(make_run: Make) -> None:
+    """A run without cells gives a table without rows."""
+    table = verdicts.tabulate_cells(make_run([]))
+    assert len(table) == 0
+    assert {"texture", "verdict", "regularity.score"} <= set(table)
+
+
+@pytest.fixture(scope="module")
+def panel(ranked: Run) -> LevelPanel:
+    """Return the panel of a run with three levels of one departure."""
+    (panel,) = compare_levels(ranked, compare_methods(ranked))
+    return panel
+
+
+def _series(panel: LevelPanel, method: str) -> LevelSeries:
+    return next(one for one in panel.series if one.method.name == method)
+
+
+def test_a_panel_has_the_methods_the_oracle_and_the_copier(panel: LevelPanel) -> None:
+    """Ranked methods come first, then the oracle and the copier; other references have no line."""
+    assert (panel.departure, list(panel.levels)) == ("bend", [1.0, 2.0, 4.0])
+    names = [one.method.name for one in panel.series]
+    assert names == ["close", "good", "refuser", "shaky", "drifter", "oracle", "copier"]
+
+
+def test_a_method_breaks_at_the_first_level_below_one_half(panel: LevelPanel) -> None:
+    """The first level with a quality below 0.5 counts, a refusal is 0, and a good method breaks at no level."""
+    assert _series(panel, "refuser").breaks_at == 1
+    assert (_series(panel, "good").breaks_at, _series(panel, "good").words) == (None, "–")
+
+
+def test_levels_keep_the_order_of_the_suite(make_cell: Make, make_run: Make) -> None:
+    """Levels go from the first of the suite to the last, also if their numbers fall; unscored levels are counted."""
+    shares = (0.5, 0.42, 0.35)
+    rows = [{"name": f"t{i}", "departure": "share", "level": level} for i, level in enumerate(shares)]
+    qualities = (0.8, None, 0.2)
+    cells = [
+        make_cell(f"t{i}", perils={} if quality is None else dict.fromkeys(PERILS, quality))
+        for i, quality in enumerate(qualities)
+    ]
+    run = make_run(cells, suite={"content": {"texture": rows}})
+    (panel,) = compare_levels(run, compare_methods(run))
+    (series,) = panel.series
+    assert (list(panel.levels), series.breaks_at, series.count) == ([*shares], 0.35, "2 of 3 levels scored")
+
+
+def test_one_level_is_no_panel(make_cell: Make, make_run: Make) -> None:
+    """A departure at one level has no panel; nor have textures that the run leaves out, nor a run without quality."""
+    rows = [{"name": name, "departure": "bend", "level": i} for i, name in enumerate("ab")]
+    suite = {"content": {"texture": rows}}
+    run = make_run([make_cell("a", perils=dict.fromkeys(PERILS, 1.0))], suite=suite)
+    assert compare_levels(run, compare_methods(run)) == []
+    run = make_run([make_cell("a"), make_cell("b")], suite=suite)
+    assert compare_levels(run, compare_methods(run)) == []
+
+
+def test_tables_hold_every_level(panel: LevelPanel) -> None:
+    """``levels.csv`` has a row a level and method, ``breaking_points.csv`` a row a method."""
+    table = levels_table([panel]).set_index(["method", "level"])
+    assert len(table) == 3 * len(panel.series)
+    assert table.loc[("refuser", 1.0), "quality"] == 0
+    points = breaking_points_table([panel]).set_index("method")
+    assert points.loc["refuser", "breaks_at"] == 1
+    assert np.isnan(points.loc["good", "breaks_at"])
+
+
+SCORES = {"regularity": 1.0, "integrity": 0.9, "randomness": 0.1}
+
+
+@pytest.fixture(scope="module")
+def mixed(makers: tuple[Make, Make]) -> Run:
+    """Return a run on a regular, a near-regular and a stochastic texture: a method, tiling, scatter, the oracle."""
+    make_cell, make_run = makers
+    cells = []
+    for texture, kind in (("wallpaper", "0"), ("brick", "I"), ("noise", "stochastic")):
+        lattice = {"lattice_truth": None, "preserved": None, "score": None} if kind == "stochastic" else {}
+        more: dict[str, Any] = {"kind": kind, "perils": {} if lattice else SCORES, **lattice}
+        cells.append(make_cell(texture, "rsgf", **more))
+        cells += [make_cell(texture, name, "none", reference=True, **more) for name in ("tiling", "scatter", "oracle")]
+    run: Run = make_run(cells)
+    return run
+
+
+@pytest.fixture(scope="module")
+def mixed_comparison(mixed: Run) -> Comparison:
+    """Return the comparison of that run."""
+    return compare_methods(mixed)
+
+
+@pytest.mark.parametrize(
+    ("method", "kind", "valid"),
+    [
+        ("tiling", "0", True),
+        ("supertile", "0", True),
+        ("shuffle", "0", True),
+        ("tiling", "I", False),
+        ("tiling", "stochastic", False),
+        ("scatter", "stochastic", True),
+        ("random-phase", "stochastic", True),
+        ("scatter", "0", False),
+        ("tiling", None, None),
+        ("oracle", "0", None),
+        ("planted", "stochastic", None),
+        ("no-such-plugin", "0", None),
+    ],
+)
+def test_the_class_says_where_a_baseline_is_valid(
+    make_cell: Make, method: str, kind: str | None, valid: bool | None
+) -> None:
+    """Tilings are valid on perfectly regular textures, scatter on textures without a lattice, nothing elsewhere."""
+    record = make_cell("t", method, "none", reference=True, kind=kind)
+    assert is_valid_baseline(record) is valid
+    assert bool(explain_valid_baseline(record)) is (valid is True)
+
+
+@pytest.mark.parametrize(
+    ("count", "words", "sign"),
+    [
+        (BaselineValidity(0, 9), "", ""),
+        (BaselineValidity(9, 9), "valid baseline", f" {BASELINE_SIGN}"),
+        (BaselineValidity(2, 9), "valid baseline on 2 of 9", f" {BASELINE_SIGN} 2/9"),
+    ],
+)
+def test_all_and_some_textures_have_different_words(count: BaselineValidity, words: str, sign: str) -> None:
+    """The words name the count if a baseline is valid on some textures but not on all; on none they are empty."""
+    assert (count.words, count.sign) == (words, sign)
+
+
+def test_the_comparison_marks_entries_and_methods(mixed_comparison: Comparison) -> None:
+    """Each method counts the textures on which it is valid, and the entries of these textures alone are marked."""
+    counts = {one.method.name: (one.validity.n, one.validity.of) for one in mixed_comparison.summaries}
+    assert counts == {"rsgf": (0, 3), "tiling": (1, 3), "scatter": (1, 3), "oracle": (0, 3)}
+    marked = [
+        (row.texture, method.name)
+        for row in mixed_comparison.rows
+        for method, entry in zip(mixed_comparison.methods, row.entries, strict=True)
+        if entry and entry.baseline_valid
+    ]
+    assert marked == [("wallpaper", "tiling"), ("noise", "scatter")]
+
+
+def test_the_perils_plane_counts_only_scored_textures(mixed_comparison: Comparison) -> None:
+    """A point counts only textures with a score: scatter is valid on the one texture without."""
+    shown = {point.method.name: point for point in perils_points(mixed_comparison.summaries)}
+    assert caption_text(shown["tiling"]) == f"tiling {BASELINE_SIGN} 1/2"
+    assert "valid baseline on 1 of 2" in shown["tiling"].words
+    assert caption_text(shown["scatter"]) == "scatter"
+
+
+def test_every_table_has_mark_and_footnote(mixed: Run, tmp_path: Path) -> None:
+    """Text, Markdown, LaTeX and HTML mark the entries and explain the sign."""
+    text, markdown = TextTable().render(mixed), MarkdownTables().render(mixed)
+    assert f"✓ 0.10 {BASELINE_SIGN}" in text and f"reference {BASELINE_SIGN} 1/3" in text
+    assert f"✓ 0.10 {BASELINE_SIGN} |" in markdown and f"*tiling* † {BASELINE_SIGN} 1/3" in markdown
+    for words in (text, markdown):
+        assert f"{BASELINE_SIGN} {BASELINE_LEGEND}" in " ".join(words.split())
+    tables = {path.stem: path.read_text("utf-8") for path in LatexTables().write(mixed, tmp_path)}
+    summary, places_ = tables["summary"], tables["comparison"]
+    assert r"\textit{tiling}\nrbReference{}\nrbValidBaseline{}\textsuperscript{1/3}" in summary
+    assert r"\nrbPreserved{} 0.10\nrbValidBaseline{}" in places_ and BASELINE_LEGEND in places_
+    page = HtmlReport().render(mixed, tmp_path)
+    assert f"{BASELINE_SIGN} valid baseline on 1 of 3" in page
+    assert page.count(f"{BASELINE_SIGN} valid baseline: what this baseline does is correct on a texture of type 0") == 1
+    assert (
+        page.count(f"{BASELINE_SIGN} valid baseline: what this baseline does is correct on a stochastic texture") == 1
+    )
+
+
+def test_csv_has_it_cell_by_cell(mixed: Run, tmp_path: Path) -> None:
+    """``cells.csv`` and ``comparison.csv`` say of each baseline whether it is valid; empty for other methods."""
+    cells, table = CsvTables().write(mixed, tmp_path)[:2]
+    with cells.open(newline="", encoding="utf-8") as file:
+        valid = {(row["texture"], row["method"]): row["reference_right"] for row in csv.DictReader(file)}
+    assert valid["wallpaper", "tiling"] == valid["noise", "scatter"] == "True"
+    assert valid["brick", "tiling"] == valid["wallpaper", "scatter"] == "False"
+    assert {valid[key] for key in valid if key[1] in ("rsgf", "oracle")} == {""}
+    with table.open(newline="", encoding="utf-8") as file:
+        rows = {row["texture"]: row for row in csv.DictReader(file)}
+    assert rows["wallpaper"]["tiling reference_right"] == "True"
+    assert "oracle reference_right" not in rows["brick"]
+
+
+def test_no_sign_without_a_valid_baseline(every_ending: Run, tmp_path: Path) -> None:
+    """If no baseline is valid, no report has the sign or its explanation."""
+    page = HtmlReport().render(every_ending, tmp_path)
+    for words in (TextTable().render(every_ending), MarkdownTables().render(every_ending), page):
+        assert BASELINE_SIGN not in words and BASELINE_LEGEND not in words
+
+
+@pytest.fixture
+def two_methods(make_cell: MakeCell, make_run: MakeRun) -> Run:
+    """Return a run of two methods with known qualities."""
+    cells = [
+        make_cell(f"t{i}", method, perils=dict.fromkeys(PERILS, quality))
+        for i in range(3)
+        for method, quality in (("rsgf", 0.75), (HOSTILE, 0.25))
+    ]
+    return make_run(cells)
+
+
+def test_a_run_has_its_tables(two_methods: Run) -> None:
+    """The summary has one row a method with the mean quality; the comparison has one row a texture."""
+    summary, comparison = two_methods.summary(), two_methods.comparison()
+    assert summary.loc[("rsgf", "own"), "quality"] == pytest.approx(0.75)
+    assert list(comparison.index) == ["t0", "t1", "t2"]
+    assert comparison.loc["t1", "rsgf (own) verdict"] == "preserved"
+
+
+def test_a_notebook_shows_the_methods(two_methods: Run) -> None:
+    """The HTML is a table with both methods, in which no name is markup."""
+    shown = two_methods._repr_html_()
+    assert "<table" in shown and "rsgf" in shown and "0.75" in shown
+    assert "<img" not in shown and "&lt;img" in shown
+
+
+def test_a_plot_is_shown_and_saved(two_methods: Run, tmp_path: Path) -> None:
+    """A notebook gets SVG; the ending of a path chooses the kind of file; another one is refused."""
+    plot = two_methods.plot(width=4)
+    assert plot._repr_svg_().lstrip().startswith("<?xml") and "svg" in plot._repr_svg_()
+    assert plot.save(tmp_path / "plane.pdf").read_bytes().startswith(b"%PDF")
+    with pytest.raises(BadInput, match=r"end the name in \.svg"):
+        plot.save(tmp_path / "plane.gif")
+
+
+def test_a_run_without_quality_has_no_plot(make_cell: MakeCell, make_run: MakeRun) -> None:
+    """The message says why there is nothing to plot."""
+    with pytest.raises(BadInput, match="no method has a quality"):
+        make_run([make_cell()]).plot()._repr_svg_()

@@ -88,12 +88,6 @@ def test_a_detection_that_several_methods_used_counts_once(answered: Run) -> Non
     assert list(table["texture"][:3]) == ["brick-a", "brick-b", "brick-c"]
 
 
-def test_unknown_answers_are_left_out(answered: Run) -> None:
-    """Methods' own lattices, draws not run yet, and photographs without a given lattice are in no row."""
-    assert not {"brick-d", "photograph"} & set(tabulate_answers(answered)["texture"])
-    assert set(tabulate_answers(answered)["detector"]) == {"gncc", HOSTILE}
-
-
 def test_rates_are_those_of_the_answers(answered: Run) -> None:
     """Exact answers count over draws with a lattice, false lattices over draws without, with Wilson's interval."""
     comparison = compare_detectors(answered)

@@ -1,3 +1,5 @@
+"""The page: its form, its safety, its pictures, and the lattices over them."""
+
 from __future__ import annotations
 
 import base64
@@ -11,10 +13,14 @@ from typing import Any
 import numpy as np
 import PIL.Image
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from nrbench.lattice.geometry import Lattice
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.page.gallery import list_failings
-from nrbench.reports.page.pictures import PictureStore
+from nrbench.reports.page.gallery import TextureDraw, build_gallery, list_failings, score_lines, score_shade
+from nrbench.reports.page.lattice_overlay import align_basis, trace_lattice
+from nrbench.reports.page.pictures import PagePicture, PictureStore
 from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
 
@@ -65,7 +71,7 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def text(every_ending: Run) -> str:
+def page_text(every_ending: Run) -> str:
     """Return the written page of a run with every status."""
     (path,) = HtmlReport().write(every_ending, every_ending.root / "report")
     assert path.name == "report.html"
@@ -73,9 +79,9 @@ def text(every_ending: Run) -> str:
 
 
 @pytest.fixture(scope="module")
-def page(text: str) -> Page:
+def page(page_text: str) -> Page:
     """Return the parsed page."""
-    return Page(text)
+    return Page(page_text)
 
 
 def _check_form(page: Page) -> None:
@@ -97,18 +103,14 @@ def test_pages_are_well_formed(page: Page, ranked_page: Page) -> None:
         assert any(words in title for title in titles)
 
 
-def test_it_loads_nothing(page: Page) -> None:
-    """The page loads nothing: pictures are embedded, links stay on the page."""
+def test_it_loads_nothing(page: Page, page_text: str) -> None:
+    """The page loads nothing: pictures are embedded, links stay on the page, and there is no other address."""
+    bare = re.sub(r"data:image/webp;base64,[A-Za-z0-9+/=]+", "", page_text)
+    assert not re.search(r"https?:|@import|url\((?!#)|src=\"//|href=\"//", bare)
     for tag, attributes in page.elements:
         for name in ("src", "href", "srcset", "action", "data", "poster", "xlink:href"):
             assert attributes.get(name, "#").startswith(("#", "data:image/")), (tag, name)
     assert not {"link", "iframe", "object", "embed", "base", "form"} & {tag for tag, _ in page.elements}
-
-
-def test_style_and_script_fetch_nothing(text: str) -> None:
-    """Apart from embedded pictures the page contains no address and no import."""
-    bare = re.sub(r"data:image/webp;base64,[A-Za-z0-9+/=]+", "", text)
-    assert not re.search(r"https?:|@import|url\((?!#)|src=\"//|href=\"//", bare)
 
 
 def test_nothing_but_its_own_script_can_run(page: Page) -> None:
@@ -242,12 +244,6 @@ def test_lattices_are_drawn_over_the_sample(page: Page) -> None:
     assert "lattice used by rsgf (own)" in page.text
 
 
-def test_every_score_of_a_cell_is_in_the_glossary(page: Page, every_ending: Run) -> None:
-    """Each score below an output has its row in the glossary, from which the script takes the tooltip."""
-    codes = page.text.split("Glossary")[-1]
-    assert all(f"{name} " in codes for name in every_ending.columns)
-
-
 @pytest.fixture(scope="module")
 def ranked_page(ranked: Run, tmp_path_factory: pytest.TempPathFactory) -> Page:
     """Return the parsed page of a run with qualities."""
@@ -280,8 +276,8 @@ def test_the_weakest_outputs_of_each_method_are_shown(ranked: Run, ranked_page: 
     assert [one.texture for one in found["shaky"].lost] == ["a"]
     assert [one.texture for one in found["refuser"].unfinished] == ["a"]
     for one in found.values():
-        qualities = [weak.quality for weak in one.weakest]
-        assert qualities == sorted(qualities) and all(weak.crop for weak in one.weakest)
+        qualities = [float(record.values["quality.score"] or 0) for record, _ in one.weakest]
+        assert qualities == sorted(qualities) and all(crop for _, crop in one.weakest)
     assert "Lattice lost on 3 of 3 textures: a" in " ".join(ranked_page.text.split())
 
 
@@ -308,3 +304,108 @@ def test_a_run_that_is_not_complete_counts_what_was_run(make_cell: Make, make_ru
     assert "Lattice lost on 1 of 1 texture: run" in words and "6 cells not run yet" in words
     listed = [attributes["data-status"] for tag, attributes in page.elements if "data-status" in attributes]
     assert listed == ["missing"]
+
+
+def _gallery(run: Run, tmp_path: Path) -> list[list[TextureDraw]]:
+    return build_gallery(run, compare_methods(run), PictureStore(tmp_path))
+
+
+def test_every_cell_has_a_figure(every_ending: Run, tmp_path: Path) -> None:
+    """A failed cell has its figure too, without a picture."""
+    figures = [figure for draws in _gallery(every_ending, tmp_path) for draw in draws for figure in draw.figures]
+    assert sorted(one.record.key for one in figures) == sorted(record.key for record in every_ending.cells)
+    assert all((one.output is not None) == (one.record.status == "ok") for one in figures)
+
+
+def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Methods that used the same lattice share a drawing, whatever its basis; the true one is not drawn again."""
+    wrong, same = Lattice((9.9, 0.0), (0.0, 7.0)), Lattice((9.9, 7.0), (9.9, 0.0), (3.0, 3.0))
+    cells = [make_cell(method=name, lattice_used=used) for name, used in (("a", wrong), ("b", same), ("c", None))]
+    run = make_run([*cells, make_cell(method="d")])
+    draw = _gallery(run, tmp_path)[0][0]
+    assert [labels for labels, _ in draw.used] == [["a (own)", "b (own)"]]
+    assert draw.truth is not None
+    assert list(draw.agreeing) == ["d (own)"]
+
+
+def test_missing_scores_show_the_reason(every_ending: Run) -> None:
+    """A score without a value shows the reason."""
+    record = next(record for record in every_ending.cells if record.texture == "weave")
+    (line,) = score_lines(every_ending, record, ["randomness.variation"])
+    assert (line.text, line.reason) == ("–", "not scored")
+
+
+@pytest.mark.parametrize(("score", "expected"), [(None, None), (0.0, 0), (1.0, 10), (0.94, 9), (-1.0, 0), (7.0, 10)])
+def test_shades_follow_the_score(score: float | None, expected: int | None) -> None:
+    """Eleven shades from 0 to 1; what lies outside takes the last one."""
+    assert score_shade(score) == expected
+
+
+@pytest.mark.parametrize(("width", "scale"), [(8, 24), (100, 2), (191, 2), (192, 1), (384, 1), (768, 0.5)])
+def test_small_pictures_are_magnified_by_whole_factors(width: int, scale: float) -> None:
+    """Small pictures are magnified by whole factors, so that moire cannot look like a defect."""
+    assert PagePicture("", width, width).scale == scale
+
+
+def _segments(path: str) -> np.ndarray:
+    numbers = [float(number) for number in re.findall(r"-?[\d.]+", path)]
+    return np.array(numbers).reshape(-1, 2, 2)
+
+
+def _ray(length: float, turn: float) -> tuple[float, float]:
+    return length * np.cos(turn), length * np.sin(turn)
+
+
+def test_a_square_lattice_has_its_lines() -> None:
+    """Lines lie at the lattice's coordinates, and cover the image."""
+    segments = _segments(trace_lattice(Lattice((10, 0), (0, 10), (5, 5)), (30, 40)).lines)
+    vertical = sorted({x0 for (x0, _), (x1, _) in segments if x0 == x1})
+    horizontal = sorted({y0 for (_, y0), (_, y1) in segments if y0 == y1})
+    assert (vertical, horizontal) == ([5, 15, 25, 35], [5, 15, 25])
+    assert segments[:, :, 0].min() <= -0.5
+    assert segments[:, :, 0].max() >= 39.5
+
+
+@settings(max_examples=40)
+@given(st.floats(6, 30), st.floats(0, 3.14), st.floats(0.6, 2.5), st.floats(1.0, 2.1), st.floats(-50, 50))
+def test_every_lattice_point_lies_on_two_lines(
+    s: float, turn: float, ratio: float, angle: float, origin: float
+) -> None:
+    """Each lattice point of the image is an end or a crossing of the lines drawn."""
+    ray = lambda length, at: (length * np.cos(at), length * np.sin(at))  # noqa: E731
+    lattice = Lattice(ray(s, turn), ray(s * ratio, turn + angle), (origin, 3.0)).reduced()
+    starts, ends = np.moveaxis(_segments(trace_lattice(lattice, (64, 48)).lines), 1, 0)
+    along = (ends - starts) / np.linalg.norm(ends - starts, axis=1, keepdims=True)
+    for point in lattice.points((64, 48)):
+        offset = point - starts
+        distance = np.abs(offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0])
+        assert (distance < 0.05).sum() >= 2
+
+
+def test_too_fine_a_lattice_is_not_drawn() -> None:
+    """Lines too close to be seen are left out; the vectors stay."""
+    drawing = trace_lattice(Lattice((0.5, 0), (0, 0.5)), (256, 256))
+    assert drawing.lines == ""
+    assert drawing.vectors == ("t1 = (0.50, 0.00)", "t2 = (0.00, 0.50)")
+
+
+def test_a_detected_lattice_takes_the_true_basis_and_starting_point() -> None:
+    """Another basis and origin of the same lattice is drawn exactly like the true one."""
+    truth = Lattice((13.1, 22.7), (-13.1, 22.7), (4.0, 7.0)).reduced()
+    other = Lattice((26.2, 0.0), (13.1, 22.7), (0.0, 0.0))
+    assert set(trace_lattice(align_basis(other, truth, (64, 64)), (64, 64)).lines.split("M")) == set(
+        trace_lattice(truth, (64, 64)).lines.split("M")
+    )
+
+
+def test_a_supercell_keeps_its_own_basis() -> None:
+    """A lattice that differs from the true one keeps its basis and passes through a true point."""
+    truth = Lattice((10, 0), (0, 10), (5, 5))
+    drawing = align_basis(Lattice((20, 0), (0, 10)), truth, (64, 64))
+    assert drawing.area == pytest.approx(200)
+    assert np.allclose(truth.wrap(np.array(drawing.origin) - truth.origin), 0)
+
+
+def test_without_a_true_lattice_the_origin_stays() -> None:
+    """Without a true lattice the origin stays."""
+    assert align_basis(Lattice((10, 0), (0, 10), (3, 4)), None, (64, 64)).origin == (3, 4)

@@ -14,6 +14,10 @@ FRACTIONAL = Lattice(
     (21.37 * math.cos(TURNED), 21.37 * math.sin(TURNED)), (-18.81 * math.sin(TURNED), 18.81 * math.cos(TURNED))
 )
 
+OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
+UPRIGHT = Lattice((21.37, 0), (0, 18.81))
+BOND = Lattice((27.3, 0), (13.65, 12.2))
+
 
 def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
     """Return noise of 8 bits."""

@@ -1,16 +1,23 @@
-"""A plan holds its cells, and what is needed to draw their samples again."""
+"""A plan holds what is needed to draw its samples again; the keys of its cells name all that decides a result."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import nrbench
+from nrbench import plugins
+from nrbench.detectors.dominance import Dominance
+from nrbench.errors import BadInput
 from nrbench.imaging.files import write_image
+from nrbench.plugins import registry
+from nrbench.runs.store import metric_key
 from nrbench.streams import pixels_hash
-from nrbench.suites.plan import make_plan
+from nrbench.suites.cell import Cell
+from nrbench.suites.plan import PlannedMethod, make_plan
 from nrbench.suites.suite import Suite, validated_suite
 
 
@@ -51,3 +58,88 @@ def test_a_picture_that_changes_during_a_run(tmp_path: Path) -> None:
     region = sample.again()
     assert region is not None
     assert pixels_hash(region) == cell.again_hash
+
+
+METHOD = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+@dataclass(frozen=True)
+class Mine:
+    "A page."
+    {line}
+    def synthesize(self, task): ...
+"""
+
+
+@pytest.fixture
+def fresh_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Forget the plugins that a test loads or changes, before it and after it."""
+    monkeypatch.setattr(registry, "_files", {})
+    forget()
+    yield
+    monkeypatch.undo()
+    forget()
+
+
+def forget() -> None:
+    """Empty the caches of what was read from plugins."""
+    registry.load_plugin.cache_clear()
+    metric_key.cache_clear()
+
+
+def keys() -> dict[tuple[str, str], str]:
+    """Return the keys of a small plan by method and source of the lattice."""
+    content = {
+        "name": "keys",
+        "sample": "64x64",
+        "size": "64x64",
+        "methods": ["rsgf", "rsgf:finder=gncc", "shuffle", "quilting"],
+        "lattice": ["own", "given", "30,0,0,20", "gncc", "dominance"],
+        "texture": [{"name": "brick", "dataset": "brick"}],
+    }
+    cells = [cell for cell, _ in make_plan(validated_suite(content, "keys")).cells]
+    assert [Cell.from_dict(cell.as_dict()) for cell in cells] == cells
+    return {(cell.label, cell.lattice_source): cell.key for cell in cells}
+
+
+@pytest.mark.usefixtures("fresh_registry")
+def test_a_detector_is_in_the_keys_of_the_cells_that_may_call_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new version of `dominance`, which `consensus` calls, changes the keys where either may run, and no others."""
+    before, scored = keys(), metric_key("regularity")
+    monkeypatch.setattr(Dominance, "version", "changed")
+    forget()
+    after = keys()
+    assert {cell for cell, key in before.items() if after[cell] != key} == {
+        ("rsgf", "own"),  # by its finder, consensus
+        ("rsgf", "gncc"),  # where gncc finds none, rsgf runs and calls its finder
+        ("rsgf", "dominance"),
+        ("rsgf:finder=gncc", "dominance"),
+        ("shuffle", "dominance"),
+    }
+    assert metric_key("regularity") != scored
+
+
+@pytest.mark.usefixtures("fresh_registry")
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("version: ClassVar = object()", "its version <object object at 0x.* is no text"),
+        ("version: ClassVar = float('nan')", "its version nan is no text"),
+        ("uses: ClassVar = ('dominanc',)", "it uses 'dominanc', which is no detector"),
+    ],
+)
+def test_a_version_is_text_or_a_finite_number(tmp_path: Path, line: str, message: str) -> None:
+    """A version that has another text in each process is refused, and so is a detector that does not exist."""
+    (tmp_path / "mine.py").write_text(METHOD.format(line=line))
+    with pytest.raises(BadInput, match=f"method 'Mine'.*{message}"):
+        plugins.add_file(tmp_path / "mine.py")
+
+
+@pytest.mark.usefixtures("fresh_registry")
+def test_a_fingerprint_is_text_or_a_finite_number(tmp_path: Path) -> None:
+    """A fingerprint that has another text in each process is refused, and the error names the method."""
+    (tmp_path / "mine.py").write_text(METHOD.format(line="def fingerprint(self): return object()"))
+    plugins.add_file(tmp_path / "mine.py")
+    with pytest.raises(BadInput, match=r"method mine: fingerprint\(\) returned <object"):
+        PlannedMethod.parse("mine")

@@ -16,7 +16,7 @@ from nrbench import Lattice, plugins, texture
 from nrbench.errors import BadInput
 from nrbench.imaging.files import write_image
 from nrbench.suites.suite import load_suite
-from nrbench.suites.surveying import FIELDS, Survey, lattice_text, printable
+from nrbench.suites.surveying import FIELDS, Survey, printable
 from nrbench.truth import TruthTable
 
 PICTURES = Path("pictures")
@@ -231,14 +231,6 @@ def test_pages_hold_eight_pictures(count: int) -> None:
     done = survey()
     assert [path.name for path in done.pages] == [f"page-{k}.png" for k in range(1, 2 + (count > 8))]
     assert {path.name for path in folder.iterdir()} == {*(path.name for path in done.pages), "page-x.png"}
-
-
-def test_the_origin_is_written() -> None:
-    """A lattice with a known origin, be it (0, 0), has six numbers; one with an unknown origin has four."""
-    text = lattice_text(Lattice((16, 0), (0, 12), (3.5, 4.25)), has_origin=True)
-    assert text == "16.0,0.0,0.0,12.0,3.5,4.25"
-    assert lattice_text(CHOSEN, has_origin=True) == "16.0,0.0,0.0,12.0,0.0,0.0"
-    assert lattice_text(CHOSEN, has_origin=False) == "16.0,0.0,0.0,12.0"
 
 
 @pytest.mark.parametrize(

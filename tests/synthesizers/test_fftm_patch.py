@@ -1,4 +1,3 @@
-import math
 from typing import Any, cast
 
 import numpy as np
@@ -223,18 +222,3 @@ def test_it_makes_the_mask_by_itself(given: bool) -> None:
     assert (made.detection_seconds > 0) != given
     assert np.corrcoef(made.extras["mask"].ravel(), wall.ideal.ravel())[0, 1] > 0.95
     assert np.corrcoef(made.image.ravel(), wall.ideal.ravel())[0, 1] > 0.8
-
-
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        {"weight": -1.0}, {"weight": 10.5}, {"weight": math.nan}, {"patch": -1}, {"patch": 2}, {"overlap": -0.1},
-        {"overlap": 0.95}, {"overlap": math.nan}, {"reach": 2.5}, {"reach": math.nan},
-        {"randomness": -1.0}, {"randomness": math.inf}, {"randomness": math.nan},
-        {"refinements": -1}, {"threshold": 300.0},
-    ],
-)  # fmt: skip
-def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
-    """The message names a parameter that is out of range, and valid values."""
-    with pytest.raises(BadInput, match="choose"):
-        FftmPatch(**parameters)

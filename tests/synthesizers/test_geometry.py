@@ -1,20 +1,22 @@
-"""The room that straightens samples and deforms outputs."""
+"""Claims about straightened samples, deformed outputs, and the free-form displacement between them."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import ndimage
 
 import nrbench
 from nrbench import plugins
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Task, Texture
 from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.geometry.deformed_lattice import PARTS, DeformedLattice, find_deformed_lattice, knot_lattice
+from nrbench.synthesizers.geometry.free_form import FreeForm, approximate, basis, refine
 from nrbench.synthesizers.geometry.straightening import StraightSample, explained_share, synthesize_straight
 from nrbench.synthesizers.geometry.vertex_field import Update, WaveSpectrum, neighbor_field, output_field
 from nrbench.synthesizers.sampling.equal_places import pixel_grid
@@ -188,15 +190,6 @@ def test_methods_ask_for_it_by_a_parameter(name: str) -> None:
         assert ("straightened" in made.extras) == (bend > 0)
 
 
-def test_without_a_lattice_a_method_does_what_it_does_without_one() -> None:
-    """RSGF goes into its stochastic mode; where it never uses a lattice, the parameter is an error."""
-    blank = np.random.default_rng(0).random((96, 96, 3), np.float32)
-    task = Task(blank, (100, 100), None, np.random.default_rng(1))
-    assert "stochastic" in plugins.build("synthesizers", "rsgf", {"geometry": "straighten"}).synthesize(task).note
-    with pytest.raises(BadInput, match="geometry"):
-        plugins.build("synthesizers", "rsgf", {"geometry": "straighten", "search": "stochastic"})
-
-
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_the_output_keeps_the_phase_of_the_sample(seed: int) -> None:
     """Methods that continue their sample's phase continue that of the bent sample, to 2 px of 18 on average."""
@@ -208,3 +201,59 @@ def test_the_output_keeps_the_phase_of_the_sample(seed: int) -> None:
     tile = MeanTile.of(texture.ideal, lattice)
     means = [track_lattice(quantize(one), lattice, tile).field.mean((0, 1)) for one in (texture.image, made.image)]
     assert np.hypot(*lattice.wrap(means[1] - means[0])) < 2
+
+
+def scattered(seed: int = 0, spread: float = 1.0) -> Points:
+    """Return the points of a square lattice of 18 px, moved a little."""
+    grid = np.stack(np.meshgrid(np.arange(12), np.arange(11)), -1).reshape(-1, 2) * 18.0
+    return np.asarray(grid + np.random.default_rng(seed).normal(0, spread, grid.shape))
+
+
+def smooth(points: Points) -> Points:
+    """Return a displacement in waves of 90 px."""
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([3 * np.sin(2 * math.pi * x / 90) * np.cos(y / 20), 3 * np.cos(y / 14)], -1)
+
+
+def test_the_points_are_moved_exactly() -> None:
+    """The displacement at each given point is the given one, however wild, as long as no two points are too near."""
+    points = scattered()
+    moves = np.random.default_rng(1).normal(0, 5, points.shape)
+    np.testing.assert_allclose(FreeForm.fit(points, moves, 12.0).at(points), moves, atol=1e-9)
+
+
+def test_a_smooth_field_is_reproduced_between_the_points() -> None:
+    """Between points five to a wave the error is under 5 % of the field (rms)."""
+    points = scattered()
+    fitted = FreeForm.fit(points, smooth(points), 12.0)
+    between = np.random.default_rng(2).uniform(18, 180, (4000, 2))
+    error = fitted.at(between) - smooth(between)
+    assert np.sqrt((error**2).mean()) < 0.05 * np.sqrt((smooth(between) ** 2).mean())
+
+
+@given(st.lists(st.floats(-0.1, 0.1), min_size=4, max_size=4), st.floats(-5, 5))
+def test_affine_displacements_are_reproduced(slopes: list[float], shift: float) -> None:
+    """An affine displacement comes back between the points to 0.15 px where it reaches up to 40 px."""
+    points, matrix = scattered(), np.reshape(slopes, (2, 2))
+    fitted = FreeForm.fit(points, points @ matrix + shift, 12.0)
+    between = np.random.default_rng(3).uniform(18, 180, (500, 2))
+    assert np.abs(fitted.at(between) - (between @ matrix + shift)).max() < 0.15
+
+
+def test_refining_does_not_change_the_spline() -> None:
+    """Control points of half the spacing give the same displacement everywhere."""
+    controls = np.random.default_rng(0).normal(size=(7, 9, 2))
+    coarse, fine = FreeForm(controls, np.zeros(2), 10.0), FreeForm(refine(controls), np.zeros(2), 5.0)
+    points = np.random.default_rng(1).uniform(0, 40, (200, 2))
+    np.testing.assert_allclose(fine.at(points), coarse.at(points), atol=1e-12)
+
+
+def test_a_single_point_gets_the_control_points_of_least_norm() -> None:
+    """Algorithm BA on one point is the pseudo-inverse of its 16 weights."""
+    at, value = np.array([[13.0, 17.0]]), np.array([[2.0, -1.0]])
+    controls = approximate(at, value, 10.0, (6, 6))
+    across, down = basis(at / 10 - np.floor(at / 10))[0]
+    weights = np.zeros((6, 6))
+    weights[1:5, 1:5] = np.outer(down, across)
+    expected = np.linalg.pinv(weights.reshape(1, -1)) @ value
+    np.testing.assert_allclose(controls.reshape(-1, 2), expected, atol=1e-12)

@@ -5,7 +5,6 @@ import pytest
 from synthesis_cases import noise, synthesize
 
 from nrbench.api import texture
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Refused, Task, Texture
@@ -13,16 +12,6 @@ from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.graph_cuts import GraphCuts
 from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat, Window
 from nrbench.synthesizers.patchwork.whole_patches import WholePatches
-
-VARIANTS = [
-    {},
-    {"placement": "sub-patch", "region": 0.3},
-    {"placement": "random", "feather": 2.0},
-    {"refine": "random", "normalized": False},
-    {"refine": "minima"},
-    {"refine": "extremes"},
-    {"refine": "none", "feather": 0.0},
-]
 
 
 def smooth(height: int, width: int, seed: int = 0) -> Image:
@@ -42,26 +31,6 @@ def made(sample: Image, shape: tuple[int, int], seed: int = 1, **options: Any) -
     return work, patches
 
 
-@pytest.mark.parametrize("options", VARIANTS)
-@pytest.mark.parametrize("channels", [1, 3])
-def test_every_variant_gives_an_output_with_a_true_source_map(options: dict[str, Any], channels: int) -> None:
-    """Shape and channels are those of task and sample, and pixels of weight 1 equal their sources."""
-    sample = noise(30, 26, channels)
-    result = synthesize(GraphCuts(**options), sample, (50, 61))
-    assert result.image.shape == (50, 61, channels) and result.lattice is None
-    checked_synthesis(result, sample, (50, 61))
-    assert result.source is not None
-    blended = bool((result.source[..., 2] < 1).any())
-    assert blended is (options.get("feather") != 0)
-
-
-@pytest.mark.parametrize("shape", [(9, 70), (26, 30), (8, 8), (101, 33)])
-def test_outputs_of_any_shape_are_made(shape: tuple[int, int]) -> None:
-    """Outputs may be smaller than the sample, equal to it, or long and narrow."""
-    sample = noise(26, 30)
-    checked_synthesis(synthesize(GraphCuts(passes=1), sample, shape), sample, shape)
-
-
 @pytest.mark.parametrize("placement", ["entire", "sub-patch"])
 def test_a_periodic_sample_goes_on_exactly(placement: Any) -> None:
     """The output of a periodic sample is the periodic picture, exactly, and refinement leaves no seam of any cost."""
@@ -79,19 +48,6 @@ def test_a_periodic_sample_goes_on_exactly(placement: Any) -> None:
         heat.update(region, 68)
     assert work.cost == 0
     np.testing.assert_array_equal(work.result()[0], image)
-
-
-def test_every_parameter_changes_something() -> None:
-    """Every parameter has an effect on a texture that varies."""
-    sample = quantize(texture("brick", shape=(40, 40), seed=2, color=0.3, noise=0.03).image)
-    base = synthesize(GraphCuts(), sample, (70, 70)).image
-    changes: list[dict[str, Any]] = [
-        {"placement": "sub-patch"}, {"placement": "random"}, {"randomness": 1.0}, {"region": 0.4},
-        {"refine": "random"}, {"refine": "minima"}, {"refine": "extremes"}, {"refine": "none"}, {"passes": 0},
-        {"normalized": False}, {"feather": 2.0},
-    ]  # fmt: skip
-    for change in changes:
-        assert (synthesize(GraphCuts(**change), sample, (70, 70)).image != base).any(), change
 
 
 def test_refinement_stops_when_it_does_not_pay(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -156,29 +112,6 @@ def test_regular_samples_stay_regular(name: str) -> None:
         output = quantize(synthesize(method, sample, (160, 160)).image)
         verdict = Regularity().score(Observation(sample, output, truth)).values
         assert verdict["preserved"] is preserved
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"randomness": -0.1},
-        {"randomness": float("inf")},
-        {"randomness": 1e300},
-        {"randomness": float("nan")},
-        {"region": 0.0},
-        {"region": 0.9},
-        {"passes": -1},
-        {"feather": -1.0},
-        {"feather": 9.0},
-        {"feather": 1e-200},
-        {"feather": float("nan")},
-    ],
-)
-def test_bad_parameters_are_named(options: dict[str, Any]) -> None:
-    """The message says which parameter is wrong, and what to choose."""
-    (name,) = options
-    with pytest.raises(BadInput, match=f"{name} .*; choose"):
-        GraphCuts(**options)
 
 
 @pytest.mark.filterwarnings("error")

@@ -1,4 +1,4 @@
-"""Claims about patches in raster order: their spots, the choice of one, feathering, and the tree of boundary zones."""
+"""Claims about patches that are laid in raster order: their spots and choice, quilting, and patch-based sampling."""
 
 import itertools
 
@@ -6,19 +6,24 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthesis_cases import noise
+from synthesis_cases import noise, places, synthesize
 
-from nrbench.imaging.convert import to_bytes
+from nrbench.imaging.convert import Image, to_bytes
+from nrbench.plugins.forms import Refused
+from nrbench.synthesizers import patch_based
 from nrbench.synthesizers.gap_filling.blocks import box_slices
 from nrbench.synthesizers.gap_filling.matching import FrameMatcher, frame_mask
+from nrbench.synthesizers.patch_based import PatchBased, Search
 from nrbench.synthesizers.patch_laying.raster_canvas import (
     RasterCanvas,
     RasterGrid,
+    Spot,
     blend,
     draw_within,
     feather_weights,
 )
 from nrbench.synthesizers.patch_laying.zone_tree import ZoneTree
+from nrbench.synthesizers.quilting import Quilting
 
 
 @settings(max_examples=40)
@@ -137,3 +142,188 @@ def test_the_tree_returns_at_most_all_patches() -> None:
         found = tree.find_nearest(np.full((10, 10, 3), 99, np.float32), 2**40)
         assert {tuple(place) for place in found.tolist()} == {(x, y) for x in range(8) for y in range(5)}
         assert len(found) == 40
+
+
+def periodic(period: tuple[int, int], shape: tuple[int, int], channels: int = 3, seed: int = 0) -> Image:
+    """Return a tile of noise of (rows, columns), repeated."""
+    tile = noise(*period, channels, seed)
+    return np.tile(tile, (shape[0] // period[0] + 1, shape[1] // period[1] + 1, 1))[: shape[0], : shape[1]]
+
+
+@settings(max_examples=15)
+@given(st.integers(6, 14), st.integers(0, 100), st.sampled_from([1, 3]))
+def test_a_periodic_sample_is_continued_exactly(period: int, seed: int, channels: int) -> None:
+    """With blocks of a period, the output of a sample with an integer period has this period, to the last bit."""
+    sample = periodic((period, period), (3 * period, 4 * period), channels, seed)
+    image = synthesize(Quilting(block=period), sample, (70, 61), seed=seed).image
+    np.testing.assert_array_equal(image[period:], image[:-period])
+    np.testing.assert_array_equal(image[:, period:], image[:, :-period])
+    shifts = [np.roll(sample[:period, :period], (y, x), (0, 1)) for y in range(period) for x in range(period)]
+    assert any(np.array_equal(image[:period, :period], shift) for shift in shifts)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.1, 0.6])
+def test_every_block_is_within_the_tolerance(tolerance: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The overlap error of each block is at most 1 + tolerance times the least one, by naive loops over all places."""
+    sample, block, overlap = noise(20, 23), 9, 3
+    ratios = []
+
+    def join(canvas: RasterCanvas, spot: Spot, place: tuple[int, int]) -> None:
+        y, x = np.indices((block, block))
+        known = (spot.left & (x < overlap)) | (spot.top & (y < overlap))
+        old = canvas.image[canvas.window(spot)][known].astype(float)
+        errors = {
+            (x, y): np.sqrt(((canvas.sample[y : y + block, x : x + block][known] - old) ** 2).sum())
+            for y in range(12)
+            for x in range(15)
+        }
+        if spot.left or spot.top:
+            ratios.append(errors[place] / min(errors.values()))
+        original(canvas, spot, place)
+
+    original = RasterCanvas.join_along_seam
+    monkeypatch.setattr(RasterCanvas, "join_along_seam", join)
+    # A sample of noise continues no block exactly beyond its edge, so the least error is seldom 0.
+    with np.errstate(invalid="ignore"):
+        synthesize(Quilting(block, overlap, tolerance), sample, (40, 40))
+    ratios = [ratio for ratio in ratios if not np.isnan(ratio)]
+    assert len(ratios) > 20
+    assert max(ratios) <= 1 + tolerance + 1e-9
+    assert (max(ratios) > 1) == (tolerance > 0)
+
+
+def test_the_first_block_comes_from_anywhere() -> None:
+    """Over many streams the first block takes all places of a small sample."""
+    sample = noise(10, 10)
+    first = {tuple(places(synthesize(Quilting(8, 2), sample, (8, 8), seed=k), 8)[0, 0]) for k in range(80)}
+    assert len(first) == 9
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_largest_tolerance_accepts_every_block() -> None:
+    """At the end of its range the tolerance causes no overflow, and the second block comes from anywhere."""
+    sample = noise(10, 10)
+    made = [synthesize(Quilting(8, 2, 1e6), sample, (8, 14), seed=k).source for k in range(120)]
+    assert len({tuple(source[4, 10, :2]) for source in made if source is not None}) == 9
+
+
+def test_an_automatic_overlap_is_a_sixth_of_the_block() -> None:
+    """Leaving the overlap out equals giving a sixth."""
+    sample = noise(50, 50)
+    automatic, given_one = (synthesize(Quilting(24, overlap), sample, (80, 80)).image for overlap in (0, 4))
+    np.testing.assert_array_equal(automatic, given_one)
+
+
+def test_a_sample_smaller_than_a_block_is_refused_with_a_way_out() -> None:
+    """The refusal says what would fit."""
+    with pytest.raises(Refused, match="block <= 30"):
+        synthesize(Quilting(block=31), noise(30, 60), (64, 64))
+
+
+@pytest.mark.parametrize("block", [0, 20])
+def test_an_overlap_too_wide_for_the_sample_is_refused_with_a_way_out(block: int) -> None:
+    """If no block of the sample holds the overlap, the refusal names the largest overlap, and that one works."""
+    with pytest.raises(Refused, match=r"overlap of 10 px; choose overlap <= 7, and leave block out"):
+        synthesize(Quilting(block, overlap=10), noise(15, 40), (20, 20))
+    synthesize(Quilting(overlap=7), noise(15, 40), (20, 20))
+
+
+SEARCHES: list[Search] = ["exhaustive", "kdtree"]
+
+
+def rms_ratios(
+    method: PatchBased, sample: Image, shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> list[tuple[float, float, float]]:
+    """Return, for each patch but the first, its distance, the least of all places, and d_max, by naive loops."""
+    size, zone, found = method.patch, method.zone, []
+    rows, columns = sample.shape[0] - size + 1, sample.shape[1] - size + 1
+    original = RasterCanvas.join_by_feathering
+
+    def join(canvas: RasterCanvas, spot: Spot, place: tuple[int, int]) -> None:
+        y, x = np.indices((size, size))
+        known = (spot.left & (x < zone)) | (spot.top & (y < zone))
+        if known.any():
+            old = canvas.image[canvas.window(spot)][known].astype(float)
+            every = {
+                (x, y): np.sqrt(((canvas.sample[y : y + size, x : x + size][known] - old) ** 2).mean())
+                for y in range(rows)
+                for x in range(columns)
+            }
+            found.append((every[place], min(every.values()), method.epsilon * np.sqrt((old**2).mean())))
+        original(canvas, spot, place)
+
+    monkeypatch.setattr(RasterCanvas, "join_by_feathering", join)
+    synthesize(method, sample, shape)
+    return found
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize("epsilon", [0.0, 0.3, 0.5])
+def test_a_patch_fits_or_is_the_best(search: Search, epsilon: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each patch is within d_max. If none is, an exhaustive search takes the best one; there is always a patch."""
+    monkeypatch.setattr(patch_based, "NEIGHBORS", 15)
+    monkeypatch.setattr(patch_based, "SEARCH_ERROR", 0.0)
+    method = PatchBased(9, 3, epsilon, search)
+    found = rms_ratios(method, noise(24, 27, seed=2), (45, 45), monkeypatch)
+    assert len(found) == 48
+    for distance, least, limit in found:
+        assert distance <= max(limit, least) + 1e-9 or search == "kdtree"
+    if epsilon == 0.5:
+        assert any(distance > least + 1e-9 for distance, least, _ in found)
+    if search == "kdtree":
+        # The tree finds patches that are much better than the mean one, even where none fits.
+        assert np.mean([distance / least for distance, least, limit in found if least > limit] or [1]) < 1.15
+
+
+def test_a_tree_that_finds_all_patches_misses_none_that_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If the tree returns all patches, each drawn patch is within d_max, or the best of all if none is."""
+    monkeypatch.setattr(patch_based, "NEIGHBORS", 16 * 19)
+    method = PatchBased(9, 3, 0.5, "kdtree")
+    found = rms_ratios(method, noise(24, 27, seed=2), (45, 45), monkeypatch)
+    assert all(distance <= max(limit, least) + 1e-9 for distance, least, limit in found)
+    assert any(least > limit for _, least, limit in found) and any(distance > least for distance, least, _ in found)
+
+
+def test_all_patches_that_fit_are_drawn_alike() -> None:
+    """Where every patch fits, the second one comes from anywhere."""
+    sample = noise(10, 10, 1) * np.float32(0.1) + np.float32(0.5)
+    method = PatchBased(8, 2, epsilon=1.0)
+    made = [synthesize(method, sample, (8, 14), seed=k).source for k in range(120)]
+    assert len({tuple(source[4, 10, :2]) for source in made if source is not None}) == 9
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_periodic_sample_is_continued_exactly_by_patches(search: Search, channels: int) -> None:
+    """With patches of a period and epsilon 0, the output of a periodic sample has this period, to the last bit."""
+    tile = noise(11, 11, channels, seed=3)
+    image = synthesize(PatchBased(11, 3, 0.0, search), np.tile(tile, (3, 4, 1)), (60, 71)).image
+    np.testing.assert_array_equal(image[11:], image[:-11])
+    np.testing.assert_array_equal(image[:, 11:], image[:, :-11])
+
+
+def test_feathering_blends_the_two_patches_of_a_zone() -> None:
+    """Across the zone between two patches, the output is the linear mean of both, to half a gray level."""
+    sample = noise(30, 30, 3, seed=4)
+    made = synthesize(PatchBased(12, 4, epsilon=10.0), sample, (12, 20))
+    assert made.source is not None
+    first, second = (made.source[6, x, :2].astype(int) - (x, 6) for x in (2, 14))
+    values = to_bytes(sample).astype(float)
+    for x in range(8, 12):
+        share = (x - 7) / 5
+        old = values[first[1] : first[1] + 12, first[0] + x]
+        new = values[second[1] : second[1] + 12, second[0] + x]
+        assert np.abs(made.image[:, x] * 255 - (share * new + (1 - share) * old)).max() <= 0.5 + 1e-3
+
+
+def test_a_sample_smaller_than_a_patch_is_refused_with_a_way_out_by_patches() -> None:
+    """The refusal says what would fit."""
+    with pytest.raises(Refused, match="patch <= 30"):
+        synthesize(PatchBased(patch=31), noise(30, 60), (64, 64))
+
+
+def test_a_zone_too_wide_for_the_sample_is_refused_with_a_way_out() -> None:
+    """If no patch of the sample holds the default zone, the refusal names the widest zone, and that one works."""
+    with pytest.raises(Refused, match=r"zone of 8 px; choose zone <= 4, and leave patch out"):
+        synthesize(PatchBased(), noise(9, 40), (20, 20))
+    synthesize(PatchBased(zone=4), noise(9, 40), (20, 20))

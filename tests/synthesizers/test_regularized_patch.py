@@ -1,10 +1,15 @@
+"""Claims about regularized patches: the shape, the borders and the choice of texels, and the output."""
+
 import math
+import tracemalloc
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from synthesis_cases import FRACTIONAL, noise, synthesize, waves
+from hypothesis import given
+from hypothesis import strategies as st
+from synthesis_cases import noise, synthesize
 
 import nrbench
 from nrbench import plugins
@@ -14,29 +19,17 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation, Refused, Texture
 from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.regularized_patch import RegularizedPatch
+from nrbench.synthesizers.sampling.patches import Patches
+from nrbench.synthesizers.texel_pasting.quiet_borders import parallelogram, quiet_texels
+from nrbench.synthesizers.texel_pasting.texel_mosaic import TexelMosaic, growth_order
+from nrbench.synthesizers.texel_pasting.texel_shape import NEIGHBORS, TexelShape
+from nrbench.synthesizers.texel_pasting.texel_stock import TexelStock
 
 
 def bent(bend: float, model: str = "brick", seed: int = 0, **departures: float) -> Texture:
     """Return a texture of 192 px with rounded pixels."""
     texture = nrbench.texture(model, shape=(192, 192), seed=seed, bend=bend, **departures)
     return replace(texture, image=quantize(texture.image))
-
-
-@pytest.mark.parametrize("texel", ["hexagon", "quadrilateral", "given"])
-def test_a_whole_pixel_lattice_is_continued_exactly(texel: Any) -> None:
-    """On a perfectly periodic sample the output is the periodic continuation, phase included, to the gray level."""
-    picture = quantize(np.tile(np.random.default_rng(0).random((24, 30, 3), np.float32), (12, 12, 1)))
-    made = synthesize(RegularizedPatch(texel=texel), picture[:100, :128], (220, 250), Lattice((30, 0), (0, 24)))
-    np.testing.assert_array_equal(quantize(made.image), picture[:220, :250])
-
-
-def test_a_fractional_lattice_neither_drifts_nor_blurs() -> None:
-    """Over 600 px an oblique real-valued lattice is continued within two gray levels (rms) of the truth."""
-    sample = quantize(waves((110, 110), FRACTIONAL))
-    made = synthesize(RegularizedPatch(), sample, (600, 600), FRACTIONAL)
-    error = made.image - waves((600, 600), FRACTIONAL)
-    assert np.sqrt((error**2).mean()) < 2 / 255
-    assert np.sqrt((error[-100:, -100:] ** 2).mean()) < 2 / 255
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.5])
@@ -91,22 +84,6 @@ def test_tolerance_trades_fit_for_variety() -> None:
     assert joints[0] < 0.9 * joints[1]
 
 
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        {"zone": -1.0},
-        {"zone": math.nan},
-        {"tolerance": -0.1},
-        {"tolerance": 1e300},
-        {"deform": "keep", "update": "argmax"},
-    ],
-)
-def test_bad_parameters_are_refused(parameters: dict[str, Any]) -> None:
-    """A parameter out of range, or without effect, is an error that names it."""
-    with pytest.raises(BadInput, match=next(iter(parameters)) if len(parameters) == 1 else "update"):
-        RegularizedPatch(**parameters)
-
-
 def test_the_paper_with_the_deformation_kept_needs_another_update() -> None:
     """The preset sets update, so the message about deform=keep names the update that removes the error."""
     kept = {"preset": "paper", "deform": "keep"}
@@ -123,3 +100,141 @@ def test_samples_without_texels_are_refused() -> None:
         synthesize(RegularizedPatch(), noise(64, 64), (64, 64), Lattice((40, 0), (0, 40)))
     with pytest.raises(Refused, match="does not hold two"):
         synthesize(RegularizedPatch(texel="given", zone=20), noise(64, 64), (64, 64), Lattice((30, 0), (0, 30)))
+
+
+OBLIQUE = Lattice((21.4, 2.6), (-6.3, 17.8), (3.0, 4.0))
+BRICKS = Lattice((27.0, 0.0), (13.5, 12.0))
+BRICK = np.array([(13.5, 6.0), (0.0, 6.0), (-13.5, 6.0), (-13.5, -6.0), (0.0, -6.0), (13.5, -6.0)])
+
+
+@pytest.mark.parametrize("zone", [0.0, 3.0, 7.0])
+@pytest.mark.parametrize("texel", [parallelogram(OBLIQUE), (BRICKS, BRICK)], ids=["parallelogram", "brick"])
+def test_weights_add_up_to_one_and_a_texel_covers_its_area(texel, zone: float) -> None:  # type: ignore[no-untyped-def]
+    """At any point the weights of all texels sum to 1, and over the plane each texel weighs as much as a cell."""
+    shape = TexelShape.of(*texel, zone)
+    side = np.arange(120.0)
+    points = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2) + 0.013
+    total, own = np.zeros(len(points)), 0.0
+    for number, weight in shape.weights(points):
+        total += weight
+        own += weight[(number == (2, 2)).all(1)].sum()
+    np.testing.assert_allclose(total, 1)
+    assert own == pytest.approx(shape.lattice.area, rel=0.03)
+
+
+def test_weights_fall_linearly_across_a_side() -> None:
+    """On a side a texel weighs a half, a quarter of the zone inside three quarters, and beyond the zone nothing."""
+    shape = TexelShape.of(BRICKS, BRICK, 4.0)
+    points = np.array([(5.0, y) for y in (3.9, 5.0, 6.0, 7.0, 8.1)])
+    weights = sum(weight * (number == 0).all(1) for number, weight in shape.weights(points))
+    np.testing.assert_allclose(weights, [1, 0.75, 0.5, 0.25, 0])
+
+
+def test_shared_zones_are_as_broad_as_the_zone() -> None:
+    """The zone that two bricks of a course share holds about its breadth times the height of a brick."""
+    shape = TexelShape.of(BRICKS, BRICK, 4.0)
+    assert len(shape.shared_zone((1, 0))) == pytest.approx(4 * 12, rel=0.4)
+    assert sum(len(shape.shared_zone(step)) > 0 for step in NEIGHBORS) == 6
+
+
+def test_bricks_and_hexagons_are_found() -> None:
+    """The borders with least variance follow joints: three quarters of the texel's sides show little color."""
+    for model in ("brick", "hexagon"):
+        texture = nrbench.texture(model, shape=(192, 192), seed=0, color=0.4, intensity=0.3)
+        assert texture.lattice is not None and texture.ideal is not None
+        middles, corners = quiet_texels(quantize(texture.image), texture.lattice, "hexagon")
+        np.testing.assert_allclose(corners[:3], -corners[3:], atol=1e-9)
+        x, y = corners.T
+        area = 0.5 * abs((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+        assert area == pytest.approx(texture.lattice.area)
+        along = np.linspace(0, 1, 40, endpoint=False)[:, np.newaxis, np.newaxis]
+        sides = (corners + along * (np.roll(corners, -1, 0) - corners)).reshape(-1, 2)
+        departures = ((texture.image - texture.ideal) ** 2).sum(-1, keepdims=True).astype(np.float32)
+        inside = middles.points((192, 192), -30.0)
+        on_sides = Patches(departures).read_points(inside[:, np.newaxis] + sides).mean()
+        assert on_sides < 0.35 * departures.mean()
+
+
+def test_the_lattice_grows_from_its_middle() -> None:
+    """Each texel is found once, after the one in the middle, and later than a texel whose vertices are all nearer."""
+    order = list(growth_order((7, 5)))
+    assert order[0] == (3, 2) and sorted(order) == sorted((u, v) for u in range(7) for v in range(5))
+    rank = {place: n for n, place in enumerate(order)}
+    assert rank[4, 2] < rank[5, 2] < rank[6, 2] and rank[3, 3] < rank[3, 4]
+    distance = [abs(u - 3) + abs(v - 2) for u, v in order]
+    assert distance == sorted(distance)
+
+
+def stock_of(image: np.ndarray, lattice: Lattice, zone: float = 4.0) -> TexelStock:  # type: ignore[type-arg]
+    """Return the parallelograms of an image."""
+    patches, last = Patches(image), np.array(image.shape[1::-1]) - 0.5
+    shape = TexelShape.of(*parallelogram(lattice), zone)
+    return TexelStock.of(
+        shape, (-last, 2 * last), lambda at: ((at >= -0.5) & (at <= last)).all(-1), patches.read_points
+    )
+
+
+def test_differences_of_neighbors_equal_brute_force() -> None:
+    """The difference from each neighbor is the sum of squared differences of texels laid side by side."""
+    image = np.random.default_rng(0).random((70, 80, 3), np.float32)
+    lattice = Lattice((16.0, 0.0), (0.0, 14.0))
+    stock = stock_of(image, lattice)
+    patches = Patches(image)
+    for step in ((1, 0), (0, -1), (1, 1), (-1, 1)):
+        points = stock.shape.shared_zone(step)
+        assert stock.zone_size(step) == len(points)
+        for i, j in ((0, 1), (3, 2), (1, 1)):
+            own = patches.read_points(stock.middles[i] + points)
+            other = patches.read_points(stock.middles[j] + points - np.array(step) @ lattice.matrix)
+            assert stock.differences(step, j)[i] == pytest.approx(
+                float(((own - other) ** 2).sum() / 3), rel=1e-4, abs=1e-4
+            )
+
+
+def test_a_step_and_its_opposite_agree() -> None:
+    """Texel i with j at its right differs as j with i at its left, whether the numbers are kept or not."""
+    stock = stock_of(np.random.default_rng(0).random((70, 80, 3), np.float32), Lattice((16.3, 2.0), (-1.0, 14.2)))
+    for step in NEIGHBORS:
+        back = (-step[0], -step[1])
+        there = np.array([stock.differences(step, j) for j in range(len(stock.middles))])
+        assert np.array_equal(there.T, [stock.differences(back, i) for i in range(len(stock.middles))])
+        assert np.array_equal(there[0], stock.differences(step, 0))
+
+
+def test_memory_does_not_grow_with_the_square_of_the_texels() -> None:
+    """2500 texels take less than 80 MiB; tables of all pairs would take 190 MiB."""
+    image = np.random.default_rng(0).random((408, 408, 1), np.float32)
+    tracemalloc.start()
+    stock = stock_of(image, Lattice((8.0, 0.0), (0.0, 8.0)), 3.0)
+    TexelMosaic.grow(stock, (np.zeros(2), np.full(2, 300.0)), 0.1, np.random.default_rng(0), lambda done: None)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(stock.middles) > 2400
+    assert peak < 80 << 20
+
+
+@given(st.integers(0, 50))
+def test_texels_are_drawn_within_d_max(seed: int) -> None:
+    """Every texel differs from those pasted before by at most d_max, or as little as any texel could."""
+    image = np.random.default_rng(1).random((64, 64, 1), np.float32)
+    stock = stock_of(image, Lattice((16.0, 0.0), (0.0, 16.0)))
+    largest = 0.4
+    box = np.zeros(2), np.full(2, 60.0)
+    mosaic = TexelMosaic.grow(stock, box, largest, np.random.default_rng(seed), lambda done: None)
+    columns, rows = mosaic.chosen.shape
+    standing = np.full((columns + 2, rows + 2), -1)
+    for column, row in growth_order((columns, rows)):
+        squares, points = np.zeros(len(stock.middles)), 0
+        for step in NEIGHBORS:
+            there = standing[column + 1 + step[0], row + 1 + step[1]]
+            if there >= 0:
+                points += stock.zone_size(step)
+                squares += stock.differences(step, int(there))
+        chosen = mosaic.chosen[column, row]
+        assert squares[chosen] <= max(largest**2 * points, squares.min()) * (1 + 1e-6)
+        standing[column + 1, row + 1] = chosen
+
+
+def test_a_zone_is_no_broader_than_a_texel() -> None:
+    """A zone of 100 px on bricks of 12 px becomes one of 12 px."""
+    assert math.isclose(TexelShape.of(BRICKS, BRICK, 100.0).zone, 12.0)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import nrbench
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Texture
@@ -228,13 +227,6 @@ def test_free_masks_have_no_tile() -> None:
     """Free waves have no common period: no lattice and no tile."""
     mask = MaskParameters(threshold=8.0, harmonics="free").find_mask(draw_texture("brick", 25)[1])
     assert isinstance(mask, TextureMask) and mask.lattice is None and mask.find_period(0.5) is None
-
-
-@pytest.mark.parametrize("threshold", [-1.0, 255.0, float("nan")])
-def test_bad_thresholds_are_refused(threshold: float) -> None:
-    """The message names valid values."""
-    with pytest.raises(BadInput, match="automatic"):
-        MaskParameters(threshold=threshold)
 
 
 def mask_of(*bases: list[tuple[float, float]]) -> TextureMask:

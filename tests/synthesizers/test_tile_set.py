@@ -1,17 +1,25 @@
+"""Claims about the set of tiles: what is continued, which tiles are drawn, where they are cut, and what is refused."""
+
 import math
+from collections import Counter
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy import stats
 from synthesis_cases import FRACTIONAL, noise, synthesize
 
+from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Synthesis, Task
-from nrbench.synthesizers.tile_set import TileLaying, TileSet
+from nrbench.plugins.forms import Refused, Task
+from nrbench.synthesizers.tile_laying.tile_shape import ElementWeights, element_costs, tile_shape
+from nrbench.synthesizers.tile_laying.tile_stock import TilePlaces
+from nrbench.synthesizers.tile_set import LEAST_SIDE, TileLaying, TileSet
 
-PAPER = TileSet(**{**TileSet.presets["paper"], "registration": 0.0})
 TILES = ["auto", "upright", "lattice", "rectangle", "cell"]
 LATTICES = [
     Lattice((30, 0), (0, 24)),
@@ -21,48 +29,12 @@ LATTICES = [
 ]
 
 
-def periodic(shape: tuple[int, int], lattice: Lattice, channels: int = 3) -> Image:
-    """Return noise that repeats exactly on a lattice of whole pixels."""
-    x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
-    wrapped = np.rint(lattice.wrap(np.stack([x, y], -1))).astype(int)
-    return noise(101, 101, channels)[wrapped[..., 1], wrapped[..., 0]]
-
-
 def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
     """Return a smooth image with exactly this lattice."""
     x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
     u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
     first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
     return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.4 * first * second, 0.5 + 0.3 * second], -1).astype("f4")
-
-
-def misplacement(made: Synthesis, lattice: Lattice) -> NDArray[np.float64]:
-    """Return the distance in px of each output pixel's source from the nearest equal place."""
-    assert made.source is not None
-    y, x = np.indices(made.source.shape[:2])
-    return np.asarray(np.hypot(*np.moveaxis(lattice.wrap(made.source[..., :2] - np.stack([x, y], -1)), -1, 0)))
-
-
-@pytest.mark.parametrize("lattice", LATTICES)
-@pytest.mark.parametrize("tile", TILES)
-@pytest.mark.parametrize("channels", [1, 3])
-def test_a_whole_pixel_lattice_is_continued_exactly(lattice: Lattice, tile: Any, channels: int) -> None:
-    """On a perfectly periodic sample the output continues it exactly, with its phase."""
-    picture = periodic((160, 300), lattice, channels)
-    for size in ((140, 150), (1, 300), (150, 1), (9, 5)):
-        made = synthesize(TileSet(tile=tile), picture[:128, :128], size, lattice)
-        np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture[: size[0], : size[1]]))
-
-
-@pytest.mark.parametrize("lattice", LATTICES)
-@pytest.mark.parametrize(
-    "method", [TileSet(stitch="dynamic"), TileSet(cells=2), TileSet(cells=2, stitch="dynamic"), PAPER]
-)
-def test_seams_and_larger_tiles_continue_exactly_too(method: TileSet, lattice: Lattice) -> None:
-    """The paper's two seams and its sum of differences, and tiles of 2 x 2 cells, also continue a periodic sample."""
-    picture = periodic((160, 200), lattice)
-    made = synthesize(method, picture[:160, :160], (160, 200), lattice)
-    np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture))
 
 
 def test_larger_tiles_are_fewer() -> None:
@@ -108,39 +80,6 @@ def test_whole_pixels_continue_a_fractional_texture_to_half_a_pixel() -> None:
     assert -10 * np.log10(((made.image - truth) ** 2).mean()) > 30
 
 
-@pytest.mark.parametrize("parts", [None, 4])
-def test_a_fractional_lattice_does_not_drift(parts: int | None) -> None:
-    """Over 1024 px no pixel's source is more than 0.1 s off the lattice, and the mean does not grow."""
-    for shape in ((1024, 96), (96, 1024)):
-        made = synthesize(TileSet(parts=parts), noise(128, 128), shape, FRACTIONAL)
-        off = misplacement(made, FRACTIONAL)
-        assert off.max() < 0.1 * FRACTIONAL.s
-        assert off[-256:, -256:].mean() == pytest.approx(off[:256, :256].mean(), rel=0.15)
-
-
-@pytest.mark.parametrize(
-    "method",
-    [
-        TileSet(),
-        TileSet(parts=4),
-        TileSet(tile="upright"),
-        TileSet(stitch="dynamic"),
-    ],
-)
-def test_the_map_points_at_what_was_copied(method: TileSet) -> None:
-    """Pixels of weight 1 are copies of the sample, and every pixel has a source inside the sample."""
-    sample = noise(90, 100)
-    made = synthesize(method, sample, (120, 110), FRACTIONAL)
-    assert made.source is not None
-    x, y, weight = np.moveaxis(made.source, -1, 0)
-    assert (x >= 0).all() and (x <= 99).all() and (y >= 0).all() and (y <= 89).all()
-    assert (weight > 0).all() and (weight <= 1).all()
-    copied = weight == 1
-    np.testing.assert_array_equal(
-        to_bytes(made.image)[copied], to_bytes(sample)[y[copied].astype(int), x[copied].astype(int)]
-    )
-
-
 def test_the_anchor_keeps_borders_off_the_detail() -> None:
     """The quiet anchor puts the borders of tiles where the mean tile is flat."""
     lattice = Lattice((32, 0), (0, 32))
@@ -164,3 +103,391 @@ def test_elements_are_shown_whole_by_t() -> None:
     task = Task(quantize(picture), (40, 40), lattice, np.random.default_rng(0))
     laying = TileLaying(TileSet(tile="cell", anchor="elements"), task, lattice)
     assert np.abs(lattice.wrap(np.subtract(laying.lattice.origin, (17.5, 11.5)))).max() <= 2
+
+
+SQUARE = Lattice((14, 0), (0, 14))
+
+
+def laying_of(size: int, channels: int = 1, lattice: Lattice = SQUARE, **parameters: Any) -> TileLaying:
+    """Return the laying of noise, whole pixels only, without registration."""
+    task = Task(noise(size, size, channels), (60, 60), lattice, np.random.default_rng(0))
+    return TileLaying(TileSet(registration=0, parts=1, **parameters), task, lattice)
+
+
+def lay(laying: TileLaying, number: tuple[int, int], threshold: float) -> tuple[int, int]:
+    """Lay the tile of this number, and return the sample's (x, y) that is shown right of its middle."""
+    i, j = number
+    place = laying.lattice.origin + np.array(number) @ laying.tile.steps
+    laying.lay_tile(i, j, place, threshold)
+    x, y = np.floor(place + 0.5).astype(int) + laying.canvas.margin + right(laying)
+    found_x, found_y = laying.canvas.origins[y, x, :2].astype(int).tolist()
+    return found_x, found_y
+
+
+def right(laying: TileLaying) -> NDArray[np.int64]:
+    """Return (x, y), from a tile's middle, of a pixel of its right half: no tile before it showed that place."""
+    return np.array([laying.tile.box[1, 0] // 2, 0])
+
+
+def apart(laying: TileLaying, number: tuple[int, int], cuts: TilePlaces) -> NDArray[np.float64]:
+    """Return each tile's mean absolute difference, channels added, from what is filled at this number's place."""
+    place = laying.lattice.origin + np.array(number) @ laying.tile.steps
+    x, y = (laying.tile.pixels[:, :2] + np.floor(place + 0.5).astype(int) + laying.canvas.margin).T
+    stands = laying.canvas.filled[y, x] == 1
+    x, y, offsets = x[stands], y[stands], laying.tile.pixels[stands, :2]
+    shown, sample = laying.canvas.values[y, x].astype(float), to_bytes(laying.task.sample).astype(float)
+    tiles = (sample[cy + offsets[:, 1], cx + offsets[:, 0]] for cx, cy in cuts.pixel.tolist())
+    return np.array([np.abs(tile - shown).sum(-1).mean() for tile in tiles])
+
+
+def test_candidates_are_the_tiles_that_differ_by_no_more_than_the_threshold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At each place the candidates are all tiles within the threshold, or the nearest one if there is none."""
+    laying = laying_of(100, 3, Lattice((20, 0), (0, 16)))
+    threshold, sizes = 222.0, Counter[str]()
+    drawn: list[tuple[TilePlaces, NDArray[np.int64]]] = []
+    real = laying.draw
+
+    def record(cuts: TilePlaces, among: NDArray[np.int64]) -> TilePlaces:
+        drawn.append((cuts, among))
+        return real(cuts, among)
+
+    monkeypatch.setattr(laying, "draw", record)
+    for i, j in laying.tile_numbers().tolist()[1:]:
+        cuts = laying.stock.cut(laying.sets[i % 2, j % 2])
+        before = apart(laying, (i, j), cuts) if laying.canvas.filled.any() else None
+        lay(laying, (i, j), threshold)
+        if before is None or np.isnan(before).any():
+            continue
+        np.testing.assert_array_equal(drawn[-1][0].pixel, cuts.pixel)
+        within = np.flatnonzero(before <= max(threshold, before.min()) + 1e-9)
+        np.testing.assert_array_equal(drawn[-1][1], within)
+        sizes["none" if before.min() > threshold else "all" if len(within) == len(cuts.row) else "some"] += 1
+    assert sizes["none"] > 1 and sizes["some"] > 3
+
+
+@pytest.mark.parametrize("share", [0.4, 1.0])
+def test_the_random_choice_is_uniform_over_the_candidates(share: float) -> None:
+    """Each tile within the threshold is drawn equally often, and no other."""
+    laying = laying_of(110, tile="lattice", cells=1)
+    first = laying.tile_numbers()[0].tolist()
+    second = first[0] + 1, first[1]
+    lay(laying, first, 0)
+    arrays = laying.canvas.values, laying.canvas.filled, laying.canvas.origins, laying.canvas.seams
+    kept = [array.copy() for array in arrays]
+    cuts = laying.stock.cut(laying.sets[second[0] % 2, second[1] % 2])
+    differences = apart(laying, second, cuts)
+    threshold = float(np.quantile(differences, share)) + 1e-6
+    places = Counter[tuple[int, int]]()
+    for _ in range(1500):
+        for array, old in zip(arrays, kept, strict=True):
+            array[...] = old
+        places[lay(laying, second, threshold)] += 1
+    candidates = cuts.pixel[differences <= threshold] + right(laying)
+    assert len(candidates) > 3 and (len(candidates) < len(cuts.row)) == (share < 1)
+    assert set(places) == {tuple(place) for place in candidates.tolist()}
+    assert stats.chisquare(list(places.values())).pvalue > 1e-3
+
+
+def test_the_first_tile_is_drawn_from_all_of_t() -> None:
+    """On an empty canvas every tile of T is drawn equally often, whatever the threshold."""
+    laying = laying_of(88, tile="lattice")
+    first = laying.tile_numbers()[0].tolist()
+    places = Counter[tuple[int, int]]()
+    for _ in range(1500):
+        laying.canvas.filled[...] = 0
+        places[lay(laying, first, 0)] += 1
+    assert len(places) == len(laying.sets[0, 0])
+    assert stats.chisquare(list(places.values())).pvalue > 1e-3
+
+
+@given(
+    st.tuples(st.floats(-20, 20), st.floats(-20, 20)),
+    st.sampled_from(["upright", "lattice", "rectangle", "cell"]),
+    st.integers(1, 3),
+)
+@settings(max_examples=40)
+def test_laying_starts_with_a_tile_of_t(origin: tuple[float, float], tile: Any, cells: int) -> None:
+    """Wherever the lattice lies, the first tile is of T, at most a step before the first that touches the output."""
+    lattice = Lattice((20, 5), (-4, 22), origin)
+    laying = laying_of(200, lattice=lattice, tile=tile, cells=cells, anchor="given")
+    numbers = laying.tile_numbers()
+    places = laying.lattice.origin + numbers @ laying.tile.steps
+    low, high = -laying.tile.reach - 1, np.add((60, 60), laying.tile.reach)
+    touching = ((places > low) & (places < high)).all(1)
+    assert np.abs(lattice.wrap(places[0] - origin)).max() < 1e-6
+    assert touching[1:].all() and len(np.unique(numbers, axis=0)) == len(numbers)
+    assert touching[0] or set((numbers[1] - numbers[0]).tolist()) <= {0, 1}
+
+
+def test_the_oddest_tile_accepts_half_of_the_others() -> None:
+    """The threshold is the largest, over the tiles of all sets, of the medians of their differences from the others."""
+    sample, lattice = noise(70, 70, 1), Lattice((16, 0), (0, 16))
+    sample[:16, :16] = 1
+    laying = TileLaying(
+        TileSet(tile="cell", anchor="given", cells=1, margin=0),
+        Task(sample, (9, 9), lattice, np.random.default_rng(0)),
+        lattice,
+    )
+    x, y, row, column, _ = laying.tile.pixels.T
+    covered = (row < 8) | (column < 8)
+    medians = []
+    for number in np.ndindex(2, 2):
+        middles = laying.stock.cut(laying.sets[number]).pixel
+        cut = np.stack([to_bytes(sample)[y0 + y[covered], x0 + x[covered], 0] for x0, y0 in middles]).astype(float)
+        distances = np.abs(cut[:, np.newaxis] - cut).mean(-1)
+        medians += [np.median(np.delete(line, n)) for n, line in enumerate(distances)]
+    assert laying.stock.estimate_threshold(0.5, "mean") == pytest.approx(max(medians))
+
+
+@pytest.mark.parametrize(("period", "moves"), [(18.0, False), (26.0, True)])
+def test_registration_moves_nothing_by_less_than_half_a_part(period: float, moves: bool) -> None:
+    """By default tiles are registered where 0.025 s is half a pixel or more, not where s is from 10 to 20 px."""
+    lattice = Lattice((period + 0.43, 2.6), (-2.3, period + 0.31))
+    sample = quantize(0.8 * waves((128, 128), lattice) + 0.2 * noise(128, 128))
+    one, other = (
+        TileSet(registration=radius).synthesize(Task(sample, (160, 160), lattice, np.random.default_rng(1))).image
+        for radius in (None, 0.0)
+    )
+    assert (one != other).any() == moves
+
+
+REAL_LATTICES = [
+    Lattice((24.3, 0.0), (0.0, 21.7)),
+    Lattice((14.2, 12.7), (14.2, -12.7)),
+    Lattice((23.4, 5.1), (-5.1, 23.4)),
+]
+
+
+def discs(size: int, lattice: Lattice, seed: int = 0) -> tuple[Image, NDArray[np.float64], NDArray[np.bool_]]:
+    """Return discs of one color each on a flat ground, each pixel's lattice point, and a mask of the discs."""
+    y, x = np.indices((size, size))
+    pixels = np.stack([x, y], -1)
+    away = lattice.wrap(pixels - lattice.origin)
+    middles = np.round(lattice.to_cell(pixels - away)).astype(int)
+    colors = np.random.default_rng(seed).random((200, 200, 3))[middles[..., 0], middles[..., 1]]
+    inside = np.hypot(*np.moveaxis(away, -1, 0)) < 0.48 * lattice.s
+    return quantize(np.where(inside[..., np.newaxis], colors, 0.5).astype("f4")), middles, inside
+
+
+def whole(made: Image, middles: NDArray[np.float64], inside: NDArray[np.bool_]) -> float:
+    """Return the share of discs that are of one color."""
+    keys = middles[..., 0] * 1000 + middles[..., 1]
+    spreads = [np.ptp(made[inside & (keys == key)], axis=0).max() for key in np.unique(keys[20:-20, 20:-20])]
+    return float(np.mean(np.array(spreads) < 0.02))
+
+
+@pytest.mark.parametrize("lattice", REAL_LATTICES)
+def test_elements_stay_whole(lattice: Lattice) -> None:
+    """Nine of ten discs keep one color; with the paper's stitching less than half do."""
+    sample, _, _ = discs(128, lattice)
+    _, middles, inside = discs(200, Lattice(lattice.t1, lattice.t2))
+    core = inside & (
+        np.hypot(*np.moveaxis(lattice.wrap(np.stack(np.indices((200, 200))[::-1], -1)), -1, 0)) < 0.48 * lattice.s - 2
+    )
+
+    def made(**parameters: Any) -> Image:
+        return TileSet(**parameters).synthesize(Task(sample, (200, 200), lattice, np.random.default_rng(1))).image
+
+    assert whole(made(), middles, core) > 0.9
+    assert whole(made(stitch="dynamic", anchor="quiet"), middles, core) < 0.5
+
+
+@pytest.mark.parametrize("lattice", REAL_LATTICES)
+def test_the_anchor_lies_in_the_middle_of_elements(lattice: Lattice) -> None:
+    """With few tiles the anchor lies within 1.5 px of the discs' middles, wherever they are."""
+    for seed, origin in enumerate([(0.0, 0.0), (5.5, 3.2), (-7.1, 9.9)]):
+        moved = lattice.shifted(origin)
+        costs, anchors = element_costs(discs(110, moved, seed)[0], lattice)
+        assert np.hypot(*lattice.wrap(anchors[costs.argmin()] - origin)) < 1.5
+
+
+def test_seams_are_recorded_only_where_tiles_meet() -> None:
+    """Nearly all links between pixels of different tiles have a cost, and hardly any others."""
+    lattice = REAL_LATTICES[0]
+    sample = quantize(np.random.default_rng(0).random((120, 120, 3), np.float32))
+    laying = TileLaying(TileSet(registration=0), Task(sample, (90, 90), lattice, np.random.default_rng(1)), lattice)
+    laying.lay_tiles()
+    canvas = laying.canvas
+    x, y = canvas.margin
+    window = np.s_[y : y + 90, x : x + 90]
+    offsets = canvas.origins[window][..., :2] - np.stack(np.indices((90, 90))[::-1], -1)
+    across = (offsets[:, 1:] != offsets[:, :-1]).any(-1)
+    down = (offsets[1:] != offsets[:-1]).any(-1)
+    seams = canvas.seams[window]
+    assert (seams[:, :-1, 0][~across] > 0).mean() < 0.02 and (seams[:-1, :, 1][~down] > 0).mean() < 0.02
+    assert (seams[:, :-1, 0][across] > 0).mean() > 0.95 and (seams[:-1, :, 1][down] > 0).mean() > 0.95
+
+
+@pytest.mark.parametrize(("s", "cells"), [(6.3, 3), (10.7, 2), (15.9, 2), (16.0, 1), (40.0, 1)])
+def test_small_cells_are_laid_several_at_a_time(s: float, cells: int) -> None:
+    """By default tiles have the fewest cells that make s times the cells at least 16 px."""
+    lattice = Lattice((s, 0.0), (0.0, 1.2 * s))
+    sample = quantize(np.random.default_rng(0).random((200, 200, 1), np.float32))
+    laying = TileLaying(TileSet(), Task(sample, (20, 20), lattice, np.random.default_rng(0)), lattice)
+    np.testing.assert_allclose(laying.tile.steps, tile_shape(lattice, "cell", cells).steps)
+    assert s * cells >= LEAST_SIDE > s * (cells - 1)
+
+
+def test_a_margin_lengthens_tiles_and_leaves_steps() -> None:
+    """Each side is longer by twice the margin in its own direction."""
+    plain, wide = (tile_shape(REAL_LATTICES[2], "lattice", 1, margin) for margin in (0.0, 3.0))
+    np.testing.assert_allclose(np.hypot(*wide.sides.T), np.hypot(*plain.sides.T) + 6)
+    np.testing.assert_allclose(wide.steps, plain.steps)
+
+
+def test_a_sample_too_small_for_margins_is_laid_without() -> None:
+    """If tiles just fit into the sample, they have no margin by default."""
+    lattice = Lattice((40, 0), (0, 40), (20, 20))
+    sample = quantize(np.random.default_rng(0).random((82, 82, 1), np.float32))
+    task = Task(sample, (50, 50), lattice, np.random.default_rng(0))
+    np.testing.assert_allclose(np.abs(TileLaying(TileSet(anchor="given"), task, lattice).tile.sides).sum(0), 40)
+
+
+@pytest.mark.parametrize("color", [0.05, 0.1, 0.14, 0.3])
+@pytest.mark.parametrize(("model", "most"), [("brick", 2.0), ("hexagon", 1.5)])
+def test_elements_of_slight_departures_are_found(model: str, most: float, color: float) -> None:
+    """On eight draws, of the vectors alone, the best anchor is the middle of a brick or hexagon, to that many px."""
+    for seed in range(300, 308):
+        drawn = texture(model, (128, 128), seed, color=color)
+        assert drawn.lattice is not None
+        costs, anchors = element_costs(quantize(drawn.image), Lattice(drawn.lattice.t1, drawn.lattice.t2))
+        off = drawn.lattice.wrap(anchors[costs.argmin()] - drawn.lattice.origin)
+        assert np.hypot(*off) < most, (seed, off)
+
+
+def joined_bricks(seed: int, shape: tuple[int, int], size: tuple[int, int], method: TileSet, **wall: float) -> float:
+    """Return the share of the bricks in the output 5 % of which or more come from a second brick of the sample."""
+    wall = {"width": 27.3, "height": 12.2, "joint": 2.2, **wall}
+    drawn = texture("brick", shape, seed, **wall)
+    assert drawn.lattice is not None
+    lattice = Lattice(drawn.lattice.t1, drawn.lattice.t2)
+    source = method.synthesize(Task(quantize(drawn.image), size, lattice, np.random.default_rng(seed))).source
+    assert source is not None
+
+    def bricks(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        x, y = x - drawn.lattice.origin[0], y - drawn.lattice.origin[1]
+        row = np.rint(y / wall["height"])
+        small = row % wall["small_every"] == 0 if "small_every" in wall else np.zeros(row.shape, np.bool_)
+        width = np.where(small, wall["width"] / 2, wall["width"])
+        x = x - row * wall["width"] / 2
+        column = np.rint(x / width)
+        inside = (np.abs(x - column * width) < width / 2 - wall["joint"] / 2 - 1) & (
+            np.abs(y - row * wall["height"]) < (wall["height"] - wall["joint"]) / 2 - 1
+        )
+        return ((row + 500) * 1000 + column + 500).astype(np.int64), inside
+
+    y, x = np.indices(size).astype(np.float64)
+    places, inside = bricks(x, y)
+    origins = bricks(*np.moveaxis(source[..., :2].astype(np.float64), -1, 0))[0]
+    joined = []
+    for place in np.unique(places[12:-12, 16:-16]):
+        counts = np.unique(origins[inside & (places == place)], return_counts=True)[1]
+        if counts.sum() > 40:
+            joined.append(counts.max() < 0.95 * counts.sum())
+    return float(np.mean(joined))
+
+
+@pytest.mark.parametrize("color", [0.05, 0.3])
+def test_seams_follow_joints_between_like_bricks(color: float) -> None:
+    """On mild walls at most one brick in 200 is joined of two."""
+    joined = [joined_bricks(seed, (128, 128), (256, 256), TileSet(), color=color) for seed in range(700, 703)]
+    assert np.mean(joined) <= 0.005
+
+
+def test_bricks_as_wide_as_the_cell_stay_whole() -> None:
+    """Where a cell is one brick wide and six courses high, automatic tiles join few bricks; one cell joins more."""
+    wall = {"width": 22.7, "height": 9.3, "joint": 1.8, "small_every": 6, "color": 0.15, "intensity": 0.2}
+    automatic, cell = (
+        np.mean([joined_bricks(seed, (192, 192), (240, 240), method, **wall) for seed in (3, 4)])
+        for method in (TileSet(), TileSet(tile="cell"))
+    )
+    assert automatic <= 0.04
+    assert cell > 2 * automatic
+
+
+def test_element_weights_are_least_at_joints() -> None:
+    """The weight in the middle of a brick is at least three times that at the joint between two."""
+    drawn = texture("brick", (160, 160), 5, width=27.3, height=12.2, joint=2.2, color=0.1)
+    assert drawn.lattice is not None
+    weights = ElementWeights.of(quantize(drawn.image), drawn.lattice)
+    rows, columns = weights.table.shape
+    numbers = weights.numbers_from(np.zeros(2))
+
+    def at(x: float, y: float) -> float:
+        u, v = numbers @ (x + drawn.lattice.origin[0], y + drawn.lattice.origin[1], 1)
+        return float(weights.table[round(v * rows) % rows, round(u * columns) % columns])
+
+    assert at(0, 0) > 3 * at(27.3 / 2, 0)
+    assert at(0, 0) > 3 * at(0, 12.2 / 2)
+
+
+RECTANGULAR = Lattice((20, 0), (0, 25))
+
+
+@pytest.mark.parametrize("lattice", LATTICES)
+def test_a_set_is_what_no_lattice_vector_leads_out_of(lattice: Lattice) -> None:
+    """Upright, lattice and rectangle tiles have two sets, cells four, and tiles of 2 x 2 cells one."""
+    for tile, count in (("upright", 2), ("lattice", 2), ("rectangle", 2), ("cell", 4)):
+        for cells in (1, 2, 3):
+            shape = tile_shape(lattice, tile, cells)  # type: ignore[arg-type]
+            numbers = shape.set_offsets(lattice)
+            assert len(numbers) == (1 if cells == 2 else count) and numbers[0] == (0, 0)
+            between = np.array(list(np.ndindex(2, 2))) @ shape.steps
+            nearest = np.stack([lattice.wrap(between - np.array(one) @ shape.steps) for one in numbers])
+            assert ((np.hypot(*np.moveaxis(nearest, -1, 0)) < 1e-6).sum(0) == 1).all()
+
+
+@pytest.mark.parametrize("size", [(30, 128), (128, 30), (40, 40), (49, 128), (128, 39)])
+@pytest.mark.parametrize("tile", TILES)
+def test_samples_under_two_periods_are_refused(size: tuple[int, int], tile: Any) -> None:
+    """The reason states the lattice's extent and the size of the sample."""
+    lattice = RECTANGULAR if min(size) != 40 else Lattice((33, 0), (0, 35))
+    with pytest.raises(Refused, match=f"reaches .* the sample is {size[1]}x{size[0]} px: .* less than two periods"):
+        synthesize(TileSet(tile=tile), noise(*size), (64, 64), lattice)
+
+
+def test_samples_without_a_tile_of_each_set_are_refused() -> None:
+    """A sample of two periods can be too small for a tile: the reason states the tile's size."""
+    with pytest.raises(Refused, match="a tile takes 80x100 px, the sample is 60x60 px: it does not hold a complete"):
+        synthesize(TileSet(cells=4, tile="cell"), noise(60, 60), (64, 64), RECTANGULAR)
+    with pytest.raises(Refused, match="does not hold a complete tile of each set"):
+        synthesize(TileSet(cells=64), noise(60, 60), (64, 64), RECTANGULAR)
+
+
+@settings(max_examples=40)
+@given(
+    st.tuples(st.integers(16, 48), st.integers(16, 48)),
+    st.sampled_from([Lattice((12, 0), (0, 15)), Lattice((11.3, 0), (0, 9.7)), *LATTICES, Lattice((8, 1), (-1, 9.5))]),
+    st.sampled_from(TILES),
+    st.sampled_from(["quiet", "elements", "given"]),
+    st.tuples(st.floats(-20, 20), st.floats(-20, 20)),
+    st.sampled_from([1, 2, 3]),
+)
+def test_whatever_the_size_it_is_laid_or_refused(
+    size: tuple[int, int], lattice: Lattice, tile: Any, anchor: Any, origin: tuple[float, float], cells: int
+) -> None:
+    """For samples about as small as possible, with any origin, there is an output or a reason."""
+    method, sample = TileSet(tile=tile, anchor=anchor, cells=cells), noise(*size, 1)
+    try:
+        made = synthesize(method, sample, (30, 34), lattice.shifted(origin))
+    except Refused as refusal:
+        assert "less than two periods" in refusal.reason or "does not hold" in refusal.reason
+        return
+    assert made.image.shape == (30, 34, 1) and made.source is not None and (made.source[..., 2] > 0).all()
+
+
+@pytest.mark.parametrize("lattice", [Lattice((11.3, 0), (0, 9.7)), Lattice((20.9, 0.2), (-0.1, 13.2))])
+@pytest.mark.parametrize("cells", [1, 2, 3])
+def test_upright_tiles_leave_no_gap(lattice: Lattice, cells: int) -> None:
+    """Every pixel is filled where an upright tile is the minimum tile itself, with fractional sides."""
+    made = synthesize(TileSet(tile="upright", cells=cells), noise(90, 140, 1), (150, 160), lattice)
+    assert made.source is not None and (made.source[..., 2] > 0).all()
+
+
+@pytest.mark.parametrize("name", ["registration", "margin"])
+def test_nothing_reaches_farther_than_s(name: str) -> None:
+    """Registration and margin may be up to s; larger values are refused."""
+    parameters: dict[str, Any] = {name: 20.0}
+    assert synthesize(TileSet(**parameters), noise(140, 140, 1), (20, 20), RECTANGULAR).image.shape == (20, 20, 1)
+    with pytest.raises(Refused, match=f"{name} 20.5 px reaches farther than s, 20.0 px; choose at most 20.0"):
+        synthesize(TileSet(**{name: 20.5}), noise(80, 80, 1), (20, 20), RECTANGULAR)

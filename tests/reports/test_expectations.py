@@ -1,0 +1,289 @@
+"""Claims of papers, and the verdicts of the report of 2004."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nrbench.reports.csv import CsvTables
+from nrbench.reports.html import HtmlReport
+from nrbench.reports.latex import LatexTables
+from nrbench.reports.plots.series_plot import plot_claim
+from nrbench.reports.statistics.expectations import (
+    GROUPS,
+    ClaimResult,
+    PublishedComparison,
+    compare_with_published,
+    evaluate_claims,
+    read_published,
+)
+from nrbench.reports.statistics.method_comparison import compare_methods
+from nrbench.runs.records import Run
+from nrbench.suites.suite import load_suite
+
+Make = Callable[..., Any]
+SMALL, LARGE = "rsgf:block=24", "rsgf"
+NAMES = [f"t{i}" for i in range(8)]
+
+
+@pytest.fixture
+def make_claims(make_cell: Make, make_run: Make) -> Make:
+    """Return a maker of runs with one claim: ``values(method, i)`` is the score of a method on texture i."""
+
+    def make(
+        values: Callable[[str, int], Any], expected: dict[str, Any], score: str = "randomness.variation", **claim: Any
+    ) -> Run:
+        cells = []
+        for method in (SMALL, LARGE):
+            for i, name in enumerate(NAMES):
+                value = values(method, i)
+                known = {"preserved": value} if score == "regularity.preserved" else {"values": {score: value}}
+                cells.append(make_cell(name, method, lattice_source="given", **known))
+        content = {
+            "name": "tiny",
+            "lattice": ["given"],
+            "texture": [{"name": name, "dataset": "brick"} for name in NAMES],
+            "claim": [
+                {
+                    "name": "blocks",
+                    "quote": "Larger blocks & less randomness.",
+                    "source": "a paper",
+                    "score": score,
+                    "axis": "block, px",
+                    "series": [{"name": "rsgf", "levels": [24, 40], "methods": [SMALL, LARGE]}],
+                    "expect": [{"series": "rsgf", "at": 40, **expected}],
+                    **claim,
+                }
+            ],
+        }
+        return make_run(cells, suite={"content": content})
+
+    return make
+
+
+def only(run: Run) -> ClaimResult:
+    """Return the one claim of a run."""
+    (result,) = evaluate_claims(run)
+    return result
+
+
+def noise(i: int) -> float:
+    """Return a number of mean near 0 that differs from texture to texture."""
+    return 0.02 * float(np.sin(5.0 * i))
+
+
+@pytest.mark.parametrize(
+    ("gap", "relation", "outcome"),
+    [
+        (-0.3, "less", "held"),
+        (0.3, "less", "failed"),
+        (0.0, "less", "undecided"),
+        (0.3, "greater", "held"),
+        (-0.3, "greater", "failed"),
+        (0.0, "equal", "held"),
+        (0.3, "equal", "failed"),
+        (0.1, "equal", "undecided"),
+    ],
+)
+def test_a_difference_decides_a_claim(make_claims: Make, gap: float, relation: str, outcome: str) -> None:
+    """The interval of the paired difference lies on the stated side, on the other, or on both."""
+    expect = {"relation": relation, "other_at": 24, **({"margin": 0.1} if relation == "equal" else {})}
+    run = make_claims(lambda method, i: 0.5 + 0.1 * i + (gap + noise(i)) * (method == LARGE), expect)
+    result = only(run)
+    assert result.outcome == outcome
+    (test,) = result.expectations
+    assert test.difference.value == pytest.approx(gap, abs=0.02)
+    assert test.difference.n == len(NAMES)
+
+
+def test_a_rate_is_compared_with_a_number(make_claims: Make) -> None:
+    """Eight textures that are all preserved are more than half, with Wilson's interval; four of eight are not."""
+    expect = {"relation": "less", "value": 0.5}
+    assert only(make_claims(lambda *_: True, expect, "regularity.preserved")).outcome == "failed"
+    assert only(make_claims(lambda *_: False, expect, "regularity.preserved")).outcome == "held"
+    mixed = only(make_claims(lambda _, i: i % 2 == 0, expect, "regularity.preserved"))
+    assert mixed.outcome == "undecided"
+    assert [one.value for one in mixed.series[0].estimates] == [0.5, 0.5]
+
+
+def test_one_failed_expectation_fails_the_claim(make_claims: Make) -> None:
+    """A claim holds only if all its expectations hold."""
+    up = {"series": "rsgf", "at": 40, "relation": "greater", "other_at": 24}
+    near = {"series": "rsgf", "at": 24, "relation": "greater", "value": 0.4}
+    low = {"series": "rsgf", "at": 24, "relation": "greater", "value": 0.9}
+    for expect, outcome in (([up, near], "held"), ([up, low], "failed")):
+        run = make_claims(lambda method, i: 0.5 + noise(i) + 0.3 * (method == LARGE), up, expect=expect)
+        assert only(run).outcome == outcome
+
+
+def test_levels_of_different_textures_are_paired_by_family(make_claims: Make) -> None:
+    """If two levels have no texture in common, for example other sizes, their textures of one family are a pair."""
+    halves = [NAMES[:4], NAMES[4:]]
+    series = {"name": "rsgf", "levels": [24, 40], "methods": [SMALL, LARGE], "textures": halves}
+    run = make_claims(
+        lambda _, i: 0.5 + 0.1 * (i % 4) - 0.2 * (i // 4) + 0.3 * noise(i),
+        {"relation": "less", "other_at": 24},
+        series=[series],
+    )
+    for i, record in enumerate(run.cells):
+        object.__setattr__(record.cell, "family", f"family-{i % 4}")
+    (test,) = only(run).expectations
+    assert (test.difference.n, test.outcome) == (4, "held")
+    assert test.difference.value == pytest.approx(-0.2, abs=0.02)
+
+
+def test_a_score_that_is_missing_leaves_a_claim_undecided(make_claims: Make) -> None:
+    """Without values there is no interval, so nothing held and nothing failed."""
+    assert only(make_claims(lambda *_: None, {"relation": "less", "other_at": 24})).outcome == "undecided"
+
+
+def test_a_plot_shows_names_as_they_are(make_claims: Make) -> None:
+    """Dollar signs in the name of an axis or a series are no formula: a broken one neither fails nor is left out."""
+    series = {"name": r"$\frac$", "levels": [24, 40], "methods": [SMALL, LARGE]}
+    expect = {"series": series["name"], "at": 40, "relation": "less", "other_at": 24}
+    run = make_claims(lambda *_: 0.5, {}, series=[series], expect=[expect], axis=r"block $\frac{$")
+    assert plot_claim("svg", only(run)).startswith(b"<?xml")
+
+
+def test_a_run_without_claims_has_none(make_cell: Make, make_run: Make) -> None:
+    """A suite that tests no claim has no such section."""
+    assert evaluate_claims(make_run([make_cell()])) == []
+
+
+def test_the_reports_quote_the_sentence_and_say_what_came_out(make_claims: Make, tmp_path: Path) -> None:
+    """Page and tables hold the escaped quote, the outcome and the numbers; the plot is the same at every run."""
+    run = make_claims(lambda method, i: 0.5 + noise(i) - 0.3 * (method == LARGE), {"relation": "less", "other_at": 24})
+    page = HtmlReport().render(run, tmp_path)
+    assert "Larger blocks &amp; less randomness." in page
+    assert 'blocks: <span class="outcome held">held</span>' in page
+    tables = {path.name: path.read_text("utf-8") for path in CsvTables().write(run, tmp_path)}
+    assert "rsgf at 40 is less than rsgf at 24,held" in tables["claim_tests.csv"]
+    assert len(tables["claims.csv"].splitlines()) == 3
+    result = only(run)
+    assert plot_claim("svg", result) == plot_claim("svg", result)
+
+
+METHODS = ("graph-cuts", "tile-set", "regularized-patch", "patch-based", "quilting")
+
+
+def _published_rate(method: str, first: int, last: int) -> float:
+    words = [one.verdicts[method] for one in read_published() if first <= one.number <= last and method in one.verdicts]
+    return words.count("preserved") / len(words)
+
+
+@pytest.fixture
+def make_report(make_cell: Make, make_run: Make) -> Make:
+    """Return a maker of runs of all figures: ``verdict(figure, method)`` is the measured verdict of a cell."""
+
+    def make(verdict: Callable[[Any, str], bool | None], methods: tuple[str, ...] = METHODS) -> Run:
+        figures = read_published()
+        rows = [{"name": f"f{one.number}", "figure": one.number} for one in figures]
+        cells = [
+            make_cell(f"f{one.number}", method, lattice_source="none", preserved=verdict(one, method))
+            for one in figures
+            for method in methods
+        ]
+        return make_run(cells, suite={"content": {"texture": rows}})
+
+    return make
+
+
+def compare(run: Run) -> PublishedComparison:
+    """Return the comparison of a run that has one."""
+    published = compare_with_published(run, compare_methods(run))
+    assert published is not None
+    return published
+
+
+def test_the_published_rates_are_those_that_the_report_prints() -> None:
+    """Table 2: 100 % for all four methods. Table 3: 53 %, 95 %, 86 % and 23 %. Image quilting: two of six."""
+    for method in METHODS[:4]:
+        assert _published_rate(method, 3, 7) == 1
+    rates = [round(100 * _published_rate(method, 8, 45)) for method in METHODS[:4]]
+    assert rates == [53, 95, 86, 23]
+    assert _published_rate("quilting", 3, 45) == 2 / 6
+
+
+def test_every_published_figure_has_an_analogue() -> None:
+    """The suite report2004 has one texture for each figure of the tables."""
+    figures = {row.figure for row in load_suite("report2004").texture}
+    assert figures == {one.number for one in read_published()}
+
+
+def test_a_run_that_repeats_the_report_agrees_with_it(make_report: Make) -> None:
+    """If each cell has the published verdict, all differences are 0, agreement is 1 and kappa is 1."""
+    published = compare(make_report(lambda figure, method: figure.verdicts.get(method, "lost") == "preserved"))
+    assert [one.difference.value for one in published.rates] == [0] * len(published.rates)
+    assert {one.agreement.value for one in published.classes} == {1}
+    assert published.kappa == pytest.approx(1)
+    assert published.chance is not None and published.chance[0] < 0.9
+    assert [one.kind for one in published.classes] == ["motif", "tiles", "brick", "woven", "damaged", "all"]
+
+
+def test_rates_rest_on_the_same_figures(make_report: Make) -> None:
+    """A figure without a measured verdict is left out of both rates, and the published rate of all figures is kept."""
+    published = compare(make_report(lambda figure, _: None if figure.number < 20 else True))
+    (rate,) = [one for one in published.rates if one.group == "figures 8-29" and one.method.name == "patch-based"]
+    assert (rate.published.n, rate.same.n, rate.measured.n) == (22, 10, 10)
+    assert rate.measured.value == 1
+    assert rate.same.value == pytest.approx(3 / 10)
+    assert rate.difference.value == pytest.approx(7 / 10)
+
+
+def test_each_group_has_the_methods_of_the_report(make_report: Make) -> None:
+    """Methods are compared only over figures on which the report ran all methods of the group."""
+    published = compare(make_report(lambda *_: True))
+    found = {(one.group, one.method.name): one.published.n for one in published.rates}
+    assert found == {
+        **{("figures 3-7", name): 5 for name in METHODS[:4]},
+        **{("figures 8-29", name): 22 for name in METHODS[:4]},
+        **{("figures 8-45", name): 38 for name in ("graph-cuts", "tile-set")},
+        ("six figures", "quilting"): 6,
+    }
+    assert set(GROUPS) == {group for group, _ in found}
+
+
+def test_the_lattice_comes_from_where_the_report_took_it(make_cell: Make, make_run: Make) -> None:
+    """tile-set counts with its own lattice, regularized-patch with the given one; default parameters come first."""
+    sources = ("given", "own")
+    names = ("tile-set:blend=4", "tile-set", "regularized-patch")
+    cells = [make_cell("f8", name, lattice_source=source) for name in names for source in sources]
+    run = make_run(cells, suite={"content": {"texture": [{"name": "f8", "figure": 8}]}})
+    found = {(one.name, one.lattice_source) for one in compare(run).methods}
+    assert found == {("tile-set", "own"), ("regularized-patch", "given")}
+
+
+def test_random_pairing_keeps_what_descriptions_explain(make_report: Make) -> None:
+    """If measured verdicts depend on the description alone, random pairing within descriptions reaches all of kappa."""
+    first = {one.description: one.verdicts for one in reversed(read_published())}
+    published = compare(
+        make_report(lambda figure, method: first[figure.description].get(method, "lost") == "preserved")
+    )
+    assert published.kappa is not None and published.chance is not None
+    assert published.kappa == pytest.approx(published.chance[0], abs=1e-9)
+
+
+def test_a_run_without_figures_or_methods_has_no_comparison(make_report: Make, make_run: Make, make_cell: Make) -> None:
+    """Neither a suite without analogues nor methods that the report did not run are compared."""
+    run = make_report(lambda *_: True, methods=("rsgf",))
+    assert compare_with_published(run, compare_methods(run)) is None
+    run = make_run([make_cell("brick", "tile-set")], suite={"content": {"texture": [{"name": "brick"}]}})
+    assert compare_with_published(run, compare_methods(run)) is None
+
+
+def test_every_report_shows_the_comparison(make_report: Make, tmp_path: Path) -> None:
+    """The page, the CSV tables and the LaTeX tables hold it, with the sentence that the textures are analogues."""
+    run = make_report(lambda figure, _: figure.number % 2 == 0)
+    page = HtmlReport().render(run, tmp_path)
+    assert PublishedComparison.sentence.partition(":")[2] in page
+    assert "Table 3: near-regular textures" in page
+    names = {path.name for path in CsvTables().write(run, tmp_path)}
+    assert {"published.csv", "published_rates.csv", "published_classes.csv"} <= names
+    (path,) = (path for path in LatexTables().write(run, tmp_path) if path.name == "published.tex")
+    text = path.read_text("utf-8")
+    assert text.count(r"\begin{table}") == 3
+    assert r"45 & cans & \nrbLost{} \nrbLost{} & \nrbPreserved{} \nrbLost{}" in text

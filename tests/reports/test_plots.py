@@ -1,0 +1,311 @@
+"""Plots: marks, captions, the grid of pictures, the perils plane, the forest plot."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nrbench.errors import BadInput
+from nrbench.imaging.files import write_image
+from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures
+from nrbench.reports.page.forest_plot import forest_axes
+from nrbench.reports.page.inline_svg import inline_svg
+from nrbench.reports.page.pictures import PictureStore
+from nrbench.reports.perils import PerilsPlane
+from nrbench.reports.plots.captions import MOST_NAMES, choose_named, describe_unnamed, spread
+from nrbench.reports.plots.comparison_plots import hardest_first, plot_cost, plot_heat_map, plot_ranks, timed_methods
+from nrbench.reports.plots.marks import find_marks, worst_place
+from nrbench.reports.plots.perils_plane import caption_text, plot_perils_plane
+from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
+from nrbench.reports.statistics.summaries import PerilsPoint, perils_points
+from nrbench.runs.records import Run
+
+from .conftest import PERILS
+
+Make = Callable[..., Any]
+
+
+@given(st.lists(st.tuples(st.floats(0, 100), st.floats(4, 12)), min_size=1, max_size=16))
+def test_captions_keep_the_order_and_do_not_overlap(captions: list[tuple[float, float]]) -> None:
+    """Captions have the order of their points, and lie at least their gaps apart, between the limits."""
+    points, heights = (np.array(values) for values in zip(*captions, strict=True))
+    gaps = (heights[:-1] + heights[1:]) / 2
+    places = spread(np.sort(points)[::-1], gaps, (-20.0, 220.0))
+    assert (np.diff(places) <= -gaps + 1e-6).all()
+    assert places.max() <= 220 + 1e-6 and places.min() >= -20 - 1e-6
+
+
+def test_spread_moves_as_little_as_needed() -> None:
+    """Places that lie apart stay; two equal ones move by half the gap each."""
+    assert spread(np.array([10.0, 5.0, 0.0]), np.array([2.0, 2.0])).tolist() == [10, 5, 0]
+    assert spread(np.array([5.0, 5.0]), np.array([2.0])).tolist() == [6, 4]
+    assert spread(np.array([5.0, 5.0]), np.array([2.0]), (0.0, 5.0)).tolist() == [5, 3]
+
+
+def _layers() -> tuple[np.ndarray, np.ndarray]:
+    """Return an output and a gray copy of it with an orange square of 10 px at (40, 20)."""
+    output = np.random.default_rng(0).integers(0, 255, (64, 80, 3), dtype=np.uint8)
+    layer = np.repeat((output.mean(-1, keepdims=True) / 2 + 127).astype(np.uint8), 3, 2)
+    layer[20:30, 40:50] = (230, 120, 10)
+    return output, layer
+
+
+def test_marks_are_what_a_metric_drew() -> None:
+    """The marks are the colored square, over a gray copy and over the output itself."""
+    output, layer = _layers()
+    expected = np.zeros((64, 80), bool)
+    expected[20:30, 40:50] = True
+    assert np.array_equal(find_marks(layer, output), expected)
+    assert np.array_equal(find_marks(np.where(expected[..., None], layer, output), output), expected)
+
+
+def test_overlays_are_transparent(tmp_path: Path) -> None:
+    """An overlay shows the marks and hides the rest; a picture of another size is none."""
+    output, layer = _layers()
+    for name, pixels in (("output", output), ("layer", layer), ("other", layer[:40])):
+        PIL.Image.fromarray(pixels).save(tmp_path / f"{name}.png")
+    store = PictureStore(tmp_path / "report")
+    overlay = store.overlay(tmp_path / "output.png", tmp_path / "layer.png")
+    assert overlay is not None
+    alpha = np.asarray(PIL.Image.open(tmp_path / "report" / "pictures" / overlay.name))[..., 3]
+    assert (alpha[20:30, 40:50] > 100).all() and alpha[:16].max() == 0
+    assert store.overlay(tmp_path / "output.png", tmp_path / "other.png") is None
+    assert store.overlay(tmp_path / "output.png", None) is None
+
+
+def test_source_maps_are_colored_by_place(tmp_path: Path) -> None:
+    """Pixels that come from one place have one color, those of other places another; a broken file has no map."""
+    places = np.zeros((32, 32, 2), np.float32)
+    places[:, 16:] = (20, 20)
+    np.savez(tmp_path / "source.npz", source=places)
+    (tmp_path / "bad.npz").write_bytes(b"no archive")
+    output = write_image(tmp_path / "output.png", np.zeros((32, 32, 3), np.float32))
+    store = PictureStore(tmp_path / "report")
+    picture = store.source_map(output, tmp_path / "source.npz")
+    assert picture is not None and (picture.width, picture.height) == (32, 32)
+    assert store.source_map(output, tmp_path / "bad.npz") is None
+    assert store.source_map(output, tmp_path / "absent.npz") is None
+
+
+def test_the_worst_place_has_the_marks() -> None:
+    """The magnified square holds the marks; an output that is marked all over has no worst place."""
+    output, layer = _layers()
+    x, y = worst_place(output, [None, layer], 16) or (0, 0)
+    assert x <= 40 and x + 16 >= 50 and y <= 20 and y + 16 >= 30
+    assert worst_place(output, [np.full_like(output, (250, 100, 0))], 16) is None
+    assert worst_place(output, [output], 16) is None
+
+
+def test_the_grid_shows_what_was_chosen(ranked: Run, tmp_path: Path) -> None:
+    """The grid is a PDF with embedded fonts and a PNG of the given width, the same at every call."""
+    comparison = compare_methods(ranked)
+    report = PictureGrid(textures=(comparison.rows[0].texture,), methods=("good", "oracle"), width=3.3)
+    pdf, png = report.write(ranked, tmp_path)
+    content = pdf.read_bytes()
+    assert b"/FontFile2" in content and b"/Type3" not in content
+    with PIL.Image.open(png) as image:
+        assert image.width == pytest.approx(3.3 * 160, abs=2)
+        assert image.height < image.width
+    assert report.write(ranked, tmp_path)[0].read_bytes() == content
+    assert len(PictureGrid().write(ranked, tmp_path)) == 2
+
+
+@pytest.mark.parametrize("wrong", [{"textures": ("nowhere*",)}, {"methods": ("nobody",)}])
+def test_unknown_choices_name_the_known_ones(ranked: Run, tmp_path: Path, wrong: dict[str, Any]) -> None:
+    """A texture or method that the run lacks is an error that lists those it has."""
+    with pytest.raises(BadInput, match=r"give some of: \w+"):
+        PictureGrid(**wrong).write(ranked, tmp_path)
+    with pytest.raises(BadInput, match="give 2 to 12 inches"):
+        PictureGrid(width=40.0)
+
+
+def test_a_run_without_cells_has_no_figure(make_run: Make, tmp_path: Path) -> None:
+    """Without cells no file is written."""
+    assert PictureGrid().write(make_run([]), tmp_path) == []
+
+
+@pytest.fixture
+def long_run(make_cell: Make, make_run: Make) -> Run:
+    """Return a run of three methods on 12 textures."""
+    rng = np.random.default_rng(0)
+    return make_run([
+        make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, float(rng.uniform(0.6, 0.8) - worse)))
+        for i in range(12)
+        for name, worse in (("a", 0.0), ("b", 0.01), ("c", 0.5))
+    ])  # fmt: skip
+
+
+def test_plots_are_the_same_again_and_embed_fonts(long_run: Run) -> None:
+    """Each plot has the same bytes at every call; the PDF embeds TrueType fonts."""
+    comparison = compare_methods(long_run)
+    for plot in (plot_ranks, plot_heat_map):
+        assert plot("svg", comparison) == plot("svg", comparison)
+    timed = timed_methods(comparison)
+    assert plot_cost("svg", timed) == plot_cost("svg", timed)
+    for pdf in (plot_ranks("pdf", comparison), plot_heat_map("pdf", comparison), plot_cost("pdf", timed)):
+        assert b"/FontFile2" in pdf and b"/Type3" not in pdf
+
+
+def test_inline_plots_have_no_style_and_ids_of_their_own(long_run: Run) -> None:
+    """Inline plots have no style attribute, no style element, no address, and a prefix before every id."""
+    svg = str(inline_svg(plot_ranks("svg", compare_methods(long_run)), "x"))
+    assert svg.startswith('<svg class="plot" aria-hidden="true"') and svg.rstrip().endswith("</svg>")
+    assert " style=" not in svg and "<style" not in svg and "http" not in svg
+    assert all(name.startswith("x-") for name in re.findall(r' id="([^"]*)"', svg))
+    assert 'class="stroke-ink"' in svg
+
+
+@given(st.lists(st.booleans(), max_size=60))
+def test_the_best_methods_and_all_references_have_names(references: list[bool]) -> None:
+    """Every reference has a name, and as many of the first methods as there is space for; the rest are counted."""
+    named = choose_named(references)
+    assert all(has for has, reference in zip(named, references, strict=True) if reference)
+    methods = [has for has, reference in zip(named, references, strict=True) if not reference]
+    assert methods == sorted(methods, reverse=True)
+    assert sum(methods) == min(len(methods), max(0, MOST_NAMES - sum(references)))
+    assert (f" {named.count(False)} further" in describe_unnamed(named)) == (False in named)
+
+
+def test_names_of_the_rank_diagram_lie_in_it(make_cell: Make, make_run: Make) -> None:
+    """No name leaves the diagram, however long, in a page and in a column."""
+    names = ["regularized-patch with a long label", "representative-tile of another one", *"abcdefghi"]
+    cells = [
+        make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, 0.9 - 0.05 * j))
+        for i in range(12)
+        for j, name in enumerate(names)
+    ]
+    comparison = compare_methods(make_run(cells))
+    for width in (3.4, 5.5):
+        with PIL.Image.open(io.BytesIO(plot_ranks("png", comparison, width))) as image:
+            pixels = np.asarray(image.convert("L"))
+        assert pixels[:, :2].min() == 255 and pixels[:, -2:].min() == 255
+
+
+def test_textures_without_a_score_are_not_the_hardest(make_cell: Make, make_run: Make) -> None:
+    """The heat map lists the hardest textures first, and last those that were not run."""
+    cells = [make_cell("absent", "a", status="missing"), make_cell("absent", "b", status="missing")]
+    cells += [make_cell("easy", name, perils=dict.fromkeys(PERILS, 0.9)) for name in "ab"]
+    cells += [make_cell("hard", name, perils=dict.fromkeys(PERILS, 0.1)) for name in "ab"]
+    rows, _ = hardest_first(compare_methods(make_run(cells)))
+    assert [row.texture for row in rows] == ["hard", "easy", "absent"]
+
+
+def test_the_grid_chooses_textures_by_the_methods_that_it_shows(make_cell: Make, make_run: Make) -> None:
+    """A sixth method, which the grid does not show, does not choose its textures."""
+    cells = []
+    for i in range(6):
+        shown = {name: 0.9 - (0.05 * j if i > 1 else 0.0) for j, name in enumerate("abcde")}
+        for name, quality in {**shown, "f": 0.0 if i < 2 else 0.5}.items():
+            cells.append(make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, quality)))
+    comparison = compare_methods(make_run(cells))
+    methods = choose_methods(comparison, ())
+    assert [one.name for one in methods] == list("abcde")
+    assert [row.texture for row in choose_textures(comparison, (), methods)] == ["t2", "t3", "t4", "t5"]
+
+
+@pytest.fixture(scope="module")
+def comparison(ranked: Run) -> Comparison:
+    """Return the comparison of a run with qualities."""
+    return compare_methods(ranked)
+
+
+def _point(comparison: Comparison, method: str) -> PerilsPoint:
+    return next(point for point in perils_points(comparison.summaries) if point.method.name == method)
+
+
+def test_points_are_means_over_textures(comparison: Comparison) -> None:
+    """Both coordinates of a point are means over textures, each inside its interval."""
+    point = _point(comparison, "good")
+    assert point.structure.value == pytest.approx(0.9)
+    assert point.randomness.value == pytest.approx(0.69)
+    for one in (point.structure, point.randomness):
+        assert one.low is not None and one.high is not None and one.value is not None
+        assert one.low <= one.value <= one.high
+
+
+def test_the_smaller_is_taken_before_the_mean(make_cell: Make, make_run: Make) -> None:
+    """Tiles out of place on one texture and broken elements on another are two faults; the mean holds both."""
+    first = {"regularity": 0.5, "integrity": 1.0, "randomness": 1.0}
+    second = {"regularity": 1.0, "integrity": 0.5, "randomness": 1.0}
+    run = make_run([make_cell("a", "m", perils=first), make_cell("b", "m", perils=second)])
+    assert _point(compare_methods(run), "m").structure.value == pytest.approx(0.5)
+
+
+def test_without_integrity_regularity_counts_alone(make_cell: Make, make_run: Make) -> None:
+    """Where integrity is not measured, the horizontal coordinate is the regularity."""
+    run = make_run([make_cell("a", "m", perils={"regularity": 0.8, "randomness": 1.0})])
+    assert _point(compare_methods(run), "m").structure.value == pytest.approx(0.8)
+
+
+def test_a_lost_lattice_has_no_height(comparison: Comparison) -> None:
+    """A method that loses every lattice has no vertical coordinate; a method that loses some says how many count."""
+    lost, shaky = _point(comparison, "drifter"), _point(comparison, "shaky")
+    assert not lost.has_height and lost.structure.n == 3 and "not scored" in lost.words
+    assert shaky.has_height and (shaky.randomness.n, shaky.structure.n) == (2, 3)
+    assert caption_text(shaky) == "shaky (own) [2 of 3]"
+
+
+def test_files_are_vector_graphics_and_the_same_again(ranked: Run, comparison: Comparison, tmp_path: Path) -> None:
+    """The plane is written as SVG and PDF, without a date, so that equal runs give equal bytes."""
+    paths = PerilsPlane().write(ranked, tmp_path)
+    assert [path.name for path in paths] == [
+        f"{name}.{kind}" for kind in ("svg", "pdf") for name in ("perils", "levels", "cost", "heat-map")
+    ]
+    first = [path.read_bytes() for path in paths if path.stem == "perils"]
+    assert [content[:5] for content in first] == [b"<?xml", b"%PDF-"]
+    assert b"<image" not in first[0]
+    points = perils_points(comparison.summaries)
+    assert first == [plot_perils_plane(kind, points) for kind in ("svg", "pdf")]
+
+
+def test_the_plane_uses_no_color(comparison: Comparison) -> None:
+    """Every color of the picture is a gray, for print in black and white."""
+    pixels = np.asarray(
+        PIL.Image.open(io.BytesIO(plot_perils_plane("png", perils_points(comparison.summaries)))).convert("RGB")
+    )
+    assert (np.ptp(pixels.astype(int), axis=2) == 0).all()
+
+
+def test_no_scores_no_plane(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """A run without cells, and a run without qualities, write no picture."""
+    assert PerilsPlane().write(make_run([]), tmp_path) == []
+    assert PerilsPlane().write(make_run([make_cell()]), tmp_path) == []
+
+
+def test_the_width_of_the_plane_is_checked() -> None:
+    """A width outside the range is an error that states the range."""
+    with pytest.raises(BadInput, match="give 3 to 12 inches"):
+        PerilsPlane(width=40)
+
+
+def test_a_share_uses_the_whole_axis(make_cell: Make, make_run: Make) -> None:
+    """A score from 0 to 1 is drawn from 0 to 1, so that 0.9 lies at 90."""
+    run = make_run([make_cell("a"), make_cell("b")])
+    score = forest_axes(compare_methods(run).summary_rows)[1]
+    assert (score.row.title, score.ends, score.points[0][0]) == ("regularity.score", ("0.00", "1.00"), 90)
+
+
+def test_a_two_sided_score_marks_one(make_cell: Make, make_run: Make) -> None:
+    """The axis of a score that is best at 1 contains 1 and marks it."""
+    run = make_run([make_cell(values={"randomness.variation": 0.1})])
+    axis = next(p for p in forest_axes(compare_methods(run).summary_rows) if p.row.title == "randomness.variation")
+    assert axis.better == "best at 1"
+    assert axis.one is not None
+    assert axis.points[0][0] == pytest.approx(axis.one / 10, abs=0.01)
+
+
+def test_seconds_are_drawn_by_decades(make_cell: Make, make_run: Make) -> None:
+    """Costs lie on a logarithmic axis from decade to decade."""
+    run = make_run([make_cell(method="a", seconds=0.01), make_cell(method="b", seconds=1.0)])
+    axis = forest_axes(compare_methods(run).summary_rows)[-1]
+    assert axis.ends == ("0.010", "1.00")
+    assert [value for value, _, _ in axis.points] == [0, 100]

@@ -1,0 +1,373 @@
+"""The tables of a run as CSV, text, Markdown and LaTeX: their rules, and files that were read and approved.
+
+``NRBENCH_GOLDEN=write python -m pytest tests/reports/test_tables.py`` writes the files again; read what changed.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from nrbench.errors import BadInput
+from nrbench.reports.csv import CsvTables
+from nrbench.reports.json import JsonSummary
+from nrbench.reports.latex import LatexTables, escape_latex
+from nrbench.reports.markdown import MarkdownTables, escape_markdown
+from nrbench.reports.statistics import format as text_format
+from nrbench.reports.statistics.estimates import Estimate
+from nrbench.reports.text import TextTable
+from nrbench.runs.records import Run
+
+from .conftest import PERILS, cell_maker, run_maker
+
+Make = Callable[..., Any]
+
+
+def _read(path: Path) -> pd.DataFrame:
+    return pd.read_csv(path, keep_default_na=False, na_values=[""])
+
+
+@pytest.fixture(scope="module")
+def written(every_ending: Run) -> dict[str, Path]:
+    """Return the tables of a run with every status, by name."""
+    return {path.stem: path for path in CsvTables().write(every_ending, every_ending.root / "tables")}
+
+
+def test_cells_read_back_to_the_same_bits(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Floats survive writing and reading bit by bit."""
+    values = np.random.default_rng(0).random(20) / 3
+    run = make_run([make_cell(f"t{i}", score=float(value)) for i, value in enumerate(values)])
+    with CsvTables().write(run, tmp_path / "tables")[0].open(newline="", encoding="utf-8") as file:
+        assert [float(row["regularity.score"]) for row in csv.DictReader(file)] == values.tolist()
+
+
+def test_every_cell_is_a_row(every_ending: Run, written: dict[str, Path]) -> None:
+    """One row a cell, whatever its status, quotes and line breaks in messages included."""
+    assert set(written) == {"cells", "comparison", "summary", "differences", "columns"}
+    assert {path.suffix for path in written.values()} == {".csv"}
+    cells = _read(written["cells"])
+    assert list(cells["status"]) == [record.status for record in every_ending.cells]
+    assert list(cells["texture"]) == [record.texture for record in every_ending.cells]
+
+
+def test_summary_has_one_row_a_method(written: dict[str, Path]) -> None:
+    """Counts add up, and the success rate has its interval and n of N."""
+    summary = _read(written["summary"]).set_index(["method", "lattice_source"])
+    own = summary.loc[("rsgf", "own")]
+    assert own["cells"] == own["ok"] + own["refused"] + own["failed"] + own["missing"] == 9
+    assert own["preserved_low"] <= own["preserved"] <= own["preserved_high"]
+    assert (own["preserved"], own["preserved_n"], own["preserved_of"]) == (0.0, 7, 9)
+    assert own["preserved_refusals_left_out_n"] == 6
+
+
+def test_formulas_do_not_run(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Text that a spreadsheet would run starts with an apostrophe; negative numbers stay numbers."""
+    attack = '=HYPERLINK("http://x","y")'
+    cell = make_cell(attack, "+m", score=-0.5, status="ok", note="@sum(a)\nb", message="-1+2")
+    paths = CsvTables().write(make_run([cell]), tmp_path)
+    with paths[0].open(newline="", encoding="utf-8") as file:
+        row = next(csv.DictReader(file))
+    assert (row["texture"], row["note"], row["message"]) == (f"'{attack}", "'@sum(a)\nb", "'-1+2")
+    assert row["regularity.score"] == "-0.5"
+    for path in paths:
+        with path.open(newline="", encoding="utf-8") as file:
+            assert not [text for line in csv.reader(file) for text in line if text.startswith(("=", "+", "@"))]
+
+
+def test_an_empty_run_gives_headers(make_run: Make, tmp_path: Path) -> None:
+    """Without cells the tables have a header and no rows."""
+    paths = CsvTables().write(make_run([]), tmp_path)
+    assert all(path.is_file() for path in paths)
+    assert [len(_read(path)) for path in paths[1:4]] == [0, 0, 0]
+
+
+def test_every_column_of_the_cells_is_declared(written: dict[str, Path]) -> None:
+    """``columns.csv`` has a line for each column of ``cells.csv``: meaning, unit, range and which values are better."""
+    declared = _read(written["columns"]).set_index("column")
+    assert set(_read(written["cells"]).columns) <= set(declared.index)
+    assert declared["meaning"].str.len().min() > 5
+    line = declared.loc["randomness.variation"]
+    assert (line["low"], line["high"], line["better"]) == (0, float("inf"), "one")
+    assert declared.loc["seconds", "unit"] == "s"
+
+
+@pytest.fixture(scope="module")
+def text(every_ending: Run) -> str:
+    """Return the table of a run with every status, as the terminal shows it."""
+    return TextTable().render(every_ending)
+
+
+def test_no_line_is_wider_than_the_width(every_ending: Run, text: str) -> None:
+    """Lines keep to the width; methods that do not fit follow below."""
+    for width, table in (
+        (40, TextTable(40).render(every_ending)),
+        (60, TextTable(60).render(every_ending)),
+        (120, text),
+    ):
+        assert max(map(len, table.splitlines())) <= width
+        assert table.count("given") >= 1
+
+
+def test_it_has_no_escapes_and_no_markup(make_cell: Make, make_run: Make) -> None:
+    """Names are printed as they are: no markup, no colors, no terminal escapes from a method's note."""
+    run = make_run([make_cell("[bold]b[/bold]:smile:", note="\x1b[31mred\x1b[0m\x07")])
+    text = TextTable().render(run)
+    assert "[bold]b[/bold]:smile:" in text
+    assert "¹ red" in text
+    assert not {"\x1b", "\x07"} & set(text)
+
+
+def test_an_empty_run_says_so(make_run: Make) -> None:
+    """A run without cells gives one sentence, as text and in Markdown."""
+    for report in (TextTable(), MarkdownTables()):
+        assert "There are no cells." in report.render(make_run([]))
+
+
+def test_a_single_failed_cell_is_a_table(make_cell: Make, make_run: Make) -> None:
+    """A run of one failed cell gives a table with its status."""
+    text = TextTable().render(make_run([make_cell(status="crash", message="signal 11")]))
+    assert "! crash" in text
+    assert "0 % (0/1)" in text
+
+
+def test_a_width_too_small_is_refused() -> None:
+    """A width below 40 is an error that states the minimum."""
+    with pytest.raises(BadInput, match="at least 40"):
+        TextTable(10)
+
+
+def test_reasons_are_counted(every_ending: Run) -> None:
+    """Each distinct reason for which cells have no verdict stands under the table, with the number of its cells."""
+    text = TextTable(width=200).render(every_ending)
+    assert "? 1 cell undecided: undecided: too little power" in text
+    assert "(!) 1 cell unscored: failed: KeyError: 'x'" in text
+    assert "N/A 1 cell refused: refused in score: refused because of" in text
+
+
+def test_columns_of_choice(every_ending: Run) -> None:
+    """The table of methods has the named columns only; an unknown one is refused with the nearest name."""
+    text = TextTable(width=200, columns=("randomness.variation", "seconds")).render(every_ending)
+    head = next(line for line in text.splitlines() if line.startswith("method") or " method " in line)
+    assert "variation" in head and "seconds" in head and "score" not in head
+    with pytest.raises(BadInput, match="did you mean 'seconds'"):
+        TextTable(columns=("second",)).render(every_ending)
+
+
+def _rows(markdown: str) -> list[list[str]]:
+    lines = [line for line in markdown.splitlines() if line.startswith("|")]
+    return [[part.strip() for part in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
+
+
+@pytest.fixture(scope="module")
+def markdown(every_ending: Run) -> str:
+    """Return the tables of a run with every status."""
+    return MarkdownTables().render(every_ending)
+
+
+def test_nothing_in_a_name_is_markup() -> None:
+    """Links, pictures, emphasis, code, HTML, mentions and addresses read as they are."""
+    assert escape_markdown("[a](b) ![c](d) *e* _f_ `g` <h> i|j @k") == (
+        r"\[a\](b) !\[c\](d) \*e\* \_f\_ \`g\` \<h\> i\|j \@k"
+    )
+    assert escape_markdown("http://x www.y") == r"http\://x www\.y"
+    assert escape_markdown("a\nb\x1b[1m") == "a b"
+
+
+def test_tables_are_even(markdown: str) -> None:
+    """Every line of a table has as many entries as its title line, hostile names included."""
+    rows = _rows(markdown)
+    second = next(i for i, row in enumerate(rows) if row[0] == "texture")
+    third = next(i for i, row in enumerate(rows) if "patch placement" in row)
+    for table, least in ((rows[:second], 4), (rows[second:third], 4), (rows[third:], 3)):
+        assert len(table) >= least
+        assert {len(row) for row in table} == {len(table[0])}
+
+
+def test_no_hostile_markup_survives(markdown: str) -> None:
+    """The text contains no HTML tag but footnote marks."""
+    assert set(re.findall(r"(?<!\\)<(\w+)", markdown)) == {"sup"}
+
+
+def _write_latex(run: Run, directory: Path, columns: int = 6) -> dict[str, str]:
+    return {path.stem: path.read_text("utf-8") for path in LatexTables(columns).write(run, directory)}
+
+
+@pytest.fixture(scope="module")
+def latex_files(every_ending: Run) -> dict[str, str]:
+    """Return the tables of a run with every status, by name."""
+    return _write_latex(every_ending, every_ending.root / "latex")
+
+
+def test_special_characters_are_escape_latex() -> None:
+    """Special characters are escaped; line breaks and terminal escapes are removed."""
+    assert escape_latex("a_b & 50% of $x #1 {y} ~^\\") == (
+        r"a\_b \& 50\% of \$x \#1 \{y\} \textasciitilde{}\textasciicircum{}\textbackslash{}"
+    )
+    assert escape_latex("a\n\x1b[31mb\tc") == "a b c"
+    assert escape_latex("--") == "{-}{-}"
+
+
+def test_tables_are_booktabs_and_closed(latex_files: dict[str, str]) -> None:
+    """Each file is one booktabs table with balanced braces and equally many columns in every line."""
+    for text in (text for name, text in latex_files.items() if name != "methods"):
+        for rule in (r"\toprule", r"\midrule", r"\bottomrule"):
+            assert rule in text
+        bare = re.sub(r"\\[{}]", "", text)
+        assert bare.count("{") == bare.count("}")
+        lines = [re.sub(r"\\&", "", line) for line in text.splitlines() if line.endswith(r" \\")]
+        assert len({line.count(" & ") for line in lines}) == 1
+
+
+def test_references_and_given_lattices_are_marked(latex_files: dict[str, str]) -> None:
+    """A reference has a dagger, a method that received the lattice a g, a method that found it neither."""
+    text = latex_files["summary"]
+    assert r"\textit{oracle}\nrbReference{} &" in text
+    assert r"rsgf\nrbGiven{} &" in text
+    assert "\nrsgf &" in text
+
+
+def test_a_detector_is_named(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """A lattice that a detector found is marked by the detector's name."""
+    text = _write_latex(make_run([make_cell(lattice_source="gncc")]), tmp_path)["summary"]
+    assert r"rsgf\textsuperscript{gncc} &" in text
+
+
+def test_many_methods_follow_below(every_ending: Run, tmp_path: Path) -> None:
+    """Methods beyond the number of columns follow in further blocks, which repeat every texture."""
+    text = _write_latex(every_ending, tmp_path, columns=2)["comparison"]
+    assert text.count(r"brick & ") == 2 and text.count("texture & share") == 2
+
+
+def test_latex_columns_are_checked(make_run: Make, tmp_path: Path) -> None:
+    """Fewer than one column is an error; a run without cells writes no file."""
+    with pytest.raises(BadInput, match="give at least 1"):
+        LatexTables(columns=0)
+    assert LatexTables().write(make_run([]), tmp_path) == []
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdfLaTeX")
+def test_pdflatex_reads_it(every_ending: Run, tmp_path: Path) -> None:
+    """A paper with booktabs alone compiles with both tables, hostile names included."""
+    paths = LatexTables().write(every_ending, tmp_path)
+    body = "\n".join(rf"\input{{{path.name}}}" for path in paths)
+    head = "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n\\usepackage{booktabs}\n\\begin{document}\n"
+    (tmp_path / "paper.tex").write_text(f"{head}{body}\n\\end{{document}}\n")
+    line = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-draftmode", "paper.tex"]
+    done = subprocess.run(line, cwd=tmp_path, capture_output=True, timeout=60)
+    assert done.returncode == 0, done.stdout.decode(errors="replace")[-2000:]
+
+
+GOLDEN = Path(__file__).parent / "golden"
+HOSTILE = {
+    "markup": '<b onclick="x">&amp;\'"</b>',
+    "latex": r"50% of $x_1 & \input{x} #~^",
+    "markdown": "`a` | *b* [c](http://d) <!--",
+    "formula": "=HYPERLINK(1)",
+    "right to left": "\u202eabc \u05d0\u05d1\u05d2 \u0627\u0644",
+    "emoji": "tile \U0001f9f1 \U0001f469\u200d\U0001f3a8",
+}
+
+
+@pytest.fixture(scope="module")
+def golden_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Return a run of 12 textures, 6 of them with hostile names, with three methods and a reference."""
+    root = tmp_path_factory.mktemp("golden") / "run"
+    make = cell_maker(root)
+    rng = np.random.default_rng(0)
+    cells = []
+    for i, name in enumerate([*HOSTILE.values(), *(f"plain-{k}" for k in range(6))]):
+        hard = rng.uniform(0.4, 0.8)
+        for method, worse in (("rsgf", 0.0), ("tile-set", 0.02), (HOSTILE["latex"], 0.25)):
+            status = "refused" if (i, method) == (7, "tile-set") else "ok"
+            parts = {name: round(float(hard - worse + rng.normal(0, 0.03)), 4) for name in PERILS}
+            more = {"message": HOSTILE["markup"]} if status == "refused" else {"perils": parts}
+            cells.append(make(name, method, preserved=worse < 0.1 or i % 2 == 0, status=status, **more))
+        cells.append(make(name, "oracle", "none", reference=True, perils=dict.fromkeys(PERILS, 1.0)))
+    return run_maker(root)(cells, versions={"nrbench": "0", "numpy": "2"}, created="2026-01-01 00:00 UTC")
+
+
+def _check(name: str, content: str) -> str:
+    """Return the approved content of a file, or write it first."""
+    file = GOLDEN / name
+    if os.environ.get("NRBENCH_GOLDEN") == "write":
+        file.write_bytes(content.encode("utf-8", "backslashreplace"))
+    return file.read_text("utf-8")
+
+
+@pytest.mark.parametrize(("name", "report"), [("comparison.md", MarkdownTables()), ("comparison.txt", TextTable())])
+def test_text_is_as_approved(golden_run: Run, name: str, report: MarkdownTables | TextTable) -> None:
+    """The format is byte for byte the approved file."""
+    text = report.render(golden_run)
+    assert text == _check(name, text)
+
+
+def test_latex_is_as_approved(golden_run: Run, tmp_path: Path) -> None:
+    """Each LaTeX table and the bibliography is byte for byte the approved file."""
+    paths = LatexTables().write(golden_run, tmp_path)
+    assert {path.name for path in paths} == {"patches.tex", "summary.tex", "comparison.tex", "methods.bib"}
+    for path in paths:
+        text = path.read_text("utf-8")
+        assert text == _check(path.name, text)
+
+
+@pytest.mark.parametrize("name", ["summary.csv", "comparison.csv", "baseline.csv", "significance.csv"])
+def test_csv_is_as_approved(golden_run: Run, tmp_path: Path, name: str) -> None:
+    """Each table has the approved words, and the approved numbers up to rounding."""
+    text = next(path for path in CsvTables().write(golden_run, tmp_path) if path.name == name).read_text("utf-8")
+    for ours, theirs in zip_longest(csv.reader(text.splitlines()), csv.reader(_check(name, text).splitlines())):
+        assert [_number(word) for word in ours] == [pytest.approx(_number(word)) for word in theirs]
+
+
+def test_json_is_as_approved(golden_run: Run) -> None:
+    """The JSON has the approved content, and it is valid: no NaN, no infinity."""
+    text = JsonSummary().render(golden_run)
+    _same(json.loads(text), json.loads(_check("comparison.json", text)))
+
+
+def _number(word: str) -> float | str:
+    try:
+        return float(word)
+    except ValueError:
+        return word
+
+
+def _same(ours: Any, theirs: Any) -> None:
+    if isinstance(theirs, dict):
+        assert list(ours) == list(theirs)
+        ours, theirs = list(ours.values()), list(theirs.values())
+    if isinstance(theirs, list):
+        assert len(ours) == len(theirs)
+        for one, other in zip(ours, theirs, strict=True):
+            _same(one, other)
+    else:
+        assert ours == (pytest.approx(theirs) if isinstance(theirs, float) else theirs)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"), (float("nan"), "–"), (True, "yes"), (False, "no"), (0.0, "0.00"), (0.876, "0.88"), (1, "1.00"),
+        (0.0123, "0.012"), (-0.5, "−0.50"), (12.34, "12.3"), (1234.5, "1234"), (3.2e7, "3.20e+07"), (2e-5, "2.0e−05"),
+    ],
+)  # fmt: skip
+def test_numbers_read_well(value: float | None, text: str) -> None:
+    """Numbers are short at every size."""
+    assert text_format.format_number(value) == text
+
+
+def test_counts_say_what_was_left_out() -> None:
+    """A success rate says k of n, and how many textures it leaves out."""
+    assert text_format.format_successes(Estimate(0.875, 0.5, 1.0, 8, 8)) == "7 of 8"
+    assert text_format.format_successes(Estimate(0.875, 0.5, 1.0, 8, 9)) == "7 of 8, 1 left out"

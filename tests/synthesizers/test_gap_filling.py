@@ -1,0 +1,282 @@
+"""Claims about the grid of blocks, the canvas of placed blocks and filled gaps, and the search for what fits a gap."""
+
+import math
+from typing import get_args
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from nrbench.imaging.convert import Image, quantize, to_bytes
+from nrbench.synthesizers.gap_filling.blocks import OWN, BlockGrid, Box, Sides, gap_border
+from nrbench.synthesizers.gap_filling.canvas import (
+    BlockCanvas,
+    PatchOverlap,
+    SeamMethod,
+    cut_graph,
+)
+from nrbench.synthesizers.gap_filling.matching import FrameMatcher, Match, align_patch
+from nrbench.synthesizers.sampling.patches import Patches
+from nrbench.synthesizers.seams.minimum_cut import Links
+
+ALL: Sides = (True, True, True, True)
+sides = st.tuples(*[st.booleans()] * 4)
+
+
+def test_blocks_alternate_like_a_chess_board() -> None:
+    """Placed blocks and gaps share the grid, and no two of a kind are neighbors."""
+    grid = BlockGrid((90, 170), 40, 10)
+    assert grid.counts == (3, 5)
+    placed, gaps = ({(block.row, block.column) for block in kind} for kind in (grid.placed(), grid.gaps()))
+    assert len(placed | gaps) == 15
+    assert not placed & gaps
+    for row, column in gaps:
+        assert {(row, column - 1), (row - 1, column), (row, column + 1), (row + 1, column)} <= placed | {
+            (r, c) for r in range(-1, 4) for c in range(-1, 6) if not (0 <= r < 3 and 0 <= c < 5)
+        }
+
+
+@given(sides)
+def test_the_border_is_what_lies_near_a_neighbor(there: Sides) -> None:
+    """The gap consists of border and hole: border pixels are less than 10 px from a neighbor's block."""
+    border = gap_border(40, 10, there)
+    rows, columns = np.indices((40, 40))
+    distances = np.stack([columns, rows, 39 - columns, 39 - rows])
+    near = (distances[np.array(there)] < 10).any(0) if any(there) else np.zeros((40, 40), bool)
+    marked = np.zeros((40, 40), bool)
+    marked[border.pixels[:, 1], border.pixels[:, 0]] = True
+    np.testing.assert_array_equal(marked, near)
+    y0, y1, x0, x1 = border.hole
+    marked[y0:y1, x0:x1] = True
+    assert marked.all()
+    assert len(border.pixels[:, 1]) + (y1 - y0) * (x1 - x0) == 1600
+
+
+@given(sides)
+def test_each_wedge_belongs_to_the_nearest_neighbor(there: Sides) -> None:
+    """The owner of a border pixel is the nearest side that has a neighbor: the corners' diagonals divide."""
+    border = gap_border(40, 10, there)
+    distances = np.stack(
+        [border.pixels[:, 0], border.pixels[:, 1], 39 - border.pixels[:, 0], 39 - border.pixels[:, 1]]
+    ).astype(float)
+    distances[~np.array(there)] = np.inf
+    np.testing.assert_array_equal(distances[border.owner, np.arange(len(border.owner))], distances.min(0))
+
+
+@given(sides)
+def test_weights_sum_to_one_and_draw_on_neighbors_that_are_there(there: Sides) -> None:
+    """Blending is a partition of unity over the gap's own patch and existing neighbors."""
+    border = gap_border(24, 7, there)
+    np.testing.assert_allclose(border.weights.sum(0), 1, atol=1e-6)
+    assert (border.weights >= 0).all()
+    used = np.unique(border.layers[border.weights > 0])
+    assert all(layer == OWN or there[layer] for layer in used)
+
+
+def test_the_gaps_own_patch_fades_in_linearly() -> None:
+    """Along the middle of a side the alpha rises by one tenth a pixel over a 10 px border."""
+    border = gap_border(40, 10, ALL)
+    middle = (border.pixels[:, 1] == 20) & (border.pixels[:, 0] < 10)
+    np.testing.assert_allclose(border.weights[0, middle], (np.arange(10) + 0.5) / 10, atol=1e-6)
+
+
+SEAMS = get_args(SeamMethod)
+
+
+def test_a_blended_patch_stays_in_its_gap_and_a_cut_one_does_not() -> None:
+    """Blending leaves placed blocks unchanged; seams may run into them, but not beyond their middles."""
+    changed = {}
+    for seam in SEAMS:
+        canvas = BlockCanvas(
+            Patches(np.random.default_rng(0).random((60, 60, 3), np.float32)), BlockGrid((48, 48), 16, 5), seam
+        )
+        rng = np.random.default_rng(1)
+        for block in canvas.grid.placed():
+            canvas.place_block(block, rng.uniform(5, 39, 2))
+        canvas.extend_placed()
+        before = canvas.image.copy()
+        for gap in canvas.grid.gaps():
+            canvas.fill_gap(gap, rng.uniform(0, 44, 2))
+        moved = (canvas.image != before).any(-1)
+        changed[seam] = sum(int(moved[block.window()].sum()) for block in canvas.grid.placed())
+        assert not moved[24, 24]
+    assert changed["blend"] == 0
+    assert changed["graphcut"] > 0
+
+
+def joint(old: Image, new: Image, sides: tuple[bool, bool, bool, bool] = ALL, depth: int = 16) -> PatchOverlap:
+    """Lay a patch over a gap of 24 px, 8 px of border inside it and 8 px beyond on the sides that have neighbors."""
+    height, width = old.shape[:2]
+    left, top, right, bottom = (depth if there else 0 for there in sides)
+    known = np.ones((height, width), np.bool_)
+    known[top : height - bottom, left : width - right] = False
+    box = (-8 if sides[1] else 0, 24 + (8 if sides[3] else 0), -8 if sides[0] else 0, 24 + (8 if sides[2] else 0))
+    hole = (8 if sides[1] else 0, 16 if sides[3] else 24, 8 if sides[0] else 0, 16 if sides[2] else 24)
+    return PatchOverlap(old, new, known, box, hole, sides)
+
+
+def nothing(shape: tuple[int, ...]) -> Links:
+    """Return the seams of a picture that has none."""
+    return Links(np.zeros((shape[0], shape[1] - 1)), np.zeros((shape[0] - 1, shape[1])))
+
+
+SIDES = [ALL, (False, True, True, False), (True, False, False, False), (False, False, True, True)]
+
+
+@pytest.mark.parametrize("sides", SIDES)
+def test_the_hole_is_new_and_the_edge_beside_a_neighbor_old(sides: tuple[bool, bool, bool, bool]) -> None:
+    """Everything unknown becomes new, and a graph cut leaves the box's edge beside a neighbor old."""
+    height, width = 24 + 8 * (sides[1] + sides[3]), 24 + 8 * (sides[0] + sides[2])
+    old, new = np.random.default_rng(0).random((2, height, width, 3)).astype(np.float32)
+    one = joint(old, new, sides)
+    mask = cut_graph(one, nothing(old.shape))
+    assert mask[~one.known].all()
+    assert not mask[one.fixed_old()].any()
+    assert not mask.all()
+
+
+def bricks(rng: np.random.Generator) -> Image:
+    """Return bricks of 10 x 6 px with different tones, joints of 2 px, and weak noise."""
+    y, x = np.indices((40, 40))
+    row = y // 8
+    column = (x + 6 * (row % 2)) // 12
+    tones = 0.4 + 0.2 * rng.random((6, 6, 1))
+    joints = (y % 8 < 2) | ((x + 6 * (row % 2)) % 12 < 2)
+    picture = np.where(joints[..., np.newaxis], 0.9, tones[row, column]) + 0.01 * rng.standard_normal((40, 40, 1))
+    return picture.astype(np.float32)
+
+
+def test_a_graph_cut_runs_around_bricks() -> None:
+    """A graph cut between two walls with equal bricks of different tones leaves no brick two-toned."""
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        old, new = bricks(rng), bricks(rng)
+        one = joint(old, new)
+        mask = cut_graph(one, nothing(old.shape))
+        y, x = np.indices((40, 40))
+        row = y // 8
+        brick = row * 10 + (x + 6 * (row % 2)) // 12
+        inside = (y % 8 >= 2) & ((x + 6 * (row % 2)) % 12 >= 2)
+        shares = np.array([mask[inside & (brick == which)].mean() for which in np.unique(brick[inside])])
+        assert (np.minimum(shares, 1 - shares) < 0.1).all()
+
+
+def test_recorded_seams_follow_the_cut() -> None:
+    """After a cut the recorded seams are those of the joined picture."""
+    old, new = np.random.default_rng(1).random((2, 40, 40, 3)).astype(np.float32)
+    one, seams = joint(old, new), nothing(old.shape)
+    seams.across[20, 19] = 5.0
+    seams.across[1, 1] = 3.0
+    mask = cut_graph(one, seams)
+    changes = mask[:, 1:] != mask[:, :-1]
+    assert seams.across[20, 19] == 0
+    assert (seams.across[changes] > 0).all()
+    rest = seams.across[~changes]
+    assert rest.sum() in (0.0, 3.0)
+
+
+SIZE = 9
+HOLES: list[Box] = [(3, 6, 3, 6), (0, 6, 3, 9), (2, 2, 4, 4)]
+
+
+def noise(shape: tuple[int, int], channels: int, seed: int = 0) -> Image:
+    """Return noise of 8 bits."""
+    return quantize(np.random.default_rng(seed).random((*shape, channels), np.float32))
+
+
+def cut(image: Image, x: int, y: int) -> NDArray[np.float32]:
+    """Return a patch as whole numbers."""
+    return to_bytes(image)[y : y + SIZE, x : x + SIZE].astype(np.float32)
+
+
+def counted(patch: NDArray[np.float32], hole: Box) -> NDArray[np.float64]:
+    """Return the pixels of a patch outside the hole, by naive loops: (n, C)."""
+    y0, y1, x0, x1 = hole
+    rows = range(SIZE)
+    return np.array([patch[y, x] for y in rows for x in rows if not (y0 <= y < y1 and x0 <= x < x1)], np.float64)
+
+
+def naive(patch: NDArray[np.float32], template: NDArray[np.float32], hole: Box, match: Match) -> float:
+    """Rate by equation 10 (negated), or equations 3 and 6, as they stand."""
+    f, g = counted(patch, hole), counted(template, hole)
+    if match == "color":
+        return -float(((f - g) ** 2).sum())
+    f, g = f - f.mean(0), g - g.mean(0)
+    sigma_f, sigma_g = np.sqrt((f**2).sum(0)), np.sqrt((g**2).sum(0))
+    gamma = (f * g).sum(0) / (sigma_f * sigma_g)
+    return float((gamma * sigma_f * sigma_g).sum() / (sigma_f * sigma_g).sum())
+
+
+@pytest.mark.parametrize("match", ["ncc", "color"])
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("hole", HOLES)
+def test_ratings_equal_brute_force(match: Match, channels: int, hole: Box) -> None:
+    """Both matches equal naive loops at every place, by direct summation and in the Fourier domain."""
+    image, other = noise((21, 17), channels), noise((21, 17), channels, seed=1)
+    matcher = FrameMatcher(image, SIZE, match)
+    template = cut(other, 3, 5)
+    rows, columns = matcher.search_shape
+    expected = [[naive(cut(image, x, y), template, hole, match) for x in range(columns)] for y in range(rows)]
+    positions = np.argwhere(np.ones((rows, columns)))[:, ::-1]
+    direct = matcher.rate(template, hole, positions).reshape(rows, columns)
+    np.testing.assert_allclose(direct, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(direct, matcher.rate_everywhere(template, hole))
+
+
+def test_ncc_ignores_brightness_and_contrast_and_color_does_not() -> None:
+    """A darker, flatter template still correlates perfectly, but differs in color."""
+    image = noise((20, 20), 1)
+    image = quantize(np.rint(image * 100) * 2 / 255)
+    template = cut(image, 4, 6) / 2
+    here = np.array([[4, 6]])
+    assert FrameMatcher(image, SIZE, "ncc").rate(template, (3, 6, 3, 6), here)[0] == pytest.approx(1)
+    assert FrameMatcher(image, SIZE, "color").rate(template, (3, 6, 3, 6), here)[0] < 0
+
+
+def test_a_flat_border_rates_zero_by_ncc() -> None:
+    """Where nothing varies there is no correlation, and no warning."""
+    image = np.full((20, 20, 1), 0.4, np.float32)
+    assert not FrameMatcher(image, SIZE, "ncc").rate_everywhere(cut(image, 0, 0), (3, 6, 3, 6)).any()
+
+
+def test_runs_too_long_for_float32_are_summed_exactly() -> None:
+    """White frames of 400 px, whose rows sum to more than 2^24, match without a rounding error."""
+    image = np.ones((410, 410, 3), np.float32)
+    matcher = FrameMatcher(image, 400, "color")
+    template = np.full((400, 400, 3), 255, np.float32)
+    assert matcher.rate(template, (10, 390, 10, 390), np.array([[3, 5]]))[0] == 0
+
+
+Y, X = np.indices((48, 48)).astype(float)
+FRAME = np.ones((48, 48))
+FRAME[14:34, 14:34] = 0
+
+
+def texture(x: np.ndarray, y: np.ndarray) -> Image:  # type: ignore[type-arg]
+    """Return a texture of lines both ways, at any place."""
+    waves = np.cos(2 * math.pi * x / 9.3) + np.cos(2 * math.pi * (y + 0.2 * x) / 8.1) + np.cos(0.9 * (x - y))
+    return (0.5 + 0.15 * waves)[..., np.newaxis].astype(np.float32)
+
+
+@pytest.mark.parametrize("off", [(0.4, -0.3), (-0.8, 0.7), (0.0, 0.05)])
+def test_a_patch_is_moved_to_where_it_meets(off: tuple[float, float]) -> None:
+    """A place that is off by up to a pixel is corrected to 0.02 px, by the frame alone."""
+    old = texture(X + 5, Y + 7)
+    place = np.add((5.0, 7.0), off)
+    for _ in range(3):
+        place = align_patch(lambda at: texture(X + at[0], Y + at[1]), place, old, FRAME)
+    np.testing.assert_allclose(place, (5, 7), atol=0.02)
+
+
+def test_equal_pictures_move_nothing() -> None:
+    """Equal pictures give no displacement, not even a rounding error."""
+    old = texture(X, Y)
+    assert align_patch(lambda at: old, np.array([3.0, 4.0]), old, FRAME).tolist() == [3, 4]
+
+
+def test_flat_pictures_move_nothing() -> None:
+    """Flat pictures give no displacement, even if they differ in brightness."""
+    flat = np.full((48, 48, 1), 0.3, np.float32)
+    assert align_patch(lambda at: flat + 0.1, np.array([3.0, 4.0]), flat, FRAME).tolist() == [3, 4]

@@ -1,0 +1,425 @@
+"""Claims about methods that grow pixel by pixel: their search for neighborhoods, ann-pixel and fftm-pixel."""
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from skimage.color import rgb2ypbpr
+from synthesis_cases import noise, synthesize
+
+from nrbench.imaging.convert import Image, quantize
+from nrbench.metrics.source import SourceUse
+from nrbench.plugins.forms import Observation, Refused, Synthesis, Task
+from nrbench.running.output_checks import checked_synthesis, is_picture
+from nrbench.spectra.harmonics import WaveAnalysis
+from nrbench.synthesizers.ann_pixel import AnnPixel
+from nrbench.synthesizers.fftm_pixel import FftmPixel
+from nrbench.synthesizers.masks.texture_mask import TextureMask
+from nrbench.synthesizers.pixel_growing.neighbor_search import KdTree, Projection
+
+
+@pytest.mark.parametrize("search", ["ann", "exhaustive", "k-coherence"])
+@pytest.mark.parametrize("neighborhood", [7, 10])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_texture_that_the_window_spans_is_continued(search: Any, neighborhood: int, channels: int) -> None:
+    """Below its random start the output repeats like the sample, except where pieces of different phase meet."""
+    sample = np.tile(noise(5, 6, channels), (9, 8, 1))
+    made = synthesize(AnnPixel(neighborhood, search=search), sample, (60, 70))
+    lower = made.image[20:, 12:-12]
+    assert (lower[5:] == lower[:-5]).all(-1).mean() > 0.9
+    assert (lower[:, 6:] == lower[:, :-6]).all(-1).mean() > 0.5
+    assert len(np.unique(lower.reshape(-1, channels), axis=0)) > 20
+
+
+def test_a_texture_that_the_window_does_not_span_is_lost() -> None:
+    """If stripes are farther apart than the window, the method does not continue their period."""
+    stripes = np.zeros((64, 64, 1), np.float32)
+    stripes[::16, :, 0] = 1
+    made = synthesize(AnnPixel(3), stripes, (128, 64))
+    rows = np.flatnonzero(made.image[20:, :, 0].mean(1) > 0.5)
+    assert len(rows) == 0 or (np.diff(rows) != 16).any()
+
+
+def test_a_sample_smaller_than_the_window_is_refused() -> None:
+    """The message names the sizes of the sample and of the window, whose rows below the pixel do not count."""
+    with pytest.raises(Refused, match="10x6 px, the sample is 30x5 px"):
+        synthesize(AnnPixel(10), noise(5, 30), (20, 20))
+    assert (synthesize(AnnPixel(10), noise(6, 10), (9, 9)).image == noise(6, 10)[5, 5]).all()
+
+
+SEARCHES = ("ann", "exhaustive", "k-coherence")
+MATCHES = ("full", "cluster")
+
+
+def mask_of(tile: Image, stretch: float = 1.0) -> TextureMask:
+    """Return the exact mask of a repeated tile with odd sides, stretched about (0, 0)."""
+    height, width, channels = tile.shape
+    planes = rgb2ypbpr(tile.astype(np.float64)) if channels == 3 else tile.astype(np.float64)
+    waves = np.fft.fft2(planes, axes=(0, 1)) / (height * width)
+    v, u = (np.rint(np.fft.fftfreq(n) * n).astype(int) for n in (height, width))
+    orders = np.array([(i, j) for j in v for i in u if i > 0 or (i == 0 and j > 0)])
+    chosen = 2 * waves[orders[:, 1], orders[:, 0]]
+    fundamentals = np.diag([1 / (width * stretch), 1 / (height * stretch)])
+    mean = waves[0, 0].real
+    return TextureMask(
+        WaveAnalysis(orders @ fundamentals, chosen.real, -chosen.imag, mean, fundamentals, orders, (2,), 1.0)
+    )
+
+
+def soft_tile(height: int, width: int, channels: int = 3) -> Image:
+    """Return a smooth tile."""
+    y, x = np.indices((height, width))
+    wave = 0.5 + 0.25 * np.cos(2 * np.pi * x / width) + 0.2 * np.sin(2 * np.pi * y / height)
+    return quantize(np.repeat(wave[..., np.newaxis], channels, 2).astype(np.float32))
+
+
+def repeated(tile: Image, shape: tuple[int, int], grain: float = 0.0, seed: int = 0) -> Image:
+    """Return a tile that is repeated over ``shape``, with noise."""
+    height, width = (-(-want // have) for want, have in zip(shape, tile.shape, strict=False))
+    picture = np.tile(tile, (height, width, 1))[: shape[0], : shape[1]]
+    return quantize(picture + grain * np.random.default_rng(seed).standard_normal(picture.shape).astype(np.float32))
+
+
+def masked(method: FftmPixel, sample: Image, shape: tuple[int, int], mask: TextureMask, seed: int = 1) -> Synthesis:
+    """Run the method with a known mask."""
+    return method.synthesize_with_mask(Task(sample, shape, None, np.random.default_rng(seed)), mask)
+
+
+def mean_run(made: Synthesis, sample: Image) -> float:
+    """Return the mean unbroken run of the source map, px."""
+    found = SourceUse().score(Observation(sample, made.image, source=made.source)).values["mean_copy_length"]
+    assert found is not None
+    return float(found)
+
+
+@pytest.mark.parametrize("match", MATCHES)
+@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize("neighborhood", [2, 3, 6])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_perfect_texture_with_a_perfect_mask_is_continued(
+    match: Any, search: Any, neighborhood: int, channels: int
+) -> None:
+    """On a whole-pixel lattice the output continues the texture periodically: PSNR over 35 dB, exact for match full."""
+    tile = noise(13, 15, channels)
+    sample, due = repeated(tile, (60, 62)), repeated(tile, (70, 131))
+    made = masked(FftmPixel(neighborhood, match=match, search=search), sample, (70, 131), mask_of(tile))
+    error = float(((made.image - due) ** 2).mean())
+    assert error < 10**-3.5
+    if match == "full":
+        np.testing.assert_array_equal(quantize(made.image), due)
+
+
+@settings(max_examples=60)
+@given(
+    st.tuples(st.integers(1, 40), st.integers(1, 40)),
+    st.integers(2, 6),
+    st.sampled_from([1, 3]),
+    st.sampled_from(MATCHES),
+    st.sampled_from(SEARCHES),
+    st.sampled_from([0.0, 1.0, 2.5]),
+    st.sampled_from([0, 3, 16]),
+    st.tuples(st.integers(6, 30), st.integers(6, 30)),
+)
+def test_every_pixel_is_the_samples_and_the_map_says_which_beside_a_mask(
+    shape: tuple[int, int],
+    neighborhood: int,
+    channels: int,
+    match: Any,
+    search: Any,
+    coherence: float,
+    dimensions: int,
+    size: tuple[int, int],
+) -> None:
+    """For all parameters and shapes, pixels are copies, the source map is right, and the mask has the output's size."""
+    sample = noise(*size, channels)
+    method = FftmPixel(neighborhood, match=match, search=search, coherence=coherence, dimensions=dimensions)
+    made = checked_synthesis(masked(method, sample, shape, mask_of(soft_tile(7, 9, channels))), sample, shape)
+    assert made.source is not None
+    x, y, weight = np.moveaxis(made.source, -1, 0)
+    assert (weight == 1).all()
+    np.testing.assert_array_equal(made.image, sample[y.astype(int), x.astype(int)])
+    assert is_picture(made.extras["mask"])
+    assert made.extras["mask"].shape == (*shape, channels)
+
+
+@pytest.mark.parametrize("match", MATCHES)
+@pytest.mark.parametrize("coherence", [0.0, 2.0])
+@pytest.mark.parametrize("dimensions", [0, 5])
+def test_the_tree_finds_what_exhaustive_search_finds(match: Any, coherence: float, dimensions: int) -> None:
+    """Both searches give the same bytes, on noise and on a texture with many ties."""
+    tile = soft_tile(7, 9)
+    for sample in (noise(40, 44), repeated(tile, (40, 44)), repeated(tile, (40, 44), 0.05)):
+        ann, all_of_them = (
+            synthesize(
+                FftmPixel(match=match, search=search, coherence=coherence, dimensions=dimensions),
+                sample,
+                (50, 41),
+                mask_of(tile),
+            )
+            for search in ("ann", "exhaustive")
+        )
+        np.testing.assert_array_equal(ann.source, all_of_them.source)
+
+
+def test_coherence_lengthens_runs_and_exhaustive_search_does_not() -> None:
+    """The mean length of copied runs grows with the coherence factor; exhaustive search alone gives short runs."""
+    tile = soft_tile(11, 13)
+    sample = repeated(tile, (64, 64), 0.08)
+    runs = {
+        (search, factor): mean_run(
+            masked(FftmPixel(search=search, coherence=factor), sample, (80, 80), mask_of(tile)), sample
+        )
+        for search, factor in (("exhaustive", 0.0), ("ann", 0.0), ("ann", 1.5), ("ann", 2.0), ("ann", 4.0))
+    }  # type: dict[tuple[Any, float], float]
+    none, once, twice, far = (runs["ann", factor] for factor in (0.0, 1.5, 2.0, 4.0))
+    assert runs["exhaustive", 0.0] == none
+    assert none < once < twice < far
+    assert far > 3 * none
+
+
+def test_the_output_looks_like_the_mask_the_more_it_counts() -> None:
+    """The correlation of output and mask grows with the weight: it is 0 at weight 0, and changes little above 5."""
+    tile = soft_tile(11, 13)
+    sample, shape = repeated(tile, (64, 64), 0.15), (96, 96)
+    like = {}
+    for weight in (0.0, 0.01, 1.0, 5.0, 100.0):
+        made = masked(FftmPixel(weight=weight, coherence=0.0), sample, shape, mask_of(tile))
+        like[weight] = float(np.corrcoef(made.image.ravel(), made.extras["mask"].ravel())[0, 1])
+    assert abs(like[0.0]) < 0.2
+    assert like[0.0] + 0.1 < like[0.01] + 0.1 < like[1.0] < like[5.0]
+    assert abs(like[100.0] - like[5.0]) < 0.1
+
+
+def test_every_parameter_changes_something_beside_a_mask() -> None:
+    """Each parameter changes the output."""
+    tile = soft_tile(11, 13)
+    sample = repeated(tile, (64, 64), 0.1)
+
+    def output(**change: Any) -> NDArray[np.float32]:
+        return masked(FftmPixel(**change), sample, (66, 78), mask_of(tile)).image
+
+    clustered, coherent = {"match": "cluster"}, {"search": "k-coherence", "coherence": 0.0}
+    pairs: list[tuple[dict[str, Any], dict[str, Any]]] = [
+        ({}, {"neighborhood": 4}), ({}, {"weight": 3.0}), ({}, clustered), ({}, coherent), ({}, {"coherence": 0.0}),
+        ({}, {"dimensions": 4}), ({}, {"tileable": True}),
+    ]  # fmt: skip
+    for one, other in pairs:
+        assert (output(**one) != output(**other)).any(), other
+
+
+def test_a_sample_smaller_than_the_window_is_refused_beside_a_mask() -> None:
+    """The message names the sizes of neighborhood and sample; one complete neighborhood is enough."""
+    mask = mask_of(soft_tile(7, 9))
+    with pytest.raises(Refused, match="6x6 px, the sample is 30x5 px"):
+        masked(FftmPixel(6), noise(5, 30), (20, 20), mask)
+    for match, search in itertools.product(MATCHES, SEARCHES):
+        made = masked(FftmPixel(6, match=match, search=search), noise(6, 6), (9, 9), mask)  # type: ignore[arg-type]
+        assert (made.image == noise(6, 6)[3, 3]).all()
+
+
+def test_a_flat_sample_gives_a_flat_output() -> None:
+    """If all neighborhoods are equal, the search ends and the output is flat."""
+    flat = np.full((64, 64, 1), 0.4, np.float32)
+    for match, search in itertools.product(MATCHES, SEARCHES):
+        made = masked(FftmPixel(match=match, search=search), flat, (70, 70), mask_of(soft_tile(7, 9, 1)))  # type: ignore[arg-type]
+        np.testing.assert_allclose(made.image, 0.4, atol=0.002)
+
+
+def test_it_makes_its_own_mask() -> None:
+    """Without a given lattice or mask, the output continues the sample in phase, and the lattice is reported."""
+    y, x = 2 * np.pi * np.indices((11, 13)) / np.array([11, 13])[:, np.newaxis, np.newaxis]
+    wave = np.cos(x) + np.sin(y) + np.cos(x + y) + np.sin(x - y) + np.cos(2 * x) + np.sin(2 * y + x)
+    tile = quantize((0.5 + 0.08 * wave)[..., np.newaxis].astype(np.float32))
+    sample = repeated(tile, (66, 65), 0.02)
+    made = FftmPixel().synthesize(Task(sample, (90, 100), None, np.random.default_rng(0)))
+    due = repeated(tile, (90, 100))
+    assert np.corrcoef(made.image.ravel(), due.ravel())[0, 1] > 0.95
+    assert made.lattice is not None
+    assert made.lattice.area == pytest.approx(143, rel=0.02)
+    assert made.detection_seconds > 0
+
+
+def seam_ratio(image: Image) -> float:
+    """Return the mean step between opposite borders of the output, relative to the mean step inside."""
+    across = np.abs(image[:, 0] - image[:, -1]).mean() + np.abs(image[0] - image[-1]).mean()
+    inside = np.abs(np.diff(image, axis=1)).mean() + np.abs(np.diff(image, axis=0)).mean()
+    return float(across / inside)
+
+
+@pytest.mark.parametrize("neighborhood", [2, 3, 6])
+def test_a_tileable_output_meets_itself_without_a_seam(neighborhood: int) -> None:
+    """Smooth blobs continue across the borders of a tileable output; in other outputs they are cut off."""
+    rng = np.random.default_rng(2)
+    tile = soft_tile(15, 15, 1)
+    rough = rng.standard_normal((90, 90))
+    waves = np.exp(-0.5 * (np.hypot(*np.meshgrid(np.fft.fftfreq(90), np.fft.fftfreq(90))) / 0.06) ** 2)
+    blobs = np.fft.ifft2(np.fft.fft2(rough) * waves).real
+    sample = quantize(repeated(tile, (90, 90)) * 0.5 + (0.25 + 0.1 * blobs / blobs.std())[..., np.newaxis])
+    mask = mask_of(quantize(tile * 0.5 + 0.25))
+    ratios = {
+        tileable: np.mean(
+            [
+                seam_ratio(masked(FftmPixel(neighborhood, tileable=tileable), sample, (60, 75), mask, k).image)
+                for k in range(4)
+            ]
+        )
+        for tileable in (False, True)
+    }
+    assert ratios[True] < 1.35
+    assert ratios[True] < 0.8 * ratios[False]
+
+
+def test_a_tileable_output_of_a_perfect_texture_is_its_continuation() -> None:
+    """The second pass does not change an output that is periodic already, even of a single tile."""
+    tile = noise(13, 15)
+    for shape in ((13, 15), (39, 60)):
+        made = masked(FftmPixel(tileable=True), repeated(tile, (60, 62)), shape, mask_of(tile))
+        np.testing.assert_array_equal(quantize(made.image), repeated(tile, shape))
+
+
+def test_a_size_that_is_no_period_is_refused_with_the_nearest_ones_that_work() -> None:
+    """The message names the nearest valid size; with it the output tiles, even if the period is fractional."""
+    tile, sample = soft_tile(11, 13), repeated(soft_tile(11, 13), (64, 64), 0.05)
+    mask = mask_of(tile, 1.03)
+    with pytest.raises(Refused, match="nearest valid size: 68x67"):
+        masked(FftmPixel(tileable=True), sample, (64, 73), mask)
+    made = masked(FftmPixel(tileable=True), sample, (67, 68), mask)
+    assert seam_ratio(made.extras["mask"]) < 1.1
+    assert seam_ratio(mask.draw((64, 73))) > 1.5
+
+
+def test_stripes_tile_along_themselves_at_any_length() -> None:
+    """A mask of one fundamental has a period across its stripes alone."""
+    harmonics = WaveAnalysis(
+        np.array([[0.1, 0.0]]), np.array([[0.2]]), np.array([[0.0]]), np.array([0.5]),
+        np.array([[0.1, 0.0]]), np.array([[1]]), (1,), 1.0,
+    )  # fmt: skip
+    sample, mask = noise(30, 30, 1), TextureMask(harmonics)
+    assert masked(FftmPixel(tileable=True), sample, (17, 40), mask).image.shape == (17, 40, 1)
+    with pytest.raises(Refused, match="nearest valid size: 40x17"):
+        masked(FftmPixel(tileable=True), sample, (17, 43), mask)
+
+
+def draw_points(count: int, axes: int, spread: int, seed: int) -> NDArray[np.int16]:
+    """Return points whose coordinates take few values where the spread is small: many ties."""
+    return np.random.default_rng(seed).integers(-spread, spread + 1, (count, axes)).astype(np.int16)
+
+
+def distances(points: NDArray[np.int16], queries: NDArray[np.int16]) -> NDArray[np.int64]:
+    """Return all squared distances, (q, n)."""
+    apart = queries[:, np.newaxis].astype(np.int64) - points
+    return np.asarray((apart**2).sum(-1))
+
+
+SETS = st.tuples(st.integers(1, 120), st.integers(1, 20), st.sampled_from([0, 1, 3, 50, 5000]), st.integers(0, 999))
+
+
+@settings(max_examples=150)
+@given(SETS, st.integers(1, 5), st.integers(1, 9), st.integers(1, 4))
+def test_the_nearest_are_those_of_brute_force(
+    drawing: tuple[int, int, int, int], k: int, leaf: int, number: int
+) -> None:
+    """With eps 0 the k nearest of a group are found, ties by rank, whatever the leaves; -1 where there are fewer."""
+    count, axes, spread, seed = drawing
+    points, queries = draw_points(count, axes, spread, seed), draw_points(20, axes, spread, seed + 1)
+    rng = np.random.default_rng(seed)
+    ranks, groups = rng.permutation(count), np.sort(np.arange(count) % number)
+    among = rng.integers(groups.max() + 1, size=20)
+    numbers, apart = KdTree.build(points, ranks, groups, leaf).nearest(queries, k, groups=among)
+    for query, row in enumerate(distances(points, queries)):
+        mine = np.flatnonzero(groups == among[query])
+        due = mine[np.lexsort([ranks[mine], row[mine]])][:k]
+        np.testing.assert_array_equal(numbers[query, : len(due)], due)
+        np.testing.assert_array_equal(apart[query, : len(due)], row[due])
+        assert (numbers[query, len(due) :] == -1).all()
+
+
+@settings(max_examples=100)
+@given(SETS, st.sampled_from([0.1, 0.5, 1.0, 3.0]))
+def test_with_eps_none_is_farther_than_it_may_be(drawing: tuple[int, int, int, int], eps: float) -> None:
+    """What is found is at most (1 + eps) times as far as the nearest."""
+    count, axes, spread, seed = drawing
+    points, queries = draw_points(count, axes, spread, seed), draw_points(30, axes, spread, seed + 1)
+    _, apart = KdTree.build(points, leaf=2).nearest(queries, eps=eps)
+    assert (apart[:, 0] <= distances(points, queries).min(1) * (1 + eps) ** 2).all()
+
+
+@pytest.mark.parametrize("coordinate", [-16000, 0, 16000])
+def test_points_that_are_all_alike_are_one_leaf_and_the_first_rank_wins(coordinate: int) -> None:
+    """Ten thousand copies of a point neither stop the build nor hide which is preferred."""
+    points = np.full((10_000, 3), coordinate, np.int16)
+    ranks = np.random.default_rng(0).permutation(10_000)
+    numbers, apart = KdTree.build(points, ranks).nearest(points[:5], 2)
+    np.testing.assert_array_equal(numbers, [np.argsort(ranks)[:2]] * 5)
+    assert (apart == 0).all()
+
+
+def test_the_farthest_points_do_not_overflow() -> None:
+    """Distances up to 2^31 - 1, the largest number of 32 bits, are right."""
+    points = np.array([[-16000, 0, 0, 0], [16000, 0, 0, 0]], np.int16)
+    numbers, apart = KdTree.build(points).nearest(np.array([[16000, 32000, 0, 0]], np.int16), 2)
+    assert numbers.tolist() == [[1, 0]]
+    assert apart.tolist() == [[32000**2, 2 * 32000**2]]
+
+
+def draw_vectors(count: int, width: int, seed: int) -> NDArray[np.uint8]:
+    """Return vectors of few dimensions in truth, with some noise."""
+    rng = np.random.default_rng(seed)
+    mixed = rng.random((count, 3)) @ rng.random((3, width)) * 60 + rng.normal(60, 4, (count, width))
+    return np.clip(mixed, 0, 255).astype(np.uint8)
+
+
+def distances_in_gray_levels(points: NDArray[np.int16], units: int) -> NDArray[np.float64]:
+    """Return all distances in gray levels."""
+    difference = points[:, np.newaxis].astype(np.float64) - points
+    return np.asarray(np.sqrt((difference**2).sum(-1)) / units)
+
+
+@settings(max_examples=40)
+@given(st.integers(1, 40), st.integers(1, 60), st.sampled_from([0, 999]), st.floats(0, 6), st.integers(0, 99))
+def test_all_values_keep_weighted_distances(count: int, width: int, dimensions: int, weight: float, seed: int) -> None:
+    """Without components, distances are those of the weighted values, up to the rounding of each coordinate."""
+    vectors = draw_vectors(count, width, seed)
+    weights = np.where(np.arange(width) % 2, weight, 1.0)
+    projection = Projection.fit(vectors, weights, dimensions)
+    difference = vectors[:, np.newaxis].astype(np.float64) - vectors
+    due = np.sqrt((difference**2 * weights).sum(-1))
+    np.testing.assert_allclose(
+        distances_in_gray_levels(projection.points(vectors), projection.units),
+        due,
+        atol=1.5 * np.sqrt(width) / projection.units,
+    )
+
+
+def test_components_keep_what_varies() -> None:
+    """Of vectors of three dimensions and noise, four components keep distances to the noise."""
+    vectors = draw_vectors(200, 50, 0)
+    projection = Projection.fit(vectors, np.ones(50), 4)
+    assert not projection.matrix[4:].any()
+    difference = vectors[:, np.newaxis].astype(np.float64) - vectors
+    due = np.sqrt((difference**2).sum(-1))
+    found = distances_in_gray_levels(projection.points(vectors), projection.units)
+    assert (found <= due + 1).all()
+    far = due > 150
+    assert far.any()
+    np.testing.assert_allclose(found[far], due[far], rtol=0.1)
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0, 100.0])
+@pytest.mark.parametrize("dimensions", [0, 1, 16])
+def test_extremes_fit_sixteen_bits(weight: float, dimensions: int) -> None:
+    """Black and white neighborhoods of 300 values differ by less than 32 767 units, however the mask counts."""
+    vectors = np.zeros((10, 108), np.uint8)
+    vectors[5:] = 255
+    vectors[3, ::2] = 255
+    weights = np.where(np.arange(108) % 2, weight, 1.0)
+    projection = Projection.fit(vectors, weights, dimensions)
+    exact = (
+        vectors.astype(np.int64) @ projection.matrix[:, :108].T.astype(np.int64) + projection.shift >> projection.bits
+    )
+    np.testing.assert_array_equal(projection.points(vectors), exact)
+    assert np.sqrt(((exact[:, np.newaxis] - exact) ** 2).sum(-1)).max() < 32767
