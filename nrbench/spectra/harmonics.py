@@ -180,14 +180,10 @@ def analyze(
     _check(signal in ("real", "analytic"), f"signal is {signal!r}; give real or analytic")
     _check(0 < false_alarms < 1, f"false_alarms is {false_alarms}; give a probability, e.g. 0.01")
     _check(most >= 1, f"most is {most}; give at least 1")
-    if channels == "joint":
-        return _analyze_planes(planes, threshold, harmonics, false_alarms, most, signal, given)
-    count = planes.shape[2]
-    parts = [
-        _analyze_planes(planes[..., c : c + 1], threshold, harmonics, false_alarms / count, most, signal, given)
-        for c in range(count)
-    ]
-    return _combine_channels(parts, planes)
+    split = [planes] if channels == "joint" else np.split(planes, planes.shape[2], 2)
+    rate = false_alarms / len(split)
+    parts = [_analyze_planes(part, threshold, harmonics, rate, most, signal, given) for part in split]
+    return parts[0] if channels == "joint" else _combine_channels(parts, planes)
 
 
 def _analyze_planes(
