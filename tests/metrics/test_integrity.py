@@ -19,8 +19,9 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.metrics.integrity import LEAST_POWER, Integrity, learn_references
 from nrbench.metrics.verdict.reference import Reference
 from nrbench.metrics.whole_elements.elements import Cutter, find_elements
-from nrbench.plugins.forms import Observation, Task
+from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.suites.suite import TextureRow, load_suite
+from nrbench.synthesizers.planted import Planted
 from nrbench.synthesizers.rsgf import Rsgf
 
 from .conftest import MODELS, Case, case, copy_cells, scored
@@ -234,9 +235,17 @@ def test_missing_scores_have_reasons() -> None:
 
 def test_elements_are_found_beneath_strong_grain() -> None:
     """Where grain is twice as strong as the tones of hexagons, fresh draws are whole and 30 % two-tone tiles show."""
-    own = Case.of(Hexagon(period=31.0, color=0.07, intensity=0.1, noise=0.055))
-    images = own.fresh(256), own.planted("two-tone", 0.3, 1, 256)[0]
-    fresh, broken = (integrity(own.observe(image)).values for image in images)
+    model = Hexagon(period=31.0, color=0.07, intensity=0.1, noise=0.055)
+    texture = Case.of(model).texture
+
+    def again(shape: tuple[int, int], k: int) -> Texture:
+        return model.again(texture, shape, np.random.default_rng((k, 7)))
+
+    task = Task(texture.image, (256, 256), texture.lattice, np.random.default_rng(1), again=again)
+    images = again((256, 256), 0).image, Planted("two-tone", 0.3).synthesize(task).image
+    fresh, broken = (
+        integrity(Observation(texture.image, quantize(image), texture, again=again)).values for image in images
+    )
     assert fresh["score"] > 0.95
     assert fresh["detection_power"] > 0.5
     assert broken["score"] == pytest.approx(0.7, abs=0.12)

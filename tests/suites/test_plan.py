@@ -10,6 +10,7 @@ import pytest
 
 import nrbench
 from nrbench import plugins
+from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.dominance import Dominance
 from nrbench.errors import BadInput
 from nrbench.imaging.files import write_image
@@ -104,20 +105,24 @@ def keys() -> dict[tuple[str, str], str]:
 
 
 @pytest.mark.usefixtures("fresh_registry")
-def test_a_detector_is_in_the_keys_of_the_cells_that_may_call_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A new version of `dominance`, which `consensus` calls, changes the keys where either may run, and no others."""
+@pytest.mark.parametrize(
+    ("detector", "changed"),
+    [
+        # by its finder, also where a detector finds none
+        (Consensus, {("rsgf", "own"), ("rsgf", "gncc"), ("rsgf", "dominance")}),
+        (Dominance, {("rsgf", "dominance"), ("rsgf:finder=gncc", "dominance"), ("shuffle", "dominance")}),
+    ],
+)
+def test_a_detector_is_in_the_keys_of_the_cells_that_may_call_it(
+    detector: type, changed: set[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A new version of a detector changes the keys of cells and scores where it may run, and no others."""
     before, scored = keys(), metric_key("regularity")
-    monkeypatch.setattr(Dominance, "version", "changed")
+    monkeypatch.setattr(detector, "version", "changed")
     forget()
     after = keys()
-    assert {cell for cell, key in before.items() if after[cell] != key} == {
-        ("rsgf", "own"),  # by its finder, consensus
-        ("rsgf", "gncc"),  # where gncc finds none, rsgf runs and calls its finder
-        ("rsgf", "dominance"),
-        ("rsgf:finder=gncc", "dominance"),
-        ("shuffle", "dominance"),
-    }
-    assert metric_key("regularity") != scored
+    assert {cell for cell, key in before.items() if after[cell] != key} == changed
+    assert (metric_key("regularity") != scored) == (detector is Dominance)
 
 
 @pytest.mark.usefixtures("fresh_registry")
