@@ -27,15 +27,15 @@ def sum_of_squares(x: float, y: float) -> float:
 
 
 @pytest.fixture
-def undeclared(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep the kernels declared in a test from the others."""
+def undeclared(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Keep the kernels declared in a test from the others, and their machine code in a folder of the test."""
     monkeypatch.setattr(jit, "KERNELS", [])
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_a_kernel_is_compiled_on_its_first_call_and_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kernel_is_compiled_on_its_first_call_and_cached(tmp_path: Path) -> None:
     """A kernel is compiled when first called, gives what Python gives, and leaves its machine code in the cache."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     kernel = jit.kernel(double)
     assert not list(tmp_path.rglob("*.nbi"))
     assert kernel(3.0) == double(3.0)
@@ -43,9 +43,8 @@ def test_a_kernel_is_compiled_on_its_first_call_and_cached(tmp_path: Path, monke
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_load_kernels_loads_every_declared_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_load_kernels_loads_every_declared_kernel() -> None:
     """After load_kernels nothing is left to compile."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     kernel = jit.kernel(double)
     jit.load_kernels()
     assert kernel.load() is kernel.load()
@@ -71,18 +70,16 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypa
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_numbas_own_cache_setting_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numbas_own_cache_setting_is_left_alone() -> None:
     """Compiling a kernel does not move the cache of the user's own numba functions."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     before = numba.config.CACHE_DIR
     jit.kernel(double).load()
     assert before == numba.config.CACHE_DIR
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kernel_may_call_a_kernel(tmp_path: Path) -> None:
     """A kernel that calls another is compiled with it, is read back from the cache, and gives what Python gives."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
         compiled = jit.kernel(sum_of_squares).load()
         assert compiled(3.0, 4.0) == 25.0
@@ -92,9 +89,8 @@ def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_the_user_is_told_before_kernels_are_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_user_is_told_before_kernels_are_compiled(tmp_path: Path) -> None:
     """Loading kernels says that it compiles them the first time, and not when it reads the cache."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     said = []
     for _ in range(2):
         jit.KERNELS[:] = [jit.kernel(sum_of_squares)]
