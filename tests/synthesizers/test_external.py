@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from synthesis_cases import noise
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
@@ -103,16 +104,16 @@ def test_a_program_that_fails_is_quoted(tmp_path: Path, sample: Image) -> None:
     assert len(str(raised.value)) < 2200
 
 
-def test_a_program_that_writes_nothing_is_an_error(tmp_path: Path, sample: Image) -> None:
-    """Ending well is not enough."""
-    with pytest.raises(RuntimeError, match=r"wrote no \{output\}"):
-        run(f"{script(tmp_path, '')} {{sample}} {{output}}", sample)
-
-
-def test_a_program_that_writes_no_picture_is_an_error(tmp_path: Path, sample: Image) -> None:
-    """An output that is no picture is an error that gives the reason."""
-    text = "import sys; open(sys.argv[2], 'w').write('hello')"
-    with pytest.raises(RuntimeError, match=r"unusable \{output\}: .*no picture"):
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"wrote no \{output\}"),
+        ("import sys; open(sys.argv[2], 'w').write('hello')", r"unusable \{output\}: .*no picture"),
+    ],
+)
+def test_a_program_that_writes_no_picture_is_an_error(tmp_path: Path, sample: Image, text: str, message: str) -> None:
+    """Ending well is not enough: without an output, or with one that is no picture, the error gives the reason."""
+    with pytest.raises(RuntimeError, match=message):
         run(f"{script(tmp_path, text)} {{sample}} {{output}}", sample)
 
 
@@ -179,12 +180,7 @@ def test_two_methods_of_one_label_are_refused() -> None:
         make_plan(validated_suite(content, "x"))
 
 
-def noise(height: int, width: int, seed: int) -> Image:
-    """Return noise of 8 bits."""
-    return quantize(np.random.default_rng(seed).random((height, width, 3), np.float32))
-
-
-SAMPLE, OUTPUT = noise(20, 24, 0), noise(30, 50, 1)
+SAMPLE, OUTPUT = noise(20, 24), noise(30, 50, seed=1)
 
 
 def look_up(folder: Path, sample: Image = SAMPLE, shape: tuple[int, int] = (30, 50)) -> Synthesis:
@@ -203,9 +199,9 @@ def test_a_file_named_by_the_samples_pixels_and_the_size_is_found(tmp_path: Path
 def test_a_table_pairs_files_under_any_names(tmp_path: Path) -> None:
     """index.csv pairs samples, compared by their pixels, with outputs; the row of the right size is taken."""
     for name, image in (
-        ("a.png", noise(20, 24, 5)),
+        ("a.png", noise(20, 24, seed=5)),
         ("b.png", SAMPLE),
-        ("small.png", noise(9, 9, 2)),
+        ("small.png", noise(9, 9, seed=2)),
         ("c.png", OUTPUT),
     ):
         write_image(tmp_path / name, image)
