@@ -548,12 +548,8 @@ def _spec(method: Pluginlike) -> str:
             f"or pass it to nrbench.synthesize"
         )
     given = plugins.parameters_of(instance) if instance is not None else {}
-    bare = [f"{key}={_value_text(value)}" for key, value in given.items()]
-    return f"{name}:{','.join(bare)}" if bare else name
-
-
-def _value_text(value: Any) -> str:
-    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
+    texts = [f"{key}={','.join(map(str, v)) if isinstance(v, list) else v}" for key, v in given.items()]
+    return f"{name}:{','.join(texts)}" if texts else name
 
 
 def _source(lattice: Latticelike) -> str:

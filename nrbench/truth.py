@@ -115,29 +115,27 @@ def _row(values: Mapping[str, Any], where: str, columns: int, folder: Path) -> T
     exact = str(values["file"])
     if Path(exact).name == exact and (folder / exact).is_file():
         plain["file"] = exact  # the name of a file may begin with a space, or contain a backslash
-        return TruthRow(where, plain, _vectors(plain, where))
-    name = plain["file"]
-    if not name:
+    elif not plain["file"]:
         raise BadInput(f"{where}: has no file name; give it, or delete the line")
-    if "/" in name or "\\" in name or name in (".", ".."):
-        raise BadInput(f"{where}: {name!r} is a path; give the name of a picture in the folder of the table")
+    elif "/" in plain["file"] or "\\" in plain["file"] or plain["file"] in (".", ".."):
+        raise BadInput(f"{where}: {plain['file']!r} is a path; give the name of a picture in the folder of the table")
     return TruthRow(where, plain, _vectors(plain, where))
 
 
 def _vectors(values: Mapping[str, str], where: str) -> dict[str, Vector]:
     """Return the vectors of a line, which has four numbers and possibly two of an origin, or no numbers."""
-    start = _numbers(values, ORIGIN, where)
+    origin = _numbers(values, ORIGIN, where)
     vectors = _numbers(values, VECTORS, where)
+    if origin and not vectors:
+        raise BadInput(f"{where}: has an origin without vectors; give {','.join(VECTORS)}, or delete the origin")
     if not vectors:
-        if start:
-            raise BadInput(f"{where}: has an origin without vectors; give {','.join(VECTORS)}, or delete the origin")
         return {}
+    numbers = [*vectors, *origin]
     try:
-        t1, t2 = (vectors[0], vectors[1]), (vectors[2], vectors[3])
-        lattice = Lattice(t1, t2, (start[0], start[1]) if start else (0.0, 0.0))
+        lattice = Lattice(*zip(numbers[::2], numbers[1::2], strict=True))
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from None
-    return {"t1": lattice.t1, "t2": lattice.t2} | ({"origin": lattice.origin} if start else {})
+    return {"t1": lattice.t1, "t2": lattice.t2} | ({"origin": lattice.origin} if origin else {})
 
 
 def _numbers(values: Mapping[str, str], names: Sequence[str], where: str) -> list[float]:

@@ -42,8 +42,8 @@ from nrbench.streams import stream
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import draw_texture
 
-LATTICE = Lattice((16.0, 0.0), (0.0, 12.0), (3.0, 2.0))
-"""The lattice of the textures on which plugins are tried."""
+WALL = {"width": 16.0, "height": 12.0, "color": 0.2, "noise": 0.02}
+"""Parameters of the brick wall on which plugins are tried."""
 SAMPLE, OUTPUT, LARGE = (84, 100), (96, 112), (192, 224)
 """Shapes of a sample, of an output, and of the output whose time is measured."""
 MARK = "nrbench-mark"
@@ -106,12 +106,17 @@ class Subject:
     """Return the plugin's answer to an input."""
     describe: ClassVar[Callable[..., str]]
     """Check the answer to an input; return it in a few words. Refused and errors of the plugin pass."""
-    timed: ClassVar[Callable[[Any], tuple[Callable[[], Any], int, str]]]
-    """Return the call that is timed, and the number and the name of the units that it works on."""
+    unit: ClassVar[str] = "pixel"
+    """What the time is given for."""
 
     def answer(self, seed: int = 0) -> Any:
         """Return the plugin's answer to the input of a seed."""
         return self.call(self.make_input(seed))
+
+    def work(self) -> int:
+        """Do what is timed; return the number of the units that it works on."""
+        self.describe(shape=LARGE)
+        return math.prod(LARGE)
 
 
 @dataclass(frozen=True)
@@ -193,46 +198,32 @@ def check(folder: Path, send: Send) -> None:
 # ---------------------------------------------------------------------------------------------------- the inputs
 
 
-def draw_wall(shape: forms.Shape, rng: np.random.Generator, channels: int = 3) -> forms.Texture:
-    """Return a wall of tiles on :data:`LATTICE`; each tile has a brightness of its own.
+def draw_wall(
+    seed: int, channels: int = 3, shape: forms.Shape = SAMPLE
+) -> tuple[forms.Texture, forms.Again, forms.Again]:
+    """Return a brick wall with its fresh draws and its recompositions, which are read-only as in a run.
 
     Parameters
     ----------
-    shape
-        Height and width, px.
-    rng
-        The source of the brightness of the tiles and of a little noise.
+    seed
+        The entropy of its random streams.
     channels
         1 or 3.
+    shape
+        Height and width, px.
     """
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    cells = LATTICE.to_cell(np.stack([x, y], -1).reshape(-1, 2).astype(np.float64)).reshape(*shape, 2)
-    column, row = np.moveaxis(np.floor(cells).astype(np.int64), -1, 0)
-    column, row = column - column.min(), row - row.min()
-    tiles = column + row * (column.max() + 1)
-    factors = rng.normal(1.0, 0.1, int(tiles.max()) + 1)[tiles]
-    u, v = np.moveaxis(cells % 1, -1, 0)
-    relief = 0.5 + 0.2 * u - 0.15 * np.sin(2 * np.pi * u) * (1 - v)
-    color = np.array([0.9, 0.7, 0.5]) if channels == 3 else np.array([0.7])
-    ideal = np.where((u > 1 / 16) & (v > 1 / 12), relief, 0.15)[..., np.newaxis] * color
-    image = ideal * factors[..., np.newaxis] + rng.normal(0, 0.01, (*shape, 1))
-    return forms.Texture(
-        quantize(np.asarray(image, np.float32)),
-        LATTICE,
-        (LATTICE,),
-        name="tiles",
-        family="tiles",
-        kind="I",
-        ideal=np.asarray(ideal, np.float32),
-        elements={"tile": np.unique(factors)},
-        regular_share=0.9,
-        draw_seed=0,
-    )
+    parameters = plugins.parameters_of(plugins.build("datasets", "brick", WALL))
+    recipe = Recipe("brick", parameters, seed, "check", 0, shape)
+    wall = recipe.render()
 
+    def reduced(texture: forms.Texture | None) -> forms.Texture:
+        assert texture is not None and texture.ideal is not None
+        image, ideal = (array[..., :channels] for array in (texture.image, texture.ideal))
+        return freeze(dataclasses.replace(texture, image=quantize(image), ideal=np.ascontiguousarray(ideal)))
 
-def _draw_again(seed: int, channels: int, shape: forms.Shape, k: int) -> forms.Texture:
-    """Return a fresh draw, read-only as in a run."""
-    return freeze(draw_wall(shape, stream("check", seed, "again", k), channels))
+    draws = (recipe.again(wall), cast("forms.Again", recipe.recompose(wall)))
+    again, recompose = ((lambda shape, k, draw=draw: reduced(draw(shape, k))) for draw in draws)
+    return reduced(wall), again, recompose
 
 
 def digest(answer: Any) -> str:
@@ -254,7 +245,7 @@ def digest(answer: Any) -> str:
 class SynthesizerSubject(Subject):
     """A synthesizer."""
 
-    kind = "synthesizers"
+    kind, unit = "synthesizers", "pixel of the output"
     first = ("output", "The output has the shape, the channels and the range of an image.")
 
     @property
@@ -264,15 +255,16 @@ class SynthesizerSubject(Subject):
 
     def make_input(self, seed: int = 0, channels: int = 3, **changes: Any) -> forms.Task:
         """Return a task; ``changes`` are fields of :class:`~nrbench.plugins.forms.Task`."""
+        wall, again, recompose = draw_wall(seed, channels)
         fields: dict[str, Any] = {
-            "sample": draw_wall(SAMPLE, stream("check", seed), channels).image,
-            "lattice": LATTICE if self.uses_lattice else None,
+            "sample": wall.image.copy(),
+            "lattice": wall.lattice if self.uses_lattice else None,
             "shape": OUTPUT,
             "rng": stream("check", seed, "method"),
             **changes,
         }
         if getattr(self.cls, "reference", False):
-            fields |= dict.fromkeys(("again", "recompose"), partial(_draw_again, seed, channels))
+            fields |= {"again": again, "recompose": recompose}
         return forms.Task(**fields)
 
     def call(self, given: forms.Task) -> forms.Synthesis:
@@ -290,10 +282,6 @@ class SynthesizerSubject(Subject):
             raise Violated(str(invalid)) from None
         return f"{width}x{height} px, channels: {channels}, {_numbers(made.lattice)}"
 
-    def timed(self) -> tuple[Callable[[], Any], int, str]:
-        """Return a large synthesis."""
-        return lambda: self.describe(shape=LARGE), math.prod(LARGE), "pixel of the output"
-
 
 def _numbers(lattice: Lattice | None) -> str:
     return f"lattice {','.join(f'{x:.4g}' for x in lattice.numbers[:4])}" if lattice else "no lattice"
@@ -309,7 +297,7 @@ class DetectorSubject(Subject):
         self, seed: int = 0, channels: int = 3, shape: forms.Shape = OUTPUT, image: Image | None = None
     ) -> Image:
         """Return the image of a wall, or a copy of another one."""
-        return draw_wall(shape, stream("check", seed), channels).image if image is None else image.copy()
+        return (draw_wall(seed, channels, shape)[0].image if image is None else image).copy()
 
     def call(self, given: Image) -> forms.Detection | None:
         """Return the detection in an image; None if there is none."""
@@ -335,30 +323,28 @@ class DetectorSubject(Subject):
         demand(others, "alternatives must be a tuple of Alternative")
         return f"{_numbers(found.lattice)}, confidence {share:.2g}"
 
-    def timed(self) -> tuple[Callable[[], Any], int, str]:
-        """Return the detection in a large image."""
-        return lambda: self.describe(shape=LARGE), math.prod(LARGE), "pixel"
-
 
 class MetricSubject(Subject):
     """A metric."""
 
-    kind = "metrics"
+    kind, unit = "metrics", "pixel of the output"
     first = ("score", "Every declared column has a value, or None and a reason.")
 
     def make_input(self, seed: int = 0, channels: int = 3, known: str = "model") -> forms.Observation:
         """Return a fresh draw as an output. ``known`` is ``"model"``, ``"lattice"`` or ``"nothing"``."""
-        sample = draw_wall(SAMPLE, stream("check", seed), channels)
-        again: forms.Again | None = partial(_draw_again, seed, channels) if known == "model" else None
-        truths = {"model": sample, "lattice": forms.Texture(sample.image, LATTICE, (LATTICE,))}
+        wall, again, _ = draw_wall(seed, channels)
+        sample, output = wall.image.copy(), cast("forms.Texture", again(OUTPUT, 9)).image.copy()
+        if known == "nothing":
+            return forms.Observation(sample, output, None)
+        truth = wall if known == "model" else forms.Texture(sample, wall.lattice, wall.lattices)
         return forms.Observation(
-            sample.image,
-            draw_wall(OUTPUT, stream("check", seed, "output"), channels).image,
-            truths.get(known),
-            lattice_given=LATTICE if known != "nothing" else None,
-            seconds=0.25 if known != "nothing" else None,
-            cost={"cpu_seconds": 0.25, "peak_mib": 1.0} if known != "nothing" else {},
-            again=again,
+            sample,
+            output,
+            truth,
+            lattice_given=wall.lattice,
+            seconds=0.25,
+            cost={"cpu_seconds": 0.25, "peak_mib": 1.0},
+            again=again if known == "model" else None,
         )
 
     def call(self, given: forms.Observation) -> forms.Score:
@@ -380,9 +366,10 @@ class MetricSubject(Subject):
         values = self.values(**changes).values()
         return f"{sum(value is not None for value in values)} of {len(values)} columns have a value"
 
-    def timed(self) -> tuple[Callable[[], Any], int, str]:
-        """Return the score of an output."""
-        return self.answer, math.prod(OUTPUT), "pixel of the output"
+    def work(self) -> int:
+        """Score an output."""
+        self.answer()
+        return math.prod(OUTPUT)
 
 
 class DatasetSubject(Subject):
@@ -419,15 +406,11 @@ class DatasetSubject(Subject):
         height, width, channels = texture.image.shape
         return f"{width}x{height} px, channels: {channels}, {_numbers(texture.lattice)}"
 
-    def timed(self) -> tuple[Callable[[], Any], int, str]:
-        """Return the drawing of a large texture."""
-        return lambda: self.valid(LARGE), math.prod(LARGE), "pixel"
-
 
 class ReportSubject(Subject):
     """A report."""
 
-    kind = "reports"
+    kind, unit = "reports", "cell"
     first = ("files", "The report returns the paths of the files that it wrote.")
 
     def make_input(self, seed: int = 0, **changes: Any) -> Path:
@@ -456,9 +439,10 @@ class ReportSubject(Subject):
         demand(files, "wrote no file, or did not return its path")
         return ", ".join(f"{name} ({len(content) / 1024:.1f} KiB)" for name, content in list(files.items())[:3])
 
-    def timed(self) -> tuple[Callable[[], Any], int, str]:
-        """Return the writing of the report."""
-        return self.answer, len(Run(Path(self.run)).cells), "cell"
+    def work(self) -> int:
+        """Write the report."""
+        self.answer()
+        return len(Run(Path(self.run)).cells)
 
 
 SUBJECTS: Mapping[str, type[Subject]] = {
@@ -667,7 +651,7 @@ def source_map_is_true(method: SynthesizerSubject) -> str:
 @clause("refusals", SynthesizerSubject)
 def odd_inputs_are_refused(method: SynthesizerSubject) -> str:
     """Check that an input that the method cannot use is refused."""
-    wall, noise = draw_wall(SAMPLE, stream("check", 0)).image, stream("check", "noise").random((*SAMPLE, 3), np.float32)
+    wall, noise = draw_wall(0)[0].image.copy(), stream("check", "noise").random((*SAMPLE, 3), np.float32)
     cases: dict[str, dict[str, Any]] = {
         "a sample of 8x8 px": {"sample": wall[:8, :8]},
         "a sample of one color": {"sample": np.full_like(wall, 0.5)},
@@ -869,9 +853,8 @@ def terminal_report_is_text(report: ReportSubject) -> str:
 @clause("time", *_ALL)
 def time_is_measured(subject: Subject) -> str:
     """Check that the time is measured."""
-    call, count, unit = subject.timed()
-    call()
+    subject.work()
     start = time.perf_counter()
-    call()
+    count = subject.work()
     seconds = time.perf_counter() - start
-    return f"{seconds / count * 1e6:.3g} µs a {unit} ({seconds * 1e3:.3g} ms)"
+    return f"{seconds / count * 1e6:.3g} µs a {subject.unit} ({seconds * 1e3:.3g} ms)"

@@ -10,11 +10,8 @@ from typing import Any
 
 import click
 
-from nrbench import plugins
 from nrbench.cli.options import limit_options
 from nrbench.errors import BadInput
-from nrbench.plugins.parameters import nearest, parse_spec
-from nrbench.running.guard import Limits
 
 KINDS = ("synthesizers", "detectors", "metrics", "datasets", "reports")
 ONE_OF = ("synthesizer", "detector", "metric", "dataset", "report")
@@ -35,7 +32,10 @@ def check_command(
     FILE.py: then all plugins that it defines are checked, as they are with `--plugin FILE.py` and no name. The exit
     code is 1 if a clause fails.
     """
+    from nrbench import plugins
     from nrbench.authoring.conformance import check_plugin
+    from nrbench.plugins.parameters import parse_spec
+    from nrbench.running.guard import Limits
 
     if plugin is not None and plugin.endswith(".py"):
         plugins.add_file(plugin)
@@ -72,6 +72,9 @@ def _find_plugins(name: str, kind: str | None, files: Collection[str]) -> list[t
     BadInput
         If there is none; the message names the nearest.
     """
+    from nrbench import plugins
+    from nrbench.plugins.parameters import nearest
+
     kinds = [kind] if kind else KINDS
     if not name:
         listed = [(each, plugin) for each in kinds for plugin in plugins.inventory(each)]

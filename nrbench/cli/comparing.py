@@ -8,10 +8,8 @@ from pathlib import Path
 
 import click
 
-from nrbench import plugins
 from nrbench.cli.options import split_names
 from nrbench.errors import BadInput
-from nrbench.runs.records import Run
 
 _PATH = click.Path(path_type=Path)
 
@@ -50,6 +48,9 @@ def compare_command(
     Cells are paired by method, texture and draw. Reference methods and wall times are shown, but they are no reason to
     fail, except for wall times that --columns names.
     """
+    from nrbench import plugins
+    from nrbench.runs.records import Run
+
     if as_markdown and as_json:
         raise BadInput("--markdown and --json: choose one of them")
     wanted = [_read_limit(text) for text in limits]

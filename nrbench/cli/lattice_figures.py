@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.backend_bases import Event, KeyEvent, MouseButton, MouseEvent
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
@@ -58,22 +57,19 @@ def diagram(diagnostics: Mapping[str, Any], title: str = "") -> Figure | None:
         axes.set_title(name, fontsize=10)
         _draw_surface(axes, value) if isinstance(value, Surface) else _draw_curve(axes, value)
     figure.suptitle(textwrap.fill(title, LETTERS * columns), fontsize=10)
-    figure.supxlabel(textwrap.fill(_numbers(diagnostics), LETTERS * columns), fontsize=8)
-    return figure
-
-
-def _numbers(diagnostics: Mapping[str, Any]) -> str:
     known = {name: value for name, value in diagnostics.items() if isinstance(value, Real | str)}
-    return ", ".join(
-        f"{name} {value if isinstance(value, str) else format(value, '.4g')}" for name, value in known.items()
-    )
+    words = [f"{name} {value if isinstance(value, str) else format(value, '.4g')}" for name, value in known.items()]
+    figure.supxlabel(textwrap.fill(", ".join(words), LETTERS * columns), fontsize=8)
+    return figure
 
 
 def _draw_surface(axes: Axes, surface: Surface) -> None:
     height, width = surface.values.shape
     left, top = -surface.zero[0] - 0.5, -surface.zero[1] - 0.5
     box = (left, left + width, top + height, top)
-    low, high = _limits(surface.values)
+    # Extremes, like the peak at zero, are cut off.
+    finite = surface.values[np.isfinite(surface.values)]
+    low, high = np.quantile(finite, (0.005, 0.995)) if finite.size else (0, 1)
     shown = axes.imshow(surface.values, extent=box, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
     axes.figure.colorbar(shown, ax=axes, shrink=0.8)
     peaks = np.reshape(surface.peaks, (-1, 2))
@@ -85,12 +81,6 @@ def _draw_surface(axes: Axes, surface: Surface) -> None:
         axes.plot(*tip, ".", color=COLOR, ms=3)
     axes.set(xlim=box[:2], ylim=box[2:])
     axes.legend(loc="upper right", fontsize=7, framealpha=0.7)
-
-
-def _limits(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
-    """Return the values that are drawn black and white. Extremes, like the peak at zero, are cut off."""
-    low, high = np.quantile(values[np.isfinite(values)], (0.005, 0.995)) if np.isfinite(values).any() else (0, 1)
-    return float(low), float(high)
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:
@@ -149,17 +139,14 @@ class Picker:
     def _click(self, event: Event) -> None:
         assert isinstance(event, MouseEvent)
         busy = getattr(getattr(self._figure.canvas, "toolbar", None), "mode", "")
-        if event.inaxes is not self._axes or event.button != MouseButton.LEFT or busy or len(self._points) == 3:
-            return
-        assert event.xdata is not None and event.ydata is not None
-        self._points.append((float(event.xdata), float(event.ydata)))
-        self._update()
+        is_click = event.inaxes is self._axes and event.button == MouseButton.LEFT and not busy
+        if is_click and len(self._points) < 3 and event.xdata is not None and event.ydata is not None:
+            self._points.append((float(event.xdata), float(event.ydata)))
+            self._update()
 
     def _press(self, event: Event) -> None:
         assert isinstance(event, KeyEvent)
-        if event.key in ("enter", "escape"):
-            if event.key == "enter" and self.lattice is None:
-                return
+        if event.key == "escape" or (event.key == "enter" and self.lattice is not None):
             self.accepted = event.key == "enter"
             plt.close(self._figure)
         elif event.key == "backspace" and self._points:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Alternative, Detection
-from nrbench.suites.surveying import SHOWN, candidate_dict, known_vectors, rank_candidates
+from nrbench.suites.surveying import SHOWN, candidate_dict, known_vectors, rank_candidates, vector_texts
 
 if TYPE_CHECKING:
     from nrbench.tracking.deformation import Deformation
@@ -42,74 +42,58 @@ class LatticeResult:
         return cls(detector, detection.lattice, detection, has_origin=detection.has_origin, seconds=seconds)
 
     @classmethod
-    def of_followed(cls, detector: str, followed: Followed, has_origin: bool) -> LatticeResult:
-        """Return the mean lattice of an image that may be bent, with or without its origin."""
-        mean, detection = followed.deformation.lattice, followed.detection
+    def of_followed(cls, detector: str, followed: Followed, straightened: Lattice | None = None) -> LatticeResult:
+        """Return the mean lattice of an image that may be bent; its origin is known if the image was straightened."""
+        (found, detection), known = followed, straightened is not None
         if detection is not None:
-            detection = replace(detection, lattice=mean, has_origin=has_origin)
-        return cls(detector, mean, detection, has_origin=has_origin, deformation=followed.deformation)
-
-    @property
-    def vectors(self) -> dict[str, Any]:
-        """The two vectors for JSON, and the origin where it is known."""
-        assert self.lattice is not None
-        return {name: list(vector) for name, vector in known_vectors(self.lattice, self.has_origin).items()}
+            detection = replace(detection, lattice=found.lattice, has_origin=known)
+        return cls(detector, found.lattice, detection, has_origin=known, deformation=found, straightened=straightened)
 
     @property
     def candidates(self) -> list[Alternative]:
         """The first candidates of a detector, the chosen lattice among them."""
         return rank_candidates(self.detection)[:SHOWN] if self.detection else []
 
-    def text(self, separator: str = ", ") -> str:
-        """Return the two vectors, and the origin where it is known, as text."""
-        return separator.join(f"{name} = ({x:.3f}, {y:.3f}) px" for name, (x, y) in self.vectors.items())
+    @property
+    def vectors(self) -> str:
+        """The two vectors, and the origin where it is known, as text."""
+        return ", ".join(vector_texts(self.lattice, self.has_origin)) if self.lattice else ""
 
     def print(self, as_json: bool) -> None:
         """Print the result on standard output."""
         if as_json:
-            found = self._found_dict() if self.lattice else {"lattice": None, "reason": self.reason}
-            print(json.dumps(found))
+            print(json.dumps(self.as_dict()))
         elif self.lattice is None:
             print(f"no lattice: {self.reason}")
         else:
+            found = self.vectors if self.deformation is None else describe_deformation(self.deformation)
             confidence = "" if self.detection is None else f", confidence {self.detection.confidence:.3f}"
-            print(f"{self._start()}{self.detector and f', {self.detector}'}{confidence}")
-            for number, candidate in enumerate(self.candidates[1:], 2):
-                print(f"candidate {number}: {_describe(candidate)}")
-
-    def _start(self) -> str:
-        """Return the vectors as text, and how the lattice is deformed if it was followed."""
-        return self.text() if self.deformation is None else describe_deformation(self.deformation)
-
-    def _found_dict(self) -> dict[str, Any]:
-        """Return the lattice for JSON, with the alternatives and the probabilities of a detector."""
-        if self.detection is None:
-            start = {"detector": self.detector, "confidence": None} if self.detector else {}
-            return {**self.vectors, **start, **self._deformation_dict()}
-
-        probabilities = self.detection.probabilities
-        return {
-            **self.vectors,
-            "detector": self.detector,
-            "confidence": self.detection.confidence,
-            "probabilities": probabilities and probabilities._asdict(),
-            "alternatives": [candidate_dict(each) for each in self.detection.alternatives],
-            **self._deformation_dict(),
-        }
-
-    def _deformation_dict(self) -> dict[str, Any]:
-        if self.deformation is None:
-            return {}
-        straight = {} if self.straightened is None else {"straightened": self.straightened.as_dict()}
-        return {"deformation": {**self.deformation.as_dict(), **straight}}
+            print(f"{found}{self.detector and f', {self.detector}'}{confidence}")
+            for number, each in enumerate(self.candidates[1:], 2):
+                vectors = ", ".join(vector_texts(each.lattice, each.has_origin))
+                print(f"candidate {number}: {vectors}, {each.relation}, confidence {each.confidence:.3f}")
 
     def as_dict(self) -> dict[str, Any]:
+        """Return the lattice for JSON, with the alternatives and the probabilities of a detector; or the reason."""
+        if self.lattice is None:
+            return {"lattice": None, "reason": self.reason}
+        found: dict[str, Any] = dict(known_vectors(self.lattice, self.has_origin))
+        if self.detector:
+            found |= {"detector": self.detector, "confidence": self.detection and self.detection.confidence}
+        if self.detection is not None:
+            probabilities = self.detection.probabilities
+            found["probabilities"] = probabilities and probabilities._asdict()
+            found["alternatives"] = [candidate_dict(each) for each in self.detection.alternatives]
+        if self.deformation is not None:
+            straight = {"straightened": self.straightened.as_dict()} if self.straightened else {}
+            found["deformation"] = {**self.deformation.as_dict(), **straight}
+        return found
+
+    def comparison_dict(self) -> dict[str, Any]:
         """Return the entry of a comparison for JSON."""
+        head = {} if self.lattice else {"detector": self.detector}
         seconds = {} if self.seconds is None else {"seconds": self.seconds}
-        if self.lattice is not None:
-            return {**self._found_dict(), **seconds}
-        error = {"error": True} if self.failed else {}
-        return {"detector": self.detector, "lattice": None, "reason": self.reason, **seconds, **error}
+        return {**head, **self.as_dict(), **seconds, **({"error": True} if self.failed else {})}
 
     def rows(self) -> list[str]:
         """Return the lines of a comparison's table: one for each of the first candidates, or why there is none."""
@@ -137,23 +121,13 @@ class LatticeResult:
         for number, candidate in enumerate(self.candidates, 1):
             name = self.detector if number == 1 else f"{self.detector}, candidate {number}"
             lines = [f"{name}, confidence {candidate.confidence:.3f}", *textwrap.wrap(candidate.relation, letters)]
-            texts.append("\n".join([*lines, _of_alternative(candidate).text(separator="\n")]))
+            texts.append("\n".join([*lines, *vector_texts(candidate.lattice, candidate.has_origin)]))
         return texts
-
-
-def _of_alternative(candidate: Alternative) -> LatticeResult:
-    """Return a result without a detector, for the forms of its vectors."""
-    return LatticeResult("", candidate.lattice, has_origin=candidate.has_origin)
-
-
-def _describe(candidate: Alternative) -> str:
-    return f"{_of_alternative(candidate).text()}, {candidate.relation}, confidence {candidate.confidence:.3f}"
 
 
 def describe_deformation(found: Deformation) -> str:
     """Return the mean lattice and the deformation in one line of text."""
-    t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in (found.lattice.t1, found.lattice.t2))
-    vectors = f"t1 = {t1} px, t2 = {t2} px"
+    vectors = ", ".join(vector_texts(found.lattice, has_origin=False))
     if not found.covered:
         return f"{vectors}, could not be followed: whether the image is bent is not known"
     if not found.bent:

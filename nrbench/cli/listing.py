@@ -10,10 +10,7 @@ from typing import Any
 
 import click
 
-from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.plugins.overview import Summary, summaries
-from nrbench.plugins.parameters import fields_by_call, nearest
 
 _BETTER = {"one": "nearest to 1", "none": "neither higher nor lower"}
 KINDS = ("datasets", "detectors", "synthesizers", "metrics", "reports", "suites")
@@ -37,20 +34,21 @@ def list_command(kind: str | None, as_json: bool) -> None:
 
 
 def _entries(kind: str) -> list[dict[str, Any]]:
+    from nrbench.plugins.overview import summaries
     from nrbench.suites.suite import builtin, load_suite
 
     if kind == "suites":
         suites = [load_suite(name) for name in builtin()]
         return [{"name": s.name, "about": s.description, "version": s.version, "hash": s.hash} for s in suites]
-    return [_plugin_entry(summary) for summary in summaries(kind)]
-
-
-def _plugin_entry(plugin: Summary) -> dict[str, Any]:
-    shown = {"name": plugin.name, "distribution": plugin.distribution, "version": plugin.version}
-    if plugin.error:
-        return {**shown, "about": "BROKEN", "error": plugin.error}
-    note = " (reference: never ranked)" if plugin.reference else ""
-    return {**shown, "about": plugin.about + note, "reference": plugin.reference}
+    entries = []
+    for plugin in summaries(kind):
+        entry: dict[str, Any] = {"name": plugin.name, "distribution": plugin.distribution, "version": plugin.version}
+        if plugin.error:
+            entries.append({**entry, "about": "BROKEN", "error": plugin.error})
+        else:
+            note = " (reference: never ranked)" if plugin.reference else ""
+            entries.append({**entry, "about": plugin.about + note, "reference": plugin.reference})
+    return entries
 
 
 @click.command("show")
@@ -63,6 +61,8 @@ def show_command(name: str, as_json: bool, as_toml: bool) -> None:
     For a plugin, print its page, its parameters with defaults, its presets, its columns, and the BibTeX entry of its
     paper. NAME may also be a single score, METRIC.COLUMN.
     """
+    from nrbench import plugins
+    from nrbench.plugins.parameters import nearest
     from nrbench.suites.suite import builtin
 
     if as_json and as_toml:
@@ -75,38 +75,36 @@ def show_command(name: str, as_json: bool, as_toml: bool) -> None:
     pages = _pages(name)
     if not pages:
         known = [each for kind in plugins.FORMS for each in plugins.names(kind)]
-        near = nearest(name, [*known, *_scores(name), *builtin()])
+        metric = name.partition(".")[0]
+        if "." in name and metric in plugins.names("metrics"):
+            known += [f"{metric}.{key}" for key in getattr(plugins.find("metrics", metric).cls, "columns", {})]
+        near = nearest(name, [*known, *builtin()])
         raise BadInput(f"{name!r}: no plugin or suite has that name{near}")
     print(json.dumps(pages, indent=1) if as_json else "\n\n".join(_text(page) for page in pages))
 
 
-def _scores(name: str) -> list[str]:
-    """Return the names of all scores of the metric in ``METRIC.COLUMN``."""
-    metric = name.partition(".")[0]
-    cls = plugins.find("metrics", metric).cls if "." in name and metric in plugins.names("metrics") else None
-    return [f"{metric}.{key}" for key in cls.columns] if cls else []
-
-
 def _pages(name: str) -> list[dict[str, Any]]:
+    """Return the pages of the plugins, of the score and of the suite of a name."""
+    from nrbench import plugins
     from nrbench.suites.suite import builtin, load_suite
 
     pages = [_page(kind, plugins.find(kind, name)) for kind in plugins.FORMS if name in plugins.names(kind)]
     metric, _, column = name.partition(".")
     if column and metric in plugins.names("metrics"):
-        pages += _column_page(_page("metrics", plugins.find("metrics", metric)), column)
+        page = _page("metrics", plugins.find("metrics", metric))
+        if column in page["columns"]:
+            about = page["page"].partition("\n")[0]
+            pages.append({**page, "page": about, "columns": {column: page["columns"][column]}})
     if name in builtin():
         suite = load_suite(name)
         pages.append({"kind": "suites", "name": name, "hash": suite.hash, **suite.model_dump(mode="json")})
     return pages
 
 
-def _column_page(page: dict[str, Any], column: str) -> list[dict[str, Any]]:
-    """Return the page of a metric with a single column; an empty list if it has no such column."""
-    columns = {key: declared for key, declared in page["columns"].items() if key == column}
-    return [{**page, "page": page["page"].partition("\n")[0], "columns": columns}] if columns else []
-
-
 def _page(kind: str, plugin: Any) -> dict[str, Any]:
+    from nrbench.plugins import PATCH_TERMS
+    from nrbench.plugins.parameters import fields_by_call
+
     cls = plugin.cls
     page = {
         "kind": kind,
@@ -119,7 +117,7 @@ def _page(kind: str, plugin: Any) -> dict[str, Any]:
         "bibtex": inspect.cleandoc(getattr(cls, "paper", "")),
     }
     if kind == "synthesizers":
-        page["patches"] = {term: getattr(cls, term) for term in plugins.PATCH_TERMS if hasattr(cls, term)}
+        page["patches"] = {term: getattr(cls, term) for term in PATCH_TERMS if hasattr(cls, term)}
     if kind == "metrics":
         page["columns"] = {key: _declared(column) for key, column in cls.columns.items()}
     return page
@@ -146,12 +144,10 @@ def _text(page: dict[str, Any]) -> str:
         axes = f"methods: {', '.join(page['methods'])}\nlattice: {', '.join(page['lattice'])}"
         return "\n".join([head, f"sample {page['sample']}, size {page['size']}, seed {page['seed']}", axes, *rows])
     lines = [f"{page['name']} ({page['kind']}, {page['distribution']}, version {page['version']})", page["page"]]
-    if page["parameters"]:
-        lines += ["", "defaults:", *(f"  {key} = {value}" for key, value in page["parameters"].items())]
-    for preset, values in page.get("presets", {}).items():
-        lines += ["", f"preset={preset}:", *(f"  {key} = {value}" for key, value in values.items())]
-    if page.get("patches"):
-        lines += ["", "patches:", *(f"  {key} = {value}" for key, value in page["patches"].items())]
+    presets = {f"preset={preset}": values for preset, values in page["presets"].items()}
+    for title, values in {"defaults": page["parameters"], **presets, "patches": page.get("patches")}.items():
+        if values:
+            lines += ["", f"{title}:", *(f"  {key} = {value}" for key, value in values.items())]
     if page.get("columns"):
         lines += ["", "columns:", *(_column_text(page["name"], key, c) for key, c in page["columns"].items())]
     return "\n".join([*lines, *(["", page["bibtex"]] if page["bibtex"] else [])])

@@ -12,25 +12,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from nrbench.api import changed
 from nrbench.cli.options import limit_options, split_names
 from nrbench.cli.progress import live_progress
-from nrbench.cli.summary import (
-    check_columns,
-    failures,
-    left_out,
-    parse_formats,
-    plan_lines,
-    plan_summary,
-    print_summary,
-    remove_stale_report,
-    status_counts,
-    write_reports,
-)
 from nrbench.errors import BadInput
-from nrbench.runs.records import Run
-from nrbench.storage import write_text
 
+# The help of a command imports no more than this.
 if TYPE_CHECKING:
     from nrbench.running.pace import Step
     from nrbench.suites.plan import Plan
@@ -74,6 +60,7 @@ def _plan_options(command: F) -> F:
 
 def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
+    from nrbench.api import changed
     from nrbench.running.guard import Limits
     from nrbench.running.plugin_children import LIMITS, plan_run
     from nrbench.suites.suite import load_suite
@@ -109,16 +96,18 @@ def run_command(**arguments: Any) -> int:
 
     SUITE is the name of a suite, a TOML file, or a directory of pictures.
     """
+    from nrbench.cli import summary
     from nrbench.running.cluster import ClusterLost
     from nrbench.running.guard import Limits
     from nrbench.running.pace import first_interrupt
     from nrbench.running.runner import Options, execute
     from nrbench.running.supervisor import print_notice
+    from nrbench.runs.records import Run
 
     columns = split_names(arguments["columns"])
-    check_columns(columns)
+    summary.check_columns(columns)
     plan, root = _make_plan(arguments)
-    lacking = left_out(root, plan)
+    lacking = summary.left_out(root, plan)
     tell = _tell_as_json if arguments["as_json"] else print_notice
     with _show_steps(arguments["as_json"]) as progress, first_interrupt(lambda: tell(_INTERRUPTED)) as stop:
         options = Options(
@@ -134,11 +123,11 @@ def run_command(**arguments: Any) -> int:
             run = Run(root)
             tell(f"{error}; run the same command again to resume")
     limits = Limits(options.timeout, options.memory)
-    stale = remove_stale_report(run) if arguments["no_report"] else None
+    stale = summary.remove_stale_report(run) if arguments["no_report"] else None
     with live_progress(patience=True) as show:
         told = None if arguments["as_json"] else show
-        written, broken = write_reports(run, tables_only=arguments["no_report"], limits=limits, progress=told)
-    failed = print_summary(run, written, arguments["as_json"], columns)
+        written, broken = summary.write_reports(run, tables_only=arguments["no_report"], limits=limits, progress=told)
+    failed = summary.print_summary(run, written, arguments["as_json"], columns)
     if lacking:
         tell(
             f"{root} holds {lacking} more {'cell' if lacking == 1 else 'cells'} of an earlier command, which the "
@@ -177,9 +166,11 @@ def _describe_step(step: Step) -> str:
 @_plan_options
 def plan_command(**arguments: Any) -> None:
     """List the cells that `run` would reuse and those that it would start. Nothing is started."""
+    from nrbench.cli import summary
+
     plan, root = _make_plan(arguments)
-    summary = plan_summary(plan, root, arguments["retry_failed"])
-    print(json.dumps(summary, indent=1) if arguments["as_json"] else "\n".join(plan_lines(summary)))
+    cells = summary.plan_summary(plan, root, arguments["retry_failed"])
+    print(json.dumps(cells, indent=1) if arguments["as_json"] else "\n".join(summary.plan_lines(cells)))
 
 
 @click.command("report")
@@ -216,15 +207,17 @@ def report_command(
 
     The limits hold for reports of other packages.
     """
+    from nrbench.cli import summary
     from nrbench.labelling.labels import read_people
     from nrbench.running.guard import Limits
+    from nrbench.runs.records import Run
 
     if more and not labels:
         raise click.UsageError(f"{more[0]}: only one run is reported; files of answers come after --labels")
     record, files = Run(run), (*labels, *more)
     _ = record.cells  # a damaged run is bad input
     read_people(record, files)
-    wanted = parse_formats(formats) if formats else None
+    wanted = summary.parse_formats(formats) if formats else None
     shared: dict[str, Any] = {"labels": files}
     if single_file:
         shared["single_file"] = True
@@ -232,7 +225,7 @@ def report_command(
         shared["tests"] = False
     limits = Limits(timeout, memory)
     with live_progress(patience=True) as progress:
-        written, broken = write_reports(record, wanted, shared=shared, limits=limits, progress=progress)
+        written, broken = summary.write_reports(record, wanted, shared=shared, limits=limits, progress=progress)
     for path in written:
         print(path)
     return int(broken)
@@ -243,8 +236,11 @@ def report_command(
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def status_command(run: Path, as_json: bool) -> None:
     """Print the number of cells of RUN with each status, and the cells that failed."""
+    from nrbench.cli import summary
+    from nrbench.runs.records import Run
+
     cells = Run(run).ends()
-    counts, failed = status_counts(cells), failures(cells)
+    counts, failed = summary.status_counts(cells), summary.failures(cells)
     if as_json:
         print(json.dumps({"run": str(run), "cells": len(cells), "status": counts, "failures": failed}, indent=1))
         return
@@ -278,6 +274,8 @@ def label_command(run: Path, output: Path | None, repeat: float, seed: int, ques
     the same (`more`). `nrbench report RUN --labels FILE...` reads the answers that the page saves.
     """
     from nrbench.labelling.labels import make_page, page_html, write_key
+    from nrbench.runs.records import Run
+    from nrbench.storage import write_text
 
     if output is not None and output.suffix.lower() not in (".html", ".htm"):
         raise BadInput(f"{output}: the page is HTML; end the name in .html")

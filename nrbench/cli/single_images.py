@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from nrbench import plugins
-from nrbench.api import Sheet, as_lattice, changed, detect_lattice, score, synthesize
 from nrbench.cli.options import check_output, split_names
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image
-from nrbench.imaging.files import read_image, write_image
-from nrbench.lattice.geometry import Lattice
-from nrbench.lattice.relation import relate
-from nrbench.plugins.forms import NoLatticeFound
-from nrbench.plugins.parameters import nearest, parse_size, parse_spec
-from nrbench.running.output_checks import is_picture
+
+# The help of a command imports no more than this.
+if TYPE_CHECKING:
+    from nrbench.api import Sheet
+    from nrbench.imaging.convert import Image
+    from nrbench.lattice.geometry import Lattice
 
 _PATH = click.Path(path_type=Path)
 
@@ -36,6 +34,12 @@ _PATH = click.Path(path_type=Path)
 @click.option("-o", "--output", required=True, type=_PATH, metavar="OUT.png", help="The output.")
 def synth_command(image: Path, method: str, size: str, lattice: str | None, seed: int, output: Path) -> None:
     """Synthesize a texture of any size from IMAGE."""
+    from nrbench import plugins
+    from nrbench.api import synthesize
+    from nrbench.imaging.files import read_image, write_image
+    from nrbench.plugins.parameters import parse_size, parse_spec
+    from nrbench.running.output_checks import is_picture
+
     name, parameters = parse_spec(method)
     check_output(output)
     if output.resolve() == image.resolve():
@@ -62,6 +66,11 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
     BadInput
         If the text is neither, or the detector finds no lattice.
     """
+    from nrbench import plugins
+    from nrbench.api import as_lattice, detect_lattice
+    from nrbench.plugins.forms import NoLatticeFound
+    from nrbench.plugins.parameters import nearest, parse_spec
+
     if text is None or "," in text.partition(":")[0]:
         return as_lattice(text)
     name, parameters = parse_spec(text)
@@ -79,6 +88,10 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
 
 def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
     """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
+    from nrbench.api import detect_lattice
+    from nrbench.lattice.relation import relate
+    from nrbench.plugins.forms import NoLatticeFound
+
     try:
         with waiting("consensus checks the lattice"):
             found = detect_lattice(sample).lattice
@@ -119,6 +132,9 @@ def score_command(
     Print whether the lattice is preserved, the quality, and its three parts: the regularity, the integrity and the
     randomness. --all prints all scores.
     """
+    from nrbench.api import score
+    from nrbench.imaging.files import read_image
+
     if metrics and every:
         raise BadInput("--metrics and --all: choose one of them")
     pictures = read_image(sample), read_image(output)
@@ -180,6 +196,7 @@ def render_command(
     The command also writes truth.csv, truth.json and a contact sheet to DIR. It keeps pictures of an earlier render,
     and draws a picture of the same name again.
     """
+    from nrbench.api import changed
     from nrbench.suites.plan import draw_samples
     from nrbench.suites.rendering import model_suite, write_textures
     from nrbench.suites.suite import builtin, load_suite

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.detectors.autocorrelation.surrogates import require_texture
 from nrbench.detectors.consensus_rating.candidates import (
     SHARE,
     TOLERANCE,
@@ -18,7 +19,7 @@ from nrbench.detectors.consensus_rating.candidates import (
     rate_candidates,
     relate_bases,
 )
-from nrbench.detectors.consensus_rating.lattice_evidence import Evidence
+from nrbench.detectors.consensus_rating.lattice_evidence import LatticeEvidence
 from nrbench.detectors.consensus_rating.self_similarity_map import (
     SIDE,
     SimilarityMap,
@@ -37,7 +38,7 @@ from nrbench.detectors.frdft import Frdft
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
-from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.geometry import Lattice, Points, reduce_basis
 from nrbench.lattice.relation import relate
 from nrbench.plugins.forms import Alternative, Detection, NoLatticeFound, Probabilities, Surface
 
@@ -76,9 +77,9 @@ class Consensus:
        (:mod:`nrbench.detectors.consensus_rating.self_similarity_map`).
     2. Pairs of its most prominent peaks propose lattices, and so do the detectors ``gncc`` and ``frdft``, without their
        tests against chance. Each lattice is fitted to sub-pixel precision at all its multiples at once
-       (:class:`nrbench.detectors.consensus_rating.lattice_evidence.Evidence`). Its merit is the share of the variance
-       that is explained if each tile is predicted from all others. Supercells have a low merit because they have few
-       tiles; wrong vectors have a low merit because their tiles differ.
+       (:class:`nrbench.detectors.consensus_rating.lattice_evidence.LatticeEvidence`). Its merit is the share of the
+       variance that is explained if each tile is predicted from all others. Supercells have a low merit because they
+       have few tiles; wrong vectors have a low merit because their tiles differ.
     3. The best lattices are replaced by finer ones as long as the vectors that these add agree as well. A lattice that
        lies on a ridge is discarded (:mod:`nrbench.detectors.consensus_rating.sublattice_search`).
     4. The remaining lattices, their coarser and finer neighbors, and the proposals of the other detectors are the
@@ -98,8 +99,8 @@ class Consensus:
     ----------
     reject
         ``"none"``: return any lattice. ``"bartlett"``: report no lattice if the mean correlation is less than
-        ``sigmas`` times its spread by Bartlett's formula (:meth:`Evidence.sigmas`), or if the lattice explains less
-        than ``min_explained`` of the variance.
+        ``sigmas`` times its spread by Bartlett's formula (:meth:`LatticeEvidence.sigmas`), or if the lattice explains
+        less than ``min_explained`` of the variance.
     sigmas
         Limit for ``"bartlett"``. The best lattice proposed for noise reaches 9
         (``benchmarks/consensus_calibration.py``).
@@ -142,8 +143,7 @@ class Consensus:
             If the image is constant, has no stable lattice, or is striped. Unless ``reject`` is ``"none"``, also if the
             best lattice may have occurred by chance.
         """
-        if (image[0] == image[0, 0]).all() and (image == image[0]).all():
-            raise NoLatticeFound("the image is constant: it has no texture")
+        require_texture(image)
         chosen, highest = None, (False, -1.0)
         for level in rate_levels(image):
             best = level.candidates[0]
@@ -192,8 +192,8 @@ class Level(NamedTuple):
     """
 
     factor: int
-    evidence: Evidence
-    colors: Evidence
+    evidence: LatticeEvidence
+    colors: LatticeEvidence
     candidates: list[Candidate]
     proposals: list[Points]
 
@@ -215,14 +215,14 @@ def rate_levels(image: Image) -> Iterator[Level]:
     factor = 1
     while factor == 1 or (factor <= COARSEST and min(image.shape[:2]) >= 2 * MIN_PERIOD * factor):
         similarity = proposer.compute_similarity(factor, PRECISE)
-        evidence = Evidence(similarity.pooled)
+        evidence = LatticeEvidence(similarity.pooled)
         own, others = proposer.list_bases(factor)
-        fitted = {name: [evidence.fit(evidence.reduced(basis)) for basis in bases] for name, bases in others.items()}
+        fitted = {name: [evidence.fit(reduce_basis(basis)) for basis in bases] for name, bases in others.items()}
         proposals = [*own, *(basis for bases in fitted.values() for basis in bases)]
         stable = [basis for basis in find_stable(evidence, proposals) if is_possible(evidence, basis)]
         if stable:
             candidates = rate_candidates(evidence, stable, fitted)
-            yield Level(factor, evidence, Evidence(similarity.colors), candidates, proposals)
+            yield Level(factor, evidence, LatticeEvidence(similarity.colors), candidates, proposals)
         factor *= 2
 
 
@@ -261,7 +261,7 @@ class _Proposer:
             "frdft": [basis / factor for basis in self._find_waves(factor)],
         }
         fitting = {name: [basis for basis in bases if _fits(basis, shape)] for name, bases in others.items()}
-        return propose_lattices(Evidence(similarity.pooled)), fitting
+        return propose_lattices(LatticeEvidence(similarity.pooled)), fitting
 
     def _find_waves_of_middle(self, factor: int) -> list[Points]:
         """Return the lattice of the waves of the image's middle, shrunk by a factor, in pixels of the image.

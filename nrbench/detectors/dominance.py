@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from nrbench.detectors.autocorrelation.pair_kernels import count_hits
 from nrbench.detectors.autocorrelation.peak_kernels import region_radii
 from nrbench.detectors.autocorrelation.peaks import UNIT, find_prominent_peaks, fit_multiples, fit_pair, subpixel
-from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
-from nrbench.detectors.consensus_rating.lattice_evidence import Evidence
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
+from nrbench.detectors.consensus_rating.lattice_evidence import LatticeEvidence
 from nrbench.detectors.consensus_rating.sublattice_search import highest_added
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
@@ -169,8 +169,7 @@ class Dominance:
             If the image is constant or has too few peaks. Unless ``reject`` is ``"none"``, also if the dominant peaks
             fit a lattice no better than chance, or if the image is striped.
         """
-        if np.ptp(image, (0, 1)).max() == 0:
-            raise NoLatticeFound("the image is constant: it has no texture")
+        require_texture(image)
         gamma = half_autocorrelation(image)
         best = self._find_pair(gamma)
         if best is None:
@@ -182,20 +181,6 @@ class Dominance:
         if _is_striped(detection):
             raise NoLatticeFound("the peaks are one ridge: stripes, which repeat by any vector along them", detection)
         return detection
-
-    def propose(self, gamma: Correlation) -> list[Points]:
-        """Return the bases that explain the dominant peaks at any threshold of prominence, without a test for chance.
-
-        They are not yet fitted, ``(2, 2)`` each. If no pair explains the peaks, it is the most evident one.
-
-        Parameters
-        ----------
-        gamma
-            The right half of an autocorrelation, ``(2H-1, W)``.
-        """
-        chosen, most_evident = self._choose_by_level(gamma)
-        best = chosen or ([most_evident] if most_evident else [])
-        return [choice.pairs.vectors[choice.row] for choice in best]
 
     def _rank_peaks_by_level(self, gamma: Correlation, reach: tuple[int, int]) -> list[Ranking]:
         """Return the peaks at each threshold of prominence, by their regions of dominance, the highest first."""
@@ -215,18 +200,16 @@ class Dominance:
         ]
 
     def _find_pair(self, gamma: Correlation) -> RatedPair | None:
-        """Return the pair of the smallest cell that explains the dominant peaks; if none does, the most evident one."""
-        chosen, most_evident = self._choose_by_level(gamma)
-        lowest = max((choice.get("low") for choice in chosen), default=0.0)
-        return next((choice for choice in chosen if choice.get("high") >= lowest), most_evident)
+        """Return the pair of the smallest cell that explains the dominant peaks; if none does, the most evident one.
 
-    def _choose_by_level(self, gamma: Correlation) -> tuple[list[RatedPair], RatedPair | None]:
-        """Return the explaining pair of the smallest cell at each threshold, and the most evident pair of all."""
+        The largest threshold of prominence is used at which a pair explains the peaks as well as at any other.
+        """
         reach = _find_reach(gamma)
         levels = [self._rate_pairs(ranking, reach) for ranking in self._rank_peaks_by_level(gamma, reach)]
         needed = np.log(max(sum(len(pairs.areas) for pairs in levels), 1) / self.false_alarms)
         chosen = [choice for pairs in levels if (choice := _select_smallest_cell(pairs, needed))]
-        return chosen, _select_most_evident(levels)
+        lowest = max((choice.get("low") for choice in chosen), default=0.0)
+        return next((choice for choice in chosen if choice.get("high") >= lowest), _select_most_evident(levels))
 
     def _rate_pairs(self, ranking: Ranking, reach: tuple[int, int]) -> RatedPairs:
         """Return every pair of candidates with its hits. Its own two vectors, which are peaks, are not counted."""
@@ -338,6 +321,6 @@ def _divergence(hits: Floats, trials: Floats, shares: Floats) -> Floats:
 
 def _is_striped(detection: Detection) -> bool:
     """Return whether the vectors of a finer lattice correlate nearly as well, so that the peaks lie on a ridge."""
-    evidence, basis = Evidence(detection.diagnostics["correlation"].values), detection.lattice.matrix
+    evidence, basis = LatticeEvidence(detection.diagnostics["correlation"].values), detection.lattice.matrix
     repeated = evidence.repeated(basis)
     return repeated - highest_added(evidence, basis) < STRIPES * repeated

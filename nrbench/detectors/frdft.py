@@ -10,7 +10,7 @@ import numpy as np
 import skimage
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.surrogates import check_test, reject_chance
+from nrbench.detectors.autocorrelation.surrogates import check_test, reject_chance, require_texture
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image, crop_middle
 from nrbench.lattice.geometry import Lattice, Points, Vector
@@ -19,7 +19,7 @@ from nrbench.spectra.harmonic_groups import FINALISTS, Basis, collect_peaks, fin
 from nrbench.spectra.harmonics import analyze, lowest_period
 from nrbench.spectra.spectrum import Spectrum
 from nrbench.spectra.wave_fit import FrequencyFit, fit_frequencies
-from nrbench.spectra.wave_search import QUICK, THOROUGH, Effort, WaveDetection, find_waves
+from nrbench.spectra.wave_search import WaveDetection, find_waves
 
 WINDOW = 1024
 """px a side: of larger images the middle is analyzed, which bounds time and memory."""
@@ -146,13 +146,12 @@ class Frdft:
             If the image is constant, or has fewer than two waves, or if all waves lie along one direction. Unless
             ``reject`` is ``"none"``, also if the best lattice is no better than chance.
         """
-        if np.ptp(image, (0, 1)).max() == 0:
-            raise NoLatticeFound("the image is constant: it has no texture")
+        require_texture(image)
         middle = crop_middle(image, WINDOW)
         if self.tile == "lowest":
             detection = self._read_lowest(middle)
             return detection if self.reject == "none" else self._test(image, detection)
-        candidate = self._search(middle, self.waves, THOROUGH, FINALISTS)
+        candidate = self._search(middle)
         top, left = ((whole - part) // 2 for whole, part in zip(image.shape[:2], middle.shape[:2], strict=True))
         detection = _fit_lattice(candidate, (left, top))
         return detection if self.reject == "none" else self._test(image, detection)
@@ -168,7 +167,7 @@ class Frdft:
             ``(H, W, C)``.
         """
         try:
-            candidate = self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST)
+            candidate = self._search(image, quick=True)
         except NoLatticeFound:
             return []
         if not abs(np.linalg.det(candidate.basis.vectors)):
@@ -189,11 +188,15 @@ class Frdft:
         lattice = Lattice((width, 0.0), (0.0, height)).reduced()
         return Detection(lattice, min(max(waves.share, 0.0), 1.0), {"frequencies": waves.frequencies})
 
-    def _search(self, image: NDArray[np.float32], waves: int, effort: Effort, finalists: int) -> FoundBasis:
-        """Return the fundamentals of an image; raise :class:`NoLatticeFound` if it has none."""
+    def _search(self, image: NDArray[np.float32], quick: bool = False) -> FoundBasis:
+        """Return the fundamentals of an image; raise :class:`NoLatticeFound` if it has none.
+
+        The quick search is that of the test: of fewer waves, in one pass, with fewer fits.
+        """
+        waves, finalists = (min(self.waves, STRONGEST), SHORTLIST) if quick else (self.waves, FINALISTS)
         spectrum = Spectrum(image.astype(np.float64))
-        detection = find_waves(spectrum, self.threshold or None, self.false_alarms, waves, effort)
-        order = np.argsort(-detection.powers.sum(1), kind="stable")
+        detection = find_waves(spectrum, self.threshold or None, self.false_alarms, waves, quick)
+        order = np.argsort(-detection.waves.powers.sum(1), kind="stable")
         if len(order) < 2:
             raise NoLatticeFound(f"the image has {len(order)} waves above its noise; a lattice has at least two")
         peaks = collect_peaks(detection, order, self.tolerance)
@@ -211,7 +214,7 @@ class Frdft:
     def _quick_surplus(self, image: NDArray[np.float32]) -> float:
         """Return the evidence of an image's best lattice by the shorter search; 0 if it has none."""
         try:
-            return self._search(image, min(self.waves, STRONGEST), QUICK, SHORTLIST).surplus
+            return self._search(image, quick=True).surplus
         except NoLatticeFound:
             return 0.0
 

@@ -20,7 +20,7 @@ from nrbench.detectors.autocorrelation.peaks import (
     quantize_correlation,
     subpixel,
 )
-from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
@@ -151,8 +151,7 @@ class Gncc:
             If the image is constant, if too few peaks are prominent, or, unless ``reject`` is ``"none"``, if the best
             pair is no better than chance or is a grating.
         """
-        if np.ptp(image, (0, 1)).max() == 0:
-            raise NoLatticeFound("the image is constant: it has no texture")
+        require_texture(image)
         gamma = half_autocorrelation(image)
         best = self._search(gamma)
         if best is None:

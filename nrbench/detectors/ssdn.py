@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.peak_kernels import inner_relief
 from nrbench.detectors.autocorrelation.peaks import quantize_correlation
-from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import FLAT, Correlation, half_autocorrelation
@@ -129,8 +129,7 @@ class Ssdn:
             If the image is constant, if an axis has no period or none better than chance, or if the lattice is not
             rectangular along the axes.
         """
-        if np.ptp(image, (0, 1)).max() == 0:
-            raise NoLatticeFound("the image is constant: it has no texture")
+        require_texture(image)
         curves = [shift_ssdn(image, axis) for _, axis in AXES]
         x, y = (self._period(*curve) for curve in curves)
         if x is None or y is None:

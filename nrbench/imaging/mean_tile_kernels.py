@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Float32x2, Float32x3, Float64x2, kernel
+from nrbench.jit import Float32View3, Float32x2, Float32x3, Float64x2, kernel
 
 PAD = 2
 """Rows and columns of coefficients that are mirrored beyond the image's border."""
@@ -69,6 +69,32 @@ def interpolate_tile(values: Float32x3, uv: Float64x2) -> Float32x2:
 
 
 @kernel
+def filter_columns(values: Float32View3) -> None:
+    """Replace values ``(H, W, C)`` by the coefficients of cubic splines along the first axis."""
+    height, width, channels = values.shape
+    pole = np.float32(np.sqrt(3.0) - 2.0)
+    last, gain, horizon = np.float32(pole / (pole * pole - 1)), np.float32(6.0), 16
+    for x in range(width):
+        for c in range(channels):
+            start, power = values[0, x, c], pole
+            for k in range(1, min(height, horizon)):
+                start += power * values[k, x, c]
+                power *= pole
+            values[0, x, c] = gain * start
+    for y in range(1, height):
+        for x in range(width):
+            for c in range(channels):
+                values[y, x, c] = gain * values[y, x, c] + pole * values[y - 1, x, c]
+    for x in range(width):
+        for c in range(channels):
+            values[height - 1, x, c] = last * (values[height - 1, x, c] + pole * values[height - 2, x, c])
+    for y in range(height - 2, -1, -1):
+        for x in range(width):
+            for c in range(channels):
+                values[y, x, c] = pole * (values[y + 1, x, c] - values[y, x, c])
+
+
+@kernel
 def spline_coefficients(image: Float32x3) -> Float32x3:
     """Return the coefficients of the cubic spline through an image that is mirrored about its outermost pixels.
 
@@ -88,43 +114,11 @@ def spline_coefficients(image: Float32x3) -> Float32x3:
     and image processing", IEEE Signal Processing Magazine 16, 1999.
     """
     height, width, channels = image.shape
-    pole = np.float32(np.sqrt(3.0) - 2.0)
-    last, gain, horizon = np.float32(pole / (pole * pole - 1)), np.float32(6.0), 16
     found = np.empty((height + 4, width + 4, channels), np.float32)
     inner = found[2 : height + 2, 2 : width + 2]
-    for y in range(height):
-        for c in range(channels):
-            start, power = image[y, 0, c], pole
-            for k in range(1, min(width, horizon)):
-                start += power * image[y, k, c]
-                power *= pole
-            inner[y, 0, c] = gain * start
-        for x in range(1, width):
-            for c in range(channels):
-                inner[y, x, c] = gain * image[y, x, c] + pole * inner[y, x - 1, c]
-        for c in range(channels):
-            inner[y, width - 1, c] = last * (inner[y, width - 1, c] + pole * inner[y, width - 2, c])
-        for x in range(width - 2, -1, -1):
-            for c in range(channels):
-                inner[y, x, c] = pole * (inner[y, x + 1, c] - inner[y, x, c])
-    for x in range(width):
-        for c in range(channels):
-            start, power = inner[0, x, c], pole
-            for k in range(1, min(height, horizon)):
-                start += power * inner[k, x, c]
-                power *= pole
-            inner[0, x, c] = gain * start
-    for y in range(1, height):
-        for x in range(width):
-            for c in range(channels):
-                inner[y, x, c] = gain * inner[y, x, c] + pole * inner[y - 1, x, c]
-    for x in range(width):
-        for c in range(channels):
-            inner[height - 1, x, c] = last * (inner[height - 1, x, c] + pole * inner[height - 2, x, c])
-    for y in range(height - 2, -1, -1):
-        for x in range(width):
-            for c in range(channels):
-                inner[y, x, c] = pole * (inner[y + 1, x, c] - inner[y, x, c])
+    inner[:] = image
+    filter_columns(inner.transpose(1, 0, 2))
+    filter_columns(inner)
     for k in range(1, 3):
         found[2 : height + 2, 2 - k] = found[2 : height + 2, 2 + k]
         found[2 : height + 2, width + 1 + k] = found[2 : height + 2, width + 1 - k]

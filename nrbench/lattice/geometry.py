@@ -97,10 +97,6 @@ class Lattice:
         a, b = self.reduced().matrix
         return float(np.hypot(*a) * np.hypot(*b) * np.hypot(*(b - a))) / (2 * self.area)
 
-    @cached_property
-    def _shortest(self) -> tuple[Points, Points]:
-        return shortest_pair(self.matrix)
-
     def reduced(self) -> Lattice:
         """Return the same lattice in a Lagrange-Gauss basis: t1 shortest, t2 next, angle in [60, 90] degrees.
 
@@ -118,9 +114,11 @@ class Lattice:
         >>> Lattice((30.0, 1.0), (90.0, 15.0)).reduced()
         Lattice(t1=(0.0, 12.0), t2=(30.0, 1.0), origin=(0.0, 0.0))
         """
-        a, b = self._shortest
-        a, b = _make_acute(_point_right(a), _point_right(b))
-        return Lattice.from_basis((a, b), self.origin)
+        return Lattice.from_basis(self._reduced, self.origin)
+
+    @cached_property
+    def _reduced(self) -> Points:
+        return reduce_basis(self.matrix)
 
     def canonical(self) -> Lattice:
         """Return the same lattice in the one reduced basis that depends on the lattice alone.
@@ -134,9 +132,8 @@ class Lattice:
         Lattice
             It has the same origin.
         """
-        a, b = _break_ties(*self._shortest)
-        a, b = _make_acute(_point_down(a), _point_down(b))
-        return Lattice.from_basis((a, b), self.origin)
+        a, b = (_point_down(vector) for vector in _break_ties(*reduce_bases(self.matrix[np.newaxis], False)[0]))
+        return Lattice.from_basis((a, -b if _is_obtuse(a, b) else b), self.origin)
 
     def dual(self) -> Lattice:
         """Return the reciprocal lattice, in cycles per px: vectors d_i with ``d_i . t_j`` = 1 where i = j, else 0.
@@ -413,33 +410,45 @@ def require_visible(lattice: Lattice, given: object) -> Lattice:
     return lattice
 
 
-def shortest_pair(basis: Points) -> tuple[Points, Points]:
-    """Return a shortest vector of a lattice and a shortest vector independent of it; ``basis`` is ``(2, 2)``."""
-    a, b = reduce_pairs(basis[:1], basis[1:])
-    return a[0], b[0]
+def reduce_basis(basis: ArrayLike) -> Points:
+    """Return the basis of :meth:`Lattice.reduced`, ``(2, 2)``, of one basis, without checks."""
+    return np.asarray(reduce_bases(np.asarray(basis, np.float64)[np.newaxis])[0])
 
 
-def reduce_pairs(a: Points, b: Points) -> tuple[Points, Points]:
-    """Return the Lagrange-Gauss reduced bases of many lattices at once: the shortest vectors and the next ones.
+def reduce_bases(bases: Points, acute: bool = True) -> Points:
+    """Return the bases of :meth:`Lattice.reduced` of many lattices at once, ``(n, 2, 2)``, the shorter vectors first.
 
     Parameters
     ----------
-    a, b
-        ``(n, 2)`` each, rows (x, y): the two vectors of each basis; they may be parallel or 0.
+    bases
+        ``(n, 2, 2)``, rows (x, y). The vectors may be parallel or 0.
+    acute
+        Turn the vectors to the right, and to make no obtuse angle.
     """
+    a, b = bases[:, 0], bases[:, 1]
     swap = ((a**2).sum(1) > (b**2).sum(1))[:, np.newaxis]
     for _ in range(MOST_STEPS):
         a, b = np.where(swap, b, a), np.where(swap, a, b)
-        b = b - np.rint((a * b).sum(1) / np.maximum((a**2).sum(1), 1e-12))[:, np.newaxis] * a
+        b = b - np.rint((a * b).sum(1) / np.maximum((a**2).sum(1), 1e-300))[:, np.newaxis] * a
         swap = ((b**2).sum(1) < (a**2).sum(1) * (1 - 1e-12))[:, np.newaxis]
         if not swap.any():
             break
-    return a, b
+    if acute:
+        a, b = _point_right(a), _point_right(b)
+        b = np.where(_is_obtuse(a, b)[:, np.newaxis], -b, b)
+    return np.stack([a, b], 1)
 
 
-def _make_acute(a: Points, b: Points) -> tuple[Points, Points]:
-    """Return a, and b or -b: the one at no obtuse angle to a (b if both angles are right)."""
-    return a, b if a @ b >= 0 or abs(a @ b) < 1e-9 * (a @ a) else -b
+def _point_right(vectors: Points) -> Points:
+    """Return each vector ``(n, 2)`` or its negative: the one on the right half-plane (x > 0, or x = 0 and y > 0)."""
+    x, y = vectors[:, :1], vectors[:, 1:]
+    return np.where((x < 0) | ((x == 0) & (y <= 0)), -vectors, vectors)
+
+
+def _is_obtuse(a: Points, b: Points) -> NDArray[np.bool_]:
+    """Return whether the angle between two vectors is obtuse, by more than a rounding error; ``(..., 2)`` each."""
+    dot, square = (a * b).sum(-1), (a * a).sum(-1)
+    return np.asarray(dot < -1e-9 * square)
 
 
 def _break_ties(a: Points, b: Points) -> tuple[Points, Points]:
@@ -471,11 +480,6 @@ def _check_vector(value: Any, name: str) -> Vector:
 def _point_down(vector: Points) -> Points:
     """Return ``vector`` or its negative: the one whose angle from right towards down is in [0, pi), up to rounding."""
     return vector if abs(math.atan2(vector[1], vector[0]) - _line_angle(vector)) < 1 else -vector
-
-
-def _point_right(vector: Points) -> Points:
-    """Return ``vector`` or its negative: the one on the right half-plane (x > 0, or x = 0 and y > 0)."""
-    return vector if (vector[0], vector[1]) > (0, 0) else -vector
 
 
 def hermite_matrices(index: int) -> Integers:

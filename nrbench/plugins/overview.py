@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib.util
 import inspect
+import re
 from dataclasses import dataclass
 from functools import cache
 from importlib.machinery import SourceFileLoader
@@ -72,7 +73,9 @@ def _read_class(module: str, name: str) -> tuple[str, dict[str, Any]]:
     found = importlib.util.find_spec(module)
     if found is None or not isinstance(found.loader, SourceFileLoader):
         raise LookupError(module)
-    tree = ast.parse(found.loader.get_source(module) or "")
+    # Only the part before the first method is parsed: all sources together would take longer than the command.
+    before, line, body_text = (found.loader.get_source(module) or "").partition(f"\nclass {name}")
+    tree = ast.parse(before + line + re.split(r"^    (?:def |@)", body_text, maxsplit=1, flags=re.MULTILINE)[0])
     body = next((node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name), None)
     page = ast.get_docstring(body) if body else None
     if body is None or not page:

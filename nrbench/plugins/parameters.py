@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import inspect
@@ -156,6 +157,16 @@ def validated(cls: type[Any], parameters: Mapping[str, Any], where: str) -> Any:
         raise BadInput(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
     except (TypeError, ValueError) as error:
         raise BadInput(f"{where}: {error}") from error
+
+
+def prepare_conversion(cls: type[Any] | None) -> None:
+    """Build the converters of all parameters of a plugin, so that no child of this process has to.
+
+    A converter that cannot be built is left out. The conversion of that parameter raises the error.
+    """
+    for field in dataclasses.fields(cls) if cls else ():
+        with contextlib.suppress(Exception):  # the annotations of plugins of others may be wrong in any way
+            _adapter(cls, field.name)  # type: ignore[arg-type]
 
 
 @cache

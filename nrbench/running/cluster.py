@@ -23,7 +23,8 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
-from nrbench.running.supervisor import Job, own_supervisor, run_job
+from nrbench.running.supervisor import own_supervisor, run_job
+from nrbench.running.worker import Request
 from nrbench.runs.store import CellFolder, Result
 
 CONNECT = 10.0
@@ -117,7 +118,7 @@ class Cluster:
         self.slots = 0
         self._probe()
 
-    def submit(self, job: Job) -> Future[Result]:
+    def submit(self, job: Request) -> Future[Result]:
         """Send a job to the cluster. ``cancel`` of the future fails, because a worker may have the job."""
         future: Future[Result] = Future()
         future.set_running_or_notify_cancel()
@@ -156,7 +157,7 @@ class Cluster:
             self._had_worker = self._probed
 
 
-def _finish(job: Job, task: Future[Result], future: Future[Result]) -> None:
+def _finish(job: Request, task: Future[Result], future: Future[Result]) -> None:
     """Hand the outcome of a task on. A job whose workers died has the status ``crash``.
 
     Any other error ends the run: a full disk, or workers that cannot run nrbench.
@@ -175,7 +176,7 @@ def _finish(job: Job, task: Future[Result], future: Future[Result]) -> None:
             future.set_exception(BadInput(why))
 
 
-def _record_loss(job: Job, why: str = "each worker of the cluster that ran it died") -> Result:
+def _record_loss(job: Request, why: str = "each worker of the cluster that ran it died") -> Result:
     """Record that a job has no result, or that scores of its output are missing."""
     where = CellFolder(Path(job.folder))
     known = where.result()
@@ -211,7 +212,7 @@ def code_hash(files: tuple[str, ...]) -> str:
     return digest.hexdigest()
 
 
-def run_on_worker(job: Job, code: str) -> Result:
+def run_on_worker(job: Request, code: str) -> Result:
     """Run a job on a worker of a cluster.
 
     Parameters

@@ -11,7 +11,8 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from nrbench.running.cluster import connect
-from nrbench.running.supervisor import InProcessRunner, Job, close_all, perform_job, print_notice, run_job
+from nrbench.running.supervisor import InProcessRunner, close_all, perform_phases, print_notice, run_job
+from nrbench.running.worker import Request
 from nrbench.runs.store import Result
 
 
@@ -29,16 +30,16 @@ class Executor:
         Raises an error if the jobs that were submitted cannot end any more.
     """
 
-    submit: Callable[[Job], Future[Result]]
+    submit: Callable[[Request], Future[Result]]
     count_slots: Callable[[], int]
     check: Callable[[], None] = lambda: None
 
 
-def _run_now(job: Job) -> Future[Result]:
+def _run_now(job: Request) -> Future[Result]:
     """Run a job in the caller's thread, for the debugger; return its finished future."""
     future: Future[Result] = Future()
     try:
-        future.set_result(perform_job(job, InProcessRunner()))
+        future.set_result(perform_phases(job, InProcessRunner()))
     except Exception as error:
         future.set_exception(error)
     return future

@@ -186,10 +186,11 @@ class Watch:
         starting = limits.start_seconds > 0
         memory_check = time.monotonic() + MEMORY_TICK
         while True:
+            ended = self.child.has_ended()  # asked first: its last message may arrive just before its end
             messages = self._receive()
             self.messages += [message for message in messages if "finished" not in message]
             self.finished = any("finished" in message for message in messages)
-            if self.finished or (not messages and self.child.has_ended()):
+            if self.finished or (ended and not messages):
                 return None
             now = time.monotonic()
             done = left & {message.get("scored", "") for message in messages}

@@ -46,6 +46,8 @@ from nrbench.suites.cell import Cell, Recipe
 from nrbench.suites.plan import draw_texture
 
 T = TypeVar("T")
+PLAIN = ("family", "kind", "regular_share", "region")
+"""Fields of a texture that JSON can hold."""
 Send = Callable[[Message], None]
 """Sends one message to the process that watches this one."""
 FAULTS = (Exception, SystemExit, GeneratorExit)
@@ -58,40 +60,25 @@ def render(folder: Path, send: Send) -> None:
     wanted = read_json(where.cell_file) or {}
     try:
         texture, again = draw_texture(Recipe.from_dict(wanted["recipe"]), tuple(wanted["shape"]))
+        known = {name: getattr(texture, name) for name in PLAIN}
+        known["lattice"] = texture.lattice.as_dict() if texture.lattice else None
+        known["lattices"] = [lattice.as_dict() for lattice in texture.lattices]
         write_image(where.sample, texture.image)
         if again is not None:
             write_image(where.again, again)
-        send(cast("Message", {"status": "ok", "message": "", "texture": _describe(texture)}))
+        send(cast("Message", {"status": "ok", "message": "", "texture": known}))
     except BadInput as error:
         send({"status": "invalid", "message": str(error)})
     except FAULTS as error:
         send_error(error, send)
 
 
-def _describe(texture: Texture) -> dict[str, Any]:
-    """Return what is known of a texture, without its arrays, as values that JSON can hold."""
-    return {
-        "lattice": texture.lattice.as_dict() if texture.lattice else None,
-        "lattices": [lattice.as_dict() for lattice in texture.lattices],
-        "family": texture.family,
-        "kind": texture.kind,
-        "regular_share": texture.regular_share,
-        "region": list(texture.region) if texture.region else None,
-    }
-
-
 def read_texture(folder: Path, known: Mapping[str, Any]) -> tuple[Texture, Image | None]:
     """Return the texture that :func:`render` wrote and described, and the region beside it."""
-    where = CellFolder(folder)
-    texture = Texture(
-        read_image(where.sample),
-        Lattice.from_dict(known["lattice"]) if known["lattice"] else None,
-        tuple(map(Lattice.from_dict, known["lattices"])),
-        family=known["family"],
-        kind=known["kind"],
-        regular_share=known["regular_share"],
-        region=tuple(known["region"]) if known["region"] else None,
-    )
+    where, plain = CellFolder(folder), {name: known[name] for name in PLAIN}
+    plain["region"] = tuple(known["region"]) if known["region"] else None
+    lattice = Lattice.from_dict(known["lattice"]) if known["lattice"] else None
+    texture = Texture(read_image(where.sample), lattice, tuple(map(Lattice.from_dict, known["lattices"])), **plain)
     return texture, read_image(where.again) if where.again.is_file() else None
 
 
@@ -108,7 +95,7 @@ def detect(folder: Path, send: Send) -> None:
     send(cast("Message", {"status": "ok", "message": detection.reason, **detection.as_dict()}))
 
 
-def synthesize(folder: Path, send: Send) -> None:
+def synthesize_cell(folder: Path, send: Send) -> None:
     """Run a cell's method and write its output.
 
     Sends one message: status ``ok``, ``refused``, ``invalid``, ``memory`` or ``error``, with a message and the costs.
@@ -251,7 +238,7 @@ def report(folder: Path, send: Send) -> None:
         send_error(error, send)
 
 
-def score(folder: Path, send: Send, *metrics: str) -> None:
+def score_cell(folder: Path, send: Send, *metrics: str) -> None:
     """Score a cell by some metrics, and write one file for each; send ``{"scored": metric}`` after each.
 
     The score of a metric that raises is None in every column, with the error as the reason.

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from nrbench import plugins
 from nrbench.errors import BadInput
@@ -20,7 +20,8 @@ from nrbench.running.executors import Executor, executor
 from nrbench.running.output_checks import InvalidOutput
 from nrbench.running.pace import Pace, Progress, Step
 from nrbench.running.phases import read_output
-from nrbench.running.supervisor import Job, print_notice
+from nrbench.running.supervisor import print_notice
+from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
 from nrbench.storage import write_json
@@ -170,7 +171,7 @@ class _Runner:
             for cell, sample in cells
         ]
 
-    def _detection_job(self, key: str, cell: Cell, sample: PlannedSample) -> Job | Result:
+    def _detection_job(self, key: str, cell: Cell, sample: PlannedSample) -> Request | Result:
         where = self.directory.lattice(key)
         result = where.result()
         if result is not None and not (self.options.retry_failed and result["status"] in FAILED):
@@ -191,7 +192,7 @@ class _Runner:
             result = future.result()
             progress(pace.step(cell, result["status"], result.get("wall"), self.pool.count_slots()))
 
-    def _cell_job(self, cell: Cell, sample: PlannedSample) -> Job | Result:
+    def _cell_job(self, cell: Cell, sample: PlannedSample) -> Request | Result:
         where, retry = self.directory.cell(cell.key), self.options.retry_failed
         result = where.result()
         if result is not None and is_cached(self.directory, cell, self.metrics, retry):
@@ -212,10 +213,10 @@ class _Runner:
             return {**where.write_result(result), "wall": 0.0}
         return self._job("cell", where)
 
-    def _job(self, kind: Literal["cell", "detect"], where: CellFolder) -> Job:
+    def _job(self, phase: str, where: CellFolder) -> Request:
         options = self.options
-        return Job(
-            kind,
+        return Request(
+            phase,
             str(where.path.resolve()),
             options.timeout,
             options.memory,
@@ -224,12 +225,12 @@ class _Runner:
             side_by_side=float(options.jobs > 1 or options.scheduler is not None),
         )
 
-    def _run_jobs(self, jobs: Iterable[tuple[T, Job | Result]]) -> Iterator[tuple[T, Future[Result]]]:
+    def _run_jobs(self, jobs: Iterable[tuple[T, Request | Result]]) -> Iterator[tuple[T, Future[Result]]]:
         """Yield each finished job with its tag; few are submitted at a time, so that folders are made when needed."""
         running: dict[Future[Result], T] = {}
         stopped = False
         for tag, job in jobs:
-            if isinstance(job, Job) and self.options.stop.is_set():
+            if isinstance(job, Request) and self.options.stop.is_set():
                 stopped = True
                 break
             running[self._start(job)] = tag
@@ -254,8 +255,8 @@ class _Runner:
             yield running.pop(future), future
         return bool(dropped)
 
-    def _start(self, job: Job | Result) -> Future[Result]:
-        if isinstance(job, Job):
+    def _start(self, job: Request | Result) -> Future[Result]:
+        if isinstance(job, Request):
             return self.pool.submit(job)
         known: Future[Result] = Future()
         known.set_result(job)

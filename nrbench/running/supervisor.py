@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
-import itertools
 import os
 import queue
 import shutil
@@ -15,10 +14,9 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -28,7 +26,7 @@ from nrbench.running import guard
 from nrbench.running.guard import Message, Reply
 from nrbench.running.worker import GRACE, Request, perform, read_lines, start_worker
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import temporary_folder, working_folder
+from nrbench.storage import temporary_folder
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -53,42 +51,6 @@ def print_notice(text: str) -> None:
     print(f"nrbench: {text}", file=sys.stderr, flush=True)
 
 
-@dataclass(frozen=True)
-class Job:
-    """One cell to synthesize and score, or one lattice to detect.
-
-    Parameters
-    ----------
-    kind
-        ``cell`` or ``detect``.
-    folder
-        The cell's folder, which holds ``cell.json`` and ``sample.png``.
-    seconds, mib
-        Limits of each phase, see :class:`~nrbench.running.guard.Limits`.
-    metrics
-        The metrics that score the cell.
-    plugins
-        Files of plugins that the worker loads.
-    side_by_side
-        1 if other jobs run at the same time, else 0; it is recorded beside the costs.
-    user_folder
-        The folder in which the user started nrbench, which a worker of a cluster does not know.
-    """
-
-    kind: Literal["cell", "detect"]
-    folder: str
-    seconds: float
-    mib: float
-    metrics: tuple[str, ...] = ()
-    plugins: tuple[str, ...] = ()
-    side_by_side: float = 0.0
-    user_folder: str = dataclasses.field(default_factory=working_folder)
-
-    def request(self, phase: str, metrics: tuple[str, ...] = ()) -> Request:
-        """Return the request of one phase of this job."""
-        return Request(phase, self.folder, self.seconds, self.mib, metrics, self.user_folder)
-
-
 class RequestRunner(Protocol):
     """Runs a request: a supervisor or its in-process twin."""
 
@@ -97,17 +59,23 @@ class RequestRunner(Protocol):
         ...
 
 
-def perform_job(job: Job, runner: RequestRunner) -> Result:
-    """Run the phases of a job; return the result, as written to ``result.json``, and the wall seconds of the job."""
+def perform_phases(job: Request, runner: RequestRunner) -> Result:
+    """Detect a lattice, or run the phases of a cell.
+
+    Returns
+    -------
+    Result
+        As written to ``result.json``, with the wall seconds of all phases.
+    """
     start = time.monotonic()
     result = _perform_phases(job, runner)
     return {**result, "wall": time.monotonic() - start}
 
 
-def _perform_phases(job: Job, runner: RequestRunner) -> Result:
-    where, phase = CellFolder(Path(job.folder)), "detect" if job.kind == "detect" else "synthesize"
+def _perform_phases(job: Request, runner: RequestRunner) -> Result:
+    where, phase = CellFolder(Path(job.folder)), "detect" if job.phase == "detect" else "synthesize"
     try:
-        if job.kind == "detect":
+        if job.phase == "detect":
             return _detect(job, where, runner)
         result = where.result() or _synthesize(job, where, runner)
         if result["status"] == "ok":
@@ -126,15 +94,15 @@ def _perform_phases(job: Job, runner: RequestRunner) -> Result:
         return result
 
 
-def _detect(job: Job, where: CellFolder, runner: RequestRunner) -> Result:
-    result = _run(runner, job.request("detect")).result
+def _detect(job: Request, where: CellFolder, runner: RequestRunner) -> Result:
+    result = _run(runner, dataclasses.replace(job, metrics=())).result
     if result["status"] == "ok" and "lattice" not in result:
         result = {"status": "crash", "message": "ended without an answer"}
     return where.write_result(result)
 
 
-def _synthesize(job: Job, where: CellFolder, runner: RequestRunner) -> Result:
-    result = _run(runner, job.request("synthesize")).result
+def _synthesize(job: Request, where: CellFolder, runner: RequestRunner) -> Result:
+    result = _run(runner, dataclasses.replace(job, phase="synthesize_cell", metrics=())).result
     if result["status"] == "ok" and not where.output.is_file():
         result = {"status": "crash", "message": "ended without an output"}
     if result["status"] != "ok":
@@ -171,7 +139,7 @@ def _can_write(folder: Path) -> bool:
     return True
 
 
-def _score(job: Job, where: CellFolder, runner: RequestRunner) -> None:
+def _score(job: Request, where: CellFolder, runner: RequestRunner) -> None:
     """Score by every metric that has not scored the cell yet; record the failure of one that kills the child."""
     missing = where.missing_scores(job.metrics)
     own = [metric for metric in missing if plugins.find("metrics", metric).own]
@@ -179,11 +147,11 @@ def _score(job: Job, where: CellFolder, runner: RequestRunner) -> None:
         _score_group(job, where, runner, group)
 
 
-def _score_group(job: Job, where: CellFolder, runner: RequestRunner, metrics: list[str]) -> None:
+def _score_group(job: Request, where: CellFolder, runner: RequestRunner, metrics: list[str]) -> None:
     """Score by metrics that share a process. The metrics of nrbench share one; each other one has its own."""
     missing = metrics
     while missing:
-        reply = _run(runner, job.request("score", tuple(missing)))
+        reply = _run(runner, dataclasses.replace(job, phase="score_cell", metrics=tuple(missing)))
         missing = [metric for metric in missing if metric not in reply.scored]
         if missing:
             why = reply.result["message"] or "the metric sent nothing"
@@ -214,7 +182,6 @@ class Supervisor:
         self._ended = False
         self._stack = contextlib.ExitStack()
         self._folder = Path()
-        self._numbers = itertools.count()
 
     def run(self, request: Request) -> Reply:
         """Run one request under its limits.
@@ -226,7 +193,7 @@ class Supervisor:
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
         if self._worker is None:
             self._start()
-        request = dataclasses.replace(request, temporary=str(self._folder / str(next(self._numbers))))
+        request = dataclasses.replace(request, temporary=str(self._folder / "tmp"))
         self._check_open()
         assert self._worker is not None and self._worker.stdin is not None
         try:
@@ -330,7 +297,7 @@ def own_supervisor(tell: Callable[[str], None] = print_notice) -> Supervisor:
     return known
 
 
-def run_job(job: Job, tell: Callable[[str], None] = print_notice) -> Result:
+def run_job(job: Request, tell: Callable[[str], None] = print_notice) -> Result:
     """Run one job by this thread's supervisor.
 
     Parameters
@@ -340,7 +307,7 @@ def run_job(job: Job, tell: Callable[[str], None] = print_notice) -> Result:
     tell
         Called with a sentence that the user should read.
     """
-    return perform_job(job, own_supervisor(tell))
+    return perform_phases(job, own_supervisor(tell))
 
 
 def close_all() -> None:

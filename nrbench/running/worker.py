@@ -16,10 +16,12 @@ import os
 import queue
 import select
 import signal
+import stat
 import subprocess
 import sys
 import tempfile
 import threading
+import uuid
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
@@ -30,6 +32,7 @@ from typing import IO, Any, cast
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
+from nrbench.plugins.parameters import prepare_conversion
 from nrbench.running import guard, phases
 from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import Send
@@ -55,20 +58,26 @@ DEFERRED = (
 
 @dataclass(frozen=True)
 class Request:
-    """One phase of one cell, to be run under limits.
+    """One phase of one cell, or all of them, to be run under limits.
 
     Parameters
     ----------
     phase
-        What to do: the name of a function of :mod:`nrbench.running.phases`, or the whole path of another function.
+        What to do: the name of a function of :mod:`nrbench.running.phases`, or the whole path of another function. The
+        supervisor takes ``cell``, too: synthesize and score.
     folder
-        The cell's folder.
+        The cell's folder, which holds ``cell.json`` and ``sample.png``.
     seconds, mib
-        Limits, see :class:`~nrbench.running.guard.Limits`.
+        Limits of each phase, see :class:`~nrbench.running.guard.Limits`.
     metrics
-        The metrics of the phase ``score``.
+        The metrics that score the cell.
+    plugins
+        Files of plugins that a worker of a cluster loads.
+    side_by_side
+        1 if other cells run at the same time, else 0; it is recorded beside the costs.
     user_folder
-        The folder in which the user started nrbench: relative paths in parameters start from there.
+        The folder in which the user started nrbench, which a worker of a cluster does not know: relative paths in
+        parameters start from there.
     temporary
         The folder of the phase's temporary files; the supervisor that runs the request fills it in. It does not lie in
         the cell's folder: the path of a socket has 107 bytes at most, and that of a run may be longer.
@@ -79,6 +88,8 @@ class Request:
     seconds: float
     mib: float
     metrics: tuple[str, ...] = ()
+    plugins: tuple[str, ...] = ()
+    side_by_side: float = 0.0
     user_folder: str = dataclasses.field(default_factory=working_folder)
     temporary: str = ""
 
@@ -95,8 +106,20 @@ class Request:
         leave_user_folder(Path(self.user_folder), temporary / "work")
 
     def tidy(self) -> None:
-        """Remove the temporary files of the phase."""
-        remove_folder(Path(self.temporary))
+        """Remove what the phase left among its temporary files.
+
+        Folders in which it left nothing are kept for the next phase, because some disks take milliseconds to remove
+        one. All others get another name first, so that the next phase finds nothing of what cannot be removed.
+        """
+        temporary, work = Path(self.temporary), Path(self.temporary, "work")
+        with contextlib.suppress(OSError):
+            modes = {place.lstat().st_mode & ~stat.S_ISGID for place in (temporary, work)}  # that bit is inherited
+            if modes == {stat.S_IFDIR | 0o700} and [*temporary.iterdir(), *work.iterdir()] == [work]:
+                return
+        aside = temporary.with_name(uuid.uuid4().hex)
+        with contextlib.suppress(OSError):
+            temporary.rename(aside)
+        remove_folder(aside)
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
@@ -106,7 +129,7 @@ class Request:
     def from_json(cls, line: str) -> Request:
         """Read a request from :meth:`to_json`."""
         content = json.loads(line)
-        return cls(**{**content, "metrics": tuple(content["metrics"])})
+        return cls(**{**content, "metrics": tuple(content["metrics"]), "plugins": tuple(content["plugins"])})
 
 
 def perform(request: Request, send: Callable[[Message], None]) -> None:
@@ -114,7 +137,9 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
     before = guard.peak_bytes()
 
     def send_with_memory(message: Message) -> None:
-        peak = {"peak_mib": max(0, guard.peak_bytes() - before) / guard.MIB} if request.phase == "synthesize" else {}
+        peak = (
+            {"peak_mib": max(0, guard.peak_bytes() - before) / guard.MIB} if request.phase == "synthesize_cell" else {}
+        )
         send(cast("Message", {**message, **peak}))
 
     module, _, name = request.phase.rpartition(".")
@@ -133,7 +158,8 @@ def warm(compiling: Callable[[], None]) -> None:
     for name in DEFERRED:
         importlib.import_module(name)
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
-        plugins.inventory(kind)
+        for plugin in plugins.inventory(kind):
+            prepare_conversion(plugin.cls)
     load_kernels(compiling)
     gc.collect()
     gc.freeze()  # a collection in a child would write into all objects of the worker, and so copy their memory
@@ -378,7 +404,7 @@ def _is_own(request: Request) -> bool:
     Such a request runs no code of others, and its costs are not measured. The dataset counts because scoring draws the
     texture again. A plugin may have changed the file of the cell, so its content is checked.
     """
-    if request.phase != "score":
+    if request.phase != "score_cell":
         return False
     try:
         recipe: Any = (read_json(CellFolder(Path(request.folder)).cell_file) or {}).get("recipe")
@@ -526,7 +552,7 @@ def _import_plugins(request: Request) -> None:
     content: Any = read_json(CellFolder(Path(request.folder)).cell_file) or {}
     recipe = content.get("recipe")
     named = [("datasets", recipe.get("dataset") if isinstance(recipe, dict) else None)]
-    if request.phase == "score":
+    if request.phase == "score_cell":
         named += [("metrics", metric) for metric in request.metrics]
     else:
         named += [("synthesizers", content.get("method")), ("detectors", content.get("detector"))]

@@ -8,6 +8,7 @@ import json
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -79,60 +80,20 @@ class CellRecord:
     pictures: Mapping[str, Path] = field(default_factory=dict)
     records: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def key(self) -> str:
-        """The cell's key."""
-        return self.folder.name
-
-    @property
-    def suite(self) -> str:
-        """Name of the suite."""
-        return self.cell.suite
-
-    @property
-    def texture(self) -> str:
-        """Name of the texture."""
-        return self.cell.texture
-
-    @property
-    def family(self) -> str:
-        """Family of the texture."""
-        return self.cell.family
-
-    @property
-    def kind(self) -> str | None:
-        """Kind of the texture: 0, I, II, III or stochastic."""
-        return self.cell.kind
-
-    @property
-    def regular_share(self) -> float | None:
-        """Regular share of the texture, in [0, 1]."""
-        return self.cell.regular_share
-
-    @property
-    def method(self) -> str:
-        """The method with the parameters that differ from their defaults."""
-        return self.cell.label
-
-    @property
-    def parameters(self) -> Mapping[str, Any]:
-        """All parameters of the method."""
-        return self.cell.parameters
-
-    @property
-    def reference(self) -> bool:
-        """Whether the method is a reference: it calibrates the scores and is never ranked."""
-        return self.cell.reference
-
-    @property
-    def lattice_source(self) -> str:
-        """``given``, ``own``, ``none``, or the detector."""
-        return self.cell.lattice_source
-
-    @property
-    def replicate(self) -> int:
-        """Number of the draw."""
-        return self.cell.replicate
+    key = property(attrgetter("folder.name"), doc="The cell's key.")
+    suite = property(attrgetter("cell.suite"), doc="Name of the suite.")
+    texture = property(attrgetter("cell.texture"), doc="Name of the texture.")
+    family = property(attrgetter("cell.family"), doc="Family of the texture.")
+    kind = property(attrgetter("cell.kind"), doc="Kind of the texture: 0, I, II, III or stochastic.")
+    regular_share = property(attrgetter("cell.regular_share"), doc="Regular share of the texture, in [0, 1].")
+    method = property(attrgetter("cell.label"), doc="The method with the parameters that differ from their defaults.")
+    parameters = property(attrgetter("cell.parameters"), doc="All parameters of the method.")
+    reference = property(
+        attrgetter("cell.reference"),
+        doc="Whether the method is a reference: it calibrates the scores and is never ranked.",
+    )
+    lattice_source = property(attrgetter("cell.lattice_source"), doc="``given``, ``own``, ``none``, or the detector.")
+    replicate = property(attrgetter("cell.replicate"), doc="Number of the draw.")
 
     @property
     def status(self) -> str:

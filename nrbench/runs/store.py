@@ -101,6 +101,16 @@ class ScoreContent(TypedDict, total=False):
     pictures: dict[str, str]
 
 
+class _Part:
+    """An attribute that is the path of a file or folder in a cell's folder."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, where: CellFolder, owner: type[CellFolder]) -> Path:
+        return where.path / self._name
+
+
 @dataclass(frozen=True)
 class CellFolder:
     """One cell on disk.
@@ -113,50 +123,24 @@ class CellFolder:
 
     path: Path
 
-    @property
-    def cell_file(self) -> Path:
-        """The cell's description."""
-        return self.path / "cell.json"
-
-    @property
-    def result_file(self) -> Path:
-        """How the synthesis ended; once the file exists, the synthesis is never repeated."""
-        return self.path / "result.json"
-
-    @property
-    def sample(self) -> Path:
-        """The sample's pixels."""
-        return self.path / "sample.png"
-
-    @property
-    def again(self) -> Path:
-        """For a photograph and a reference method: a region that does not touch the sample."""
-        return self.path / "again.png"
-
-    @property
-    def output(self) -> Path:
-        """The output's pixels."""
-        return self.path / "output.png"
-
-    @property
-    def source(self) -> Path:
-        """The source map, array ``source``."""
-        return self.path / "source.npz"
-
-    @property
-    def extras(self) -> Path:
-        """Folder of the method's extras."""
-        return self.path / "extras"
-
-    @property
-    def scores(self) -> Path:
-        """Folder of the scores, one file for each metric, named by the metric and its key."""
-        return self.path / "scores"
-
-    @property
-    def log(self) -> Path:
-        """What the method and the metrics printed, and tracebacks."""
-        return self.path / "log.txt"
+    cell_file = _Part("cell.json")
+    """The cell's description."""
+    result_file = _Part("result.json")
+    """How the synthesis ended; once the file exists, the synthesis is never repeated."""
+    sample = _Part("sample.png")
+    """The sample's pixels."""
+    again = _Part("again.png")
+    """For a photograph and a reference method: a region that does not touch the sample."""
+    output = _Part("output.png")
+    """The output's pixels."""
+    source = _Part("source.npz")
+    """The source map, array ``source``."""
+    extras = _Part("extras")
+    """Folder of the method's extras."""
+    scores = _Part("scores")
+    """Folder of the scores, one file for each metric, named by the metric and its key."""
+    log = _Part("log.txt")
+    """What the method and the metrics printed, and tracebacks."""
 
     def result(self) -> Result | None:
         """Return how the synthesis ended, or None while it has not. A damaged file counts as none."""

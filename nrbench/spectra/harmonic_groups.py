@@ -10,8 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.lattice.geometry import hermite_matrices, shortest_pair
-from nrbench.lattice.reduction_kernels import reduce_bases
+from nrbench.lattice.geometry import hermite_matrices, reduce_bases, reduce_basis
 from nrbench.spectra.spectrum import Array, Spectrum
 from nrbench.spectra.wave_fit import Waves
 from nrbench.spectra.wave_search import WaveDetection
@@ -184,7 +183,7 @@ def collect_peaks(
     detection: WaveDetection, members: NDArray[np.intp] | None = None, tolerance: float = TOLERANCE
 ) -> SpectrumPeaks:
     """Return the peaks of the waves with the indices ``members``, the strongest first; None: all waves, in order."""
-    waves, energy = detection.waves, detection.powers.sum(1)
+    waves, energy = detection.waves, detection.waves.powers.sum(1)
     chosen = np.arange(len(energy)) if members is None else members
     spreads = np.hypot(SHIFT / np.sqrt(np.maximum(detection.ratios.max(1)[chosen], 1)), tolerance)
     weights = (energy[chosen] / max(float(energy[chosen].max(initial=0)), 1e-300)) ** EMPHASIS
@@ -393,7 +392,7 @@ def fit_given_fundamentals(detection: WaveDetection, given: Array) -> tuple[Arra
     """
     size = detection.waves.spectrum.size
     places, vectors = detection.waves.frequencies * size, given * size
-    weights = np.sqrt(detection.powers.sum(1))[:, np.newaxis]
+    weights = np.sqrt(detection.waves.powers.sum(1))[:, np.newaxis]
     orders = np.eye(2)
     for uncertainty in UNCERTAINTIES:
         numbers = np.rint(places @ np.linalg.inv(vectors))
@@ -427,7 +426,7 @@ def find_finer_fundamentals(
         lattice up to :data:`LARGEST_INDEX` contains most of the waves.
     """
     size = detection.waves.spectrum.size
-    f, power = detection.waves.frequencies[order], detection.powers[order].sum(1)
+    f, power = detection.waves.frequencies[order], detection.waves.powers[order].sum(1)
     for index in range(2, LARGEST_INDEX + 1):
         for form in hermite_matrices(index):
             finer = form @ fundamentals / index
@@ -442,7 +441,7 @@ def find_finer_fundamentals(
 
 def shortest_length(vectors: Array) -> float:
     """Return the length of the shortest vector of the lattice that one or two vectors ``(1 or 2, 2)`` span."""
-    first = shortest_pair(vectors)[0] if len(vectors) == 2 else vectors[0]
+    first = reduce_basis(vectors)[0] if len(vectors) == 2 else vectors[0]
     return float(np.hypot(*first))
 
 

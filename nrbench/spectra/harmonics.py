@@ -12,7 +12,7 @@ from nrbench.errors import checker
 from nrbench.spectra.regular_part import find_regular_part
 from nrbench.spectra.spectrum import Array, Planes, Spectrum
 from nrbench.spectra.wave_fit import Waves, wave_sum
-from nrbench.spectra.wave_search import find_waves, find_waves_analytic, find_waves_quickly
+from nrbench.spectra.wave_search import find_waves, find_waves_analytic
 
 Harmonic = Literal["free", "tied"]
 Signal = Literal["real", "analytic"]
@@ -23,8 +23,8 @@ departures, waves of bricks have 0.28 or more, those of chance 0.15 or less (run
 
 
 @dataclass(frozen=True)
-class Harmonics:
-    """A periodic picture: mean + sum of cosine cos(2 pi f r) + sine sin(2 pi f r), r = (x, y) px from pixel (0, 0).
+class WaveAnalysis:
+    """The waves of a picture: mean + sum of cosine cos(2 pi f r) + sine sin(2 pi f r), r = (x, y) px from pixel (0, 0).
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def analyze(
     most: int = 400,
     signal: Signal = "real",
     given: Array | None = None,
-) -> Harmonics:
+) -> WaveAnalysis:
     """Return the waves of a picture: fractional Fourier texture masks, Nicoll et al. 2005, section 3.
 
     Candidates are DFT coefficients above a threshold. Each is refined within a bin to the maximum of the fractional
@@ -180,14 +180,10 @@ def analyze(
     _check(signal in ("real", "analytic"), f"signal is {signal!r}; give real or analytic")
     _check(0 < false_alarms < 1, f"false_alarms is {false_alarms}; give a probability, e.g. 0.01")
     _check(most >= 1, f"most is {most}; give at least 1")
-    if channels == "joint":
-        return _analyze_planes(planes, threshold, harmonics, false_alarms, most, signal, given)
-    count = planes.shape[2]
-    parts = [
-        _analyze_planes(planes[..., c : c + 1], threshold, harmonics, false_alarms / count, most, signal, given)
-        for c in range(count)
-    ]
-    return _combine_channels(parts, planes)
+    split = [planes] if channels == "joint" else np.split(planes, planes.shape[2], 2)
+    rate = false_alarms / len(split)
+    parts = [_analyze_planes(part, threshold, harmonics, rate, most, signal, given) for part in split]
+    return parts[0] if channels == "joint" else _combine_channels(parts, planes)
 
 
 def _analyze_planes(
@@ -198,15 +194,14 @@ def _analyze_planes(
     most: int,
     signal: Signal,
     given: Array | None,
-) -> Harmonics:
+) -> WaveAnalysis:
     spectrum = Spectrum(planes)
     if harmonics == "tied":
-        search = find_waves_quickly if signal == "real" else find_waves_analytic
-        part = find_regular_part(spectrum, threshold, false_alarms, most, search, given)
+        part = find_regular_part(spectrum, threshold, false_alarms, most, signal == "analytic", given)
         f = part.orders @ part.fundamentals
         return _sort_by_power(part.waves, f, part.fundamentals, part.orders, part.groups, part.kept)
-    full_search = find_waves if signal == "real" else find_waves_analytic
-    waves = full_search(spectrum, threshold, false_alarms, most).waves
+    search = find_waves if signal == "real" else find_waves_analytic
+    waves = search(spectrum, threshold, false_alarms, most).waves
     n = len(waves.frequencies)
     return _sort_by_power(waves, waves.frequencies, waves.frequencies, np.eye(n), (1,) * n, None)
 
@@ -218,7 +213,7 @@ def _sort_by_power(
     orders: Array,
     groups: tuple[int, ...],
     kept: NDArray[np.bool_] | None,
-) -> Harmonics:
+) -> WaveAnalysis:
     """Return fitted waves with amplitudes about pixel (0, 0), the strongest first."""
     cosine, sine, mean = waves.origin_amplitudes(kept)
     order = np.argsort(-(cosine**2 + sine**2).sum(1), kind="stable")
@@ -226,10 +221,10 @@ def _sort_by_power(
     explained = waves.explained.sum() if kept is None else total - np.square(waves.subtract(kept)).sum()
     share = min(max(float(explained) / total, 0.0), 1.0) if total > 0 else 0.0
     integers = np.rint(orders[order]).astype(np.int64)
-    return Harmonics(frequencies[order], cosine[order], sine[order], mean, fundamentals, integers, groups, share)
+    return WaveAnalysis(frequencies[order], cosine[order], sine[order], mean, fundamentals, integers, groups, share)
 
 
-def _combine_channels(parts: list[Harmonics], planes: Planes) -> Harmonics:
+def _combine_channels(parts: list[WaveAnalysis], planes: Planes) -> WaveAnalysis:
     """Return the waves of separately analyzed channels as those of one picture."""
     fundamentals = [part.fundamentals for part in parts]
     orders = np.zeros((sum(len(p.orders) for p in parts), sum(len(f) for f in fundamentals)), np.int64)
@@ -246,7 +241,7 @@ def _combine_channels(parts: list[Harmonics], planes: Planes) -> Harmonics:
     share = float(variances @ [part.share for part in parts]) / max(float(variances.sum()), 1e-300)
     strongest = np.argsort(-(amplitudes**2).sum((0, 2)), kind="stable")
     cosine, sine = amplitudes[:, strongest]
-    return Harmonics(
+    return WaveAnalysis(
         frequencies[strongest], cosine, sine, mean, np.concatenate(fundamentals), orders[strongest], groups, share
     )
 

@@ -27,7 +27,7 @@ from nrbench.spectra.harmonic_groups import (
 )
 from nrbench.spectra.spectrum import Array, Spectrum
 from nrbench.spectra.wave_fit import FixedWaves, Waves, fit_frequencies, register_fundamentals
-from nrbench.spectra.wave_search import Search, WaveDetection, find_waves_quickly
+from nrbench.spectra.wave_search import WaveDetection, find_waves, find_waves_analytic
 
 LEADERS = 24
 """Number of waves that are searched to find a group's fundamentals."""
@@ -95,7 +95,7 @@ def find_regular_part(
     threshold: float | None,
     false_alarms: float,
     most: int,
-    search: Search = find_waves_quickly,
+    analytic: bool = False,
     given: Array | None = None,
 ) -> RegularPart:
     """Find the regular waves of a picture, group by group.
@@ -116,22 +116,31 @@ def find_regular_part(
         Probability that noise alone yields a proposing wave.
     most
         The largest number of waves.
-    search
-        The search for the proposing waves.
+    analytic
+        Search the proposing waves in the analytic signal, see :func:`~nrbench.spectra.wave_search.find_waves_analytic`.
     given
         ``(2, 2)`` cycles/px: fundamentals of the first group, with an error of at most about 2 %. None: they are
         searched.
     """
     part = _empty_part(spectrum)
     if given is not None:
-        detection = search(spectrum, threshold, false_alarms, min(LEADERS, most))
+        detection = _find_leaders(spectrum, threshold, false_alarms, most, analytic)
         part = _add_group(part, *fit_given_fundamentals(detection, given), threshold, most) or part
     while len(part.groups) < MOST_GROUPS:
-        more = _find_next_group(part, threshold, false_alarms, most, search)
+        more = _find_next_group(part, threshold, false_alarms, most, analytic)
         if more is None:
             break
         part = more
     return part if part.groups != (2,) else _register(part, threshold, most)
+
+
+def _find_leaders(
+    spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int, analytic: bool
+) -> WaveDetection:
+    """Return the waves that propose the fundamentals of a group."""
+    if analytic:
+        return find_waves_analytic(spectrum, threshold, false_alarms, min(LEADERS, most))
+    return find_waves(spectrum, threshold, false_alarms, min(LEADERS, most), quick=True)
 
 
 def _empty_part(spectrum: Spectrum) -> RegularPart:
@@ -154,13 +163,13 @@ def _moves_far(part: RegularPart, fundamentals: Array) -> bool:
 
 
 def _find_next_group(
-    part: RegularPart, threshold: float | None, false_alarms: float, most: int, search: Search
+    part: RegularPart, threshold: float | None, false_alarms: float, most: int, analytic: bool
 ) -> RegularPart | None:
     """Return the part with one more group; None if no regular group remains."""
     spectrum = part.waves.spectrum
     residual = Spectrum(part.waves.subtract(part.kept)) if part.groups else spectrum
-    detection = search(residual, threshold, false_alarms, min(LEADERS, most))
-    strong = np.argsort(-detection.powers.sum(1), kind="stable")
+    detection = _find_leaders(residual, threshold, false_alarms, most, analytic)
+    strong = np.argsort(-detection.waves.powers.sum(1), kind="stable")
     strong = strong[(_stand_out_of_lines(detection) & _lie_apart(detection, part))[strong]]
     if part.groups == (2,):
         finer = find_finer_fundamentals(detection, strong, part.fundamentals)
@@ -216,7 +225,7 @@ def _stand_out_of_lines(detection: WaveDetection) -> NDArray[np.bool_]:
     waves = detection.waves
     power = np.abs(waves.residual_bins()) ** 2
     floor = line_floor(power, waves.spectrum.shape, waves.frequencies, np.zeros((0, 2)))
-    return np.asarray((detection.powers > PROPOSAL_RATIO * floor).any(1))
+    return np.asarray((detection.waves.powers > PROPOSAL_RATIO * floor).any(1))
 
 
 def _is_clear_alone(detection: WaveDetection, wave: np.intp, threshold: float | None) -> bool:

@@ -144,18 +144,13 @@ class Waves:
         transform = [((rows * w.real) @ cols.T) + 1j * ((rows * w.imag) @ cols.T) for w in weights.T]
         return np.asarray(self.spectrum.bins() - np.stack(transform))
 
-    @cached_property
-    def normal(self) -> tuple[Array, Array]:
-        """The normal equations of the frequencies with the amplitudes eliminated, all waves weighted alike."""
-        return self.weighted_normal(np.ones((len(self.frequencies), 1)))
-
-    def weighted_normal(self, weights: Array) -> tuple[Array, Array]:
+    def normal_equations(self, weights: Array | None = None) -> tuple[Array, Array]:
         """Return the normal equations of the frequencies with the amplitudes eliminated (variable projection).
 
         Parameters
         ----------
         weights
-            ``(n, C)`` or ``(n, 1)``: the weight of each wave, e.g. the inverse of the noise's power at its frequency.
+            ``(n, C)``: the weight of each wave, e.g. the inverse of the noise's power at its frequency. None: 1.
 
         Returns
         -------
@@ -163,6 +158,7 @@ class Waves:
             The matrix ``(n, 2, n, 2)`` and the right side ``(n, 2)``, for steps in cycles/px.
         """
         (p, q), (cosines, sines) = self.amplitudes, self._grams
+        weights = np.ones((len(self.frequencies), 1)) if weights is None else weights
         root = np.sqrt(np.pad(weights, ((1, 0), (0, 0))))
         differences, sums = self._kernels
         crossing = (sums.slope - differences.slope) / 2, -(sums.slope + differences.slope) / 2
@@ -277,7 +273,7 @@ def fit_frequencies(
 
 
 def _step(fit: FrequencyFit, orders: Array, damping: float, weights: Array | None) -> Array:
-    matrix, right = fit.waves.normal if weights is None else fit.waves.weighted_normal(weights)
+    matrix, right = fit.waves.normal_equations(weights)
     g = orders.shape[1]
     half = np.tensordot(orders, matrix, (0, 0))
     small = np.tensordot(half, orders, (2, 0)).transpose(0, 1, 3, 2).reshape(2 * g, 2 * g)

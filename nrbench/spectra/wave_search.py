@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -32,6 +29,8 @@ TRIES = 2
 OFFSETS = np.linspace(-0.75, 0.75, 7)
 """Bins from a candidate, along x and along y, at which the magnitude is sampled before it is maximized."""
 GRID = np.stack(np.meshgrid(OFFSETS, OFFSETS), -1).reshape(-1, 2)
+STEPS, QUICK_STEPS = 20, 3
+"""Number of steps of the final joint fit. After three steps the error of a frequency is a hundredth of a bin."""
 LATER_STEPS = 6
 """Number of steps of the joint fit after faint waves are dropped; the other waves hardly change."""
 CANDIDATES = 20
@@ -49,26 +48,6 @@ ANALYTIC_LINE = np.linspace(-1, 1, 9)
 """Steps of one search along an axis, in units of its reach."""
 ANALYTIC_REACHES = 0.25 ** np.arange(1, 7)
 """Bins: the reach of each pair of searches along x and along y; the last one resolves 1e-4 bin."""
-
-
-class Effort(NamedTuple):
-    """The effort of a search for waves.
-
-    Parameters
-    ----------
-    passes
-        How many times the threshold is set and candidates are collected, at least 1. A single pass takes half the time,
-        but misses waves next to stronger ones.
-    steps
-        Number of steps of the final joint fit. After three steps the error of a frequency is a hundredth of a bin.
-    """
-
-    passes: int
-    steps: int
-
-
-THOROUGH = Effort(2, 20)
-QUICK = Effort(1, 3)
 
 
 @dataclass(frozen=True)
@@ -90,23 +69,14 @@ class WaveDetection:
     limit: Array
 
     @property
-    def powers(self) -> Array:
-        """The waves' powers at their maxima, ``(n, C)``."""
-        return self.waves.powers
-
-    @property
     def ratios(self) -> Array:
         """The waves' powers over the noise floor, ``(n, C)``."""
         floor = _nearest_bins(self.floor, self.waves.frequencies, self.waves.spectrum.shape)
-        return self.powers / np.maximum(floor, 1e-300)
-
-
-Search = Callable[[Spectrum, float | None, float, int], WaveDetection]
-"""A search, called with a spectrum, a threshold, a probability of false alarms, and the largest number of waves."""
+        return self.waves.powers / np.maximum(floor, 1e-300)
 
 
 def find_waves(
-    spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int, effort: Effort = THOROUGH
+    spectrum: Spectrum, threshold: float | None, false_alarms: float, most: int, quick: bool = False
 ) -> WaveDetection:
     """Find the waves above a threshold; frequencies and amplitudes are fitted jointly.
 
@@ -126,21 +96,19 @@ def find_waves(
         Probability that noise alone yields a wave, for the automatic threshold.
     most
         The largest number of waves.
-    effort
-        Passes and steps.
+    quick
+        Set the threshold and collect candidates once instead of twice, and make few steps of the final joint fit: half
+        the time, but waves next to stronger ones are missed.
     """
+    passes, steps = (1, QUICK_STEPS) if quick else (2, STEPS)
     waves = Waves(spectrum, np.zeros((0, 2)))
-    for _ in range(effort.passes):
+    for _ in range(passes):
         residual = np.abs(waves.residual_bins()) ** 2
         floor = noise_floor(residual)
         limit = power_limit(spectrum, floor, threshold, false_alarms)
         waves = _add_waves(waves, residual, limit, most)
-    waves = fit_frequencies(spectrum, waves.frequencies, steps=effort.steps).waves
-    return WaveDetection(_keep_significant(waves, limit, effort.steps), floor, limit)
-
-
-find_waves_quickly: Search = partial(find_waves, effort=QUICK)
-"""A search in one pass with few steps, see :func:`find_waves`."""
+    waves = fit_frequencies(spectrum, waves.frequencies, steps=steps).waves
+    return WaveDetection(_keep_significant(waves, limit, steps), floor, limit)
 
 
 def power_limit(spectrum: Spectrum, floor: Array, threshold: float | None, false_alarms: float) -> Array:
@@ -277,7 +245,7 @@ def _drop_doubles(waves: Waves) -> Waves:
     return Waves(waves.spectrum, f[~weaker]) if weaker.any() else waves
 
 
-def _keep_significant(waves: Waves, limit: Array, steps: int = THOROUGH.steps) -> Waves:
+def _keep_significant(waves: Waves, limit: Array, steps: int = STEPS) -> Waves:
     """Fit all waves, drop those below the limit ``(C, H, W // 2 + 1)``, and fit the others again."""
     waves = _drop_doubles(waves)
     while len(waves.frequencies):

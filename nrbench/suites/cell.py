@@ -69,8 +69,7 @@ class Recipe:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the recipe as a mapping that can be written as JSON."""
-        known = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        return {**known, "parameters": dict(self.parameters), "shape": list(self.shape)}
+        return {**vars(self), "parameters": dict(self.parameters), "shape": list(self.shape)}
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Recipe:
@@ -210,12 +209,10 @@ class Cell:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the cell as a mapping that can be written as JSON."""
-        mapping = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
-        mapping["recipe"] = self.recipe.as_dict()
+        mapping = {"key": self.key, **vars(self), "recipe": self.recipe.as_dict()}
         for name in ("lattice_given", "lattice_truth", "detected"):
-            known: Lattice | FoundLattice | None = mapping[name]
-            mapping[name] = known.as_dict() if known else None
-        return {"key": self.key, **mapping}
+            mapping[name] = mapping[name].as_dict() if mapping[name] else None
+        return mapping
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Cell:

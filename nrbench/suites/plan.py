@@ -132,7 +132,8 @@ class LatticeSource:
     def parse(cls, text: str) -> LatticeSource:
         """Parse an entry of the lattice axis.
 
-        ``none`` is not accepted, because methods themselves declare that they use no lattice.
+        ``none`` is not accepted, because methods themselves declare that they use no lattice. The name of a user's
+        lattice is its numbers in their shortest form.
 
         Raises
         ------
@@ -142,17 +143,13 @@ class LatticeSource:
         if text in ("given", "own"):
             return cls(text)
         if re.match(r"\s*[-+.\d]|[^:]*,", text):
-            return cls.of(Lattice.parse(text))
+            lattice = Lattice.parse(text)
+            return cls(",".join(np.format_float_positional(x, trim="-") for x in lattice.numbers), lattice=lattice)
         if parse_spec(text)[0] not in plugins.names("detectors"):
             known = ", ".join(["given", "own", "x1,y1,x2,y2[,x,y] (px)", *plugins.names("detectors")])
             raise BadInput(f"--lattice {text!r} is not known; use one of: {known}")
         name, version, parameters = identify_detector(text)
         return cls(label(name, parameters, _defaults(plugins.find("detectors", name).cls)), (name, version, parameters))
-
-    @classmethod
-    def of(cls, lattice: Lattice) -> LatticeSource:
-        """Return the source of a user's lattice; its name is its numbers in their shortest form."""
-        return cls(",".join(np.format_float_positional(x, trim="-") for x in lattice.numbers), lattice=lattice)
 
 
 @dataclass(frozen=True)
@@ -278,9 +275,9 @@ class PlannedSample:
         """Return a sample without what can be drawn again."""
         image = sample.texture.image if sample.texture else None
         redrawn = sample.recipe.procedural and plugins.find("datasets", sample.recipe.dataset).own
-        kept = (None, None) if redrawn else (_to_bytes(image), _to_bytes(sample.region))
+        pixels = [None if redrawn or each is None else to_bytes(each) for each in (image, sample.region)]
         size = image.shape[:2] if image is not None else None
-        return cls(sample.recipe, sample.shape, size, sample.log, kept)
+        return cls(sample.recipe, sample.shape, size, sample.log, (pixels[0], pixels[1]))
 
     def image(self) -> Image:
         """Return the pixels of the sample. Those of the last sample are kept; the others are drawn again."""
@@ -295,10 +292,6 @@ class PlannedSample:
 def _drawn_again(sample: PlannedSample) -> Image:
     kept = sample.kept[0]
     return draw_texture(sample.recipe, sample.shape)[0].image if kept is None else as_image(kept, "sample", smallest=1)
-
-
-def _to_bytes(image: Image | None) -> NDArray[np.uint8] | None:
-    return to_bytes(image) if image is not None else None
 
 
 @dataclass(frozen=True)
@@ -376,15 +369,13 @@ def _draw_each(suite: Suite, textures: Sequence[str], draw: Draw | None) -> Iter
     if not rows:
         names = ", ".join(row.name for row in suite.texture[:12])
         raise BadInput(f"-t {' '.join(textures)}: matches no texture of suite {suite.name} ({names}, ...)")
-    return (sample for row in rows for sample in _draw_row(suite, row, draw))
-
-
-def _draw_row(suite: Suite, row: TextureRow, draw: Draw | None) -> Iterator[Sample]:
-    try:
-        origin = SampleOrigin.of(suite, row, draw)
-    except BadInput as error:
-        raise BadInput(f"suite {suite.name}, texture {row.name!r}: {error}") from None
-    return (_draw(suite, row, origin, replicate, draw) for replicate in range(suite.replicates))
+    for row in rows:
+        try:
+            origin = SampleOrigin.of(suite, row, draw)
+        except BadInput as error:
+            raise BadInput(f"suite {suite.name}, texture {row.name!r}: {error}") from None
+        for replicate in range(suite.replicates):
+            yield _draw(suite, row, origin, replicate, draw)
 
 
 def _draw(suite: Suite, row: TextureRow, origin: SampleOrigin, replicate: int, draw: Draw | None) -> Sample:
@@ -439,7 +430,8 @@ def draw_texture(recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
 def _described(recipe: Recipe, rendered: object, shape: Shape) -> tuple[Texture, Image | None]:
     texture = _checked(recipe, rendered)
     texture = dataclasses.replace(texture, image=quantize(texture.image))
-    return texture, None if recipe.procedural else _fresh_region(recipe, texture, shape)
+    region = None if recipe.procedural else recipe.again(texture)(shape, 0)
+    return texture, None if region is None else quantize(region.image)
 
 
 def _checked(recipe: Recipe, texture: object) -> Texture:
@@ -460,11 +452,6 @@ def _checked(recipe: Recipe, texture: object) -> Texture:
     if not (share is None or (isinstance(share, float) and 0 <= share <= 1)):
         raise BadInput(f"{where}: regular_share: expected a number from 0 to 1, got {share!r}")
     return dataclasses.replace(texture, image=image)
-
-
-def _fresh_region(recipe: Recipe, texture: Texture, shape: Shape) -> Image | None:
-    region = recipe.again(texture)(shape, 0)
-    return quantize(region.image) if region is not None else None
 
 
 def _make_cell(suite: Suite, sample: Sample, method: PlannedMethod, source: LatticeSource) -> Cell:

@@ -22,7 +22,6 @@ from nrbench.plugins.forms import Texture
 from nrbench.plugins.parameters import parse_spec, size_text
 from nrbench.storage import write_aside, write_json
 from nrbench.streams import pixels_hash
-from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import Sample
 from nrbench.suites.suite import Suite, validated_suite
 from nrbench.truth import KNOWN_FILE, SHEET, TRUTH_FIELDS, TRUTH_FILE, TruthTable, write_table
@@ -194,6 +193,7 @@ def _caption(known: Mapping[str, Any]) -> str:
 
 def _known(sample: Sample, texture: Texture) -> dict[str, Any]:
     """Return a picture's entry of ``truth.json``; :class:`~nrbench.suites.suite.TextureRow` reads some of it."""
+    recipe = sample.recipe
     return {
         "family": sample.row.family or texture.family,
         "description": sample.row.description,
@@ -205,13 +205,8 @@ def _known(sample: Sample, texture: Texture) -> dict[str, Any]:
         "lattice": texture.lattice.as_dict() if texture.lattice else None,
         "lattices": [lattice.as_dict() for lattice in texture.lattices],
         "size": size_text(sample.shape),
-        "recipe": _recipe(sample.recipe) if sample.recipe.procedural else None,
+        "recipe": {**recipe.as_dict(), "shape": size_text(recipe.shape)} if recipe.procedural else None,
     }
-
-
-def _recipe(recipe: Recipe) -> dict[str, Any]:
-    """Return a recipe as :class:`~nrbench.suites.suite.Drawing` reads it."""
-    return {**dataclasses.asdict(recipe), "shape": size_text(recipe.shape)}
 
 
 def _row(name: str, sample: Sample, texture: Texture) -> dict[str, object]:

@@ -7,7 +7,7 @@ import itertools
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.resources import files
@@ -298,25 +298,22 @@ def load_suite(what: str | Path) -> Suite:
     """
     name = str(what)
     if name in builtin():
-        return _parse(builtin()[name].read_text("utf-8"), f"suite {name}")
+        return _read(builtin()[name], f"suite {name}")
     path = Path(what)
     if path.is_dir():
         return directory_suite(path)
     if path.is_file():
-        return _parse(_text(path), name)
+        return _read(path, name)
     raise BadInput(f"suite {name!r}: no suite, TOML file or directory of that name{nearest(name, builtin())}")
 
 
-def _text(path: Path) -> str:
+def _read(file: Path | Traversable, where: str) -> Suite:
     try:
-        return path.read_text("utf-8")
+        content = tomllib.loads(file.read_text("utf-8"))
     except UnicodeDecodeError:
-        raise BadInput(f"{path}: is no TOML file; for one picture use `nrbench synth`, or pass its directory") from None
-
-
-def _parse(text: str, where: str) -> Suite:
-    try:
-        content = tomllib.loads(text)
+        raise BadInput(
+            f"{where}: is no TOML file; for one picture use `nrbench synth`, or pass its directory"
+        ) from None
     except tomllib.TOMLDecodeError as error:
         raise BadInput(f"{where}: is no valid TOML: {error}") from None
     except RecursionError:
@@ -331,7 +328,9 @@ def directory_suite(directory: Path) -> Suite:
         if lister is not None:
             rows = [{"dataset": plugin.name, **row} for row in lister(directory)]
             title = directory.resolve().name or "pictures"
-            seed = _common_seed([_validated_row(row, directory) for row in rows])
+            recipes = [_validated_row(row, directory).recipe for row in rows]
+            seeds = {recipe.seed if recipe else 0 for recipe in recipes}
+            seed = seeds.pop() if len(seeds) == 1 else 0  # that of the suite from which all pictures were rendered
             content: dict[str, Any] = {"name": title, "texture": rows, "seed": seed, **PICTURE_SIZES}
             content["methods"] = load_suite(DEFAULT).methods
             return validated_suite(content, str(directory))
@@ -346,9 +345,3 @@ def _validated_row(row: Mapping[str, Any], directory: Path) -> TextureRow:
         where = directory / "truth.json" if in_truth else directory
         remedy = "; render the textures again, or delete the file" if in_truth else ""
         raise BadInput(f"{where}: picture {row.get('name')!r}: {_first(error)}{remedy}") from None
-
-
-def _common_seed(rows: Sequence[TextureRow]) -> int:
-    """Return the seed of the suite from which all pictures were rendered; 0 if there is not exactly one."""
-    seeds = {row.recipe.seed if row.recipe else None for row in rows}
-    return (seeds.pop() or 0) if len(seeds) == 1 else 0

@@ -24,8 +24,6 @@ from nrbench.truth import KNOWN_FILE, ORIGIN, SHEET, TRUTH_FILE, VECTORS, TruthR
 
 SHOWN = 3
 """Number of candidates that are drawn and listed."""
-LEAST_CONFIDENCE = 0.5
-"""A lattice of a lower confidence is more probably wrong than right, so it is listed but does not count as known."""
 FIELDS = ("file", *VECTORS, *ORIGIN, "confidence", "detector", "candidates", "reason")
 """The columns of ``truth.csv``. Of these, ``nrbench run`` reads ``file``, the vectors and the origin."""
 FOLDER = "lattices"
@@ -58,15 +56,14 @@ def draw_candidates(image: Image, candidates: Sequence[Alternative]) -> tuple[li
 
 def _candidate_caption(number: int, candidate: Alternative) -> str:
     confidence = f"confidence {candidate.confidence:.2f}"
-    lines = _vector_lines(candidate.lattice, candidate.has_origin)
+    lines = vector_texts(candidate.lattice, candidate.has_origin, "z.2f")
     return "\n".join([f"{number}: {candidate.relation or 'chosen'}", confidence, *lines])
 
 
-def _vector_lines(lattice: Lattice, has_origin: bool) -> list[str]:
-    return [
-        f"{name} = ({round(x, 2) + 0.0:.2f}, {round(y, 2) + 0.0:.2f}) px"
-        for name, (x, y) in known_vectors(lattice, has_origin).items()
-    ]
+def vector_texts(lattice: Lattice, has_origin: bool, form: str = ".3f") -> list[str]:
+    """Return the vectors, and the origin if it is known, each as ``name = (x, y) px`` with numbers of a format."""
+    known = known_vectors(lattice, has_origin).items()
+    return [f"{name} = ({x:{form}}, {y:{form}}) px" for name, (x, y) in known]
 
 
 def known_vectors(lattice: Lattice, has_origin: bool) -> dict[str, Vector]:
@@ -85,11 +82,8 @@ def candidate_dict(candidate: Alternative) -> dict[str, Any]:
 
 def lattice_text(lattice: Lattice, has_origin: bool) -> str:
     """Return ``"x1,y1,x2,y2"``, or with the origin if it is known ``"x1,y1,x2,y2,x,y"``, to a ten-thousandth px."""
-    return ",".join(_number(value) for vector in known_vectors(lattice, has_origin).values() for value in vector)
-
-
-def _number(value: float) -> str:
-    return repr(round(float(value), 4) + 0.0)
+    numbers = [number for vector in known_vectors(lattice, has_origin).values() for number in vector]
+    return ",".join(repr(round(float(number), 4) + 0.0) for number in numbers)
 
 
 class SurveyedPicture(NamedTuple):
@@ -140,10 +134,11 @@ class SurveyedPicture(NamedTuple):
             row |= dict(zip(names, lattice_text(self.lattice, self.has_origin).split(","), strict=False))
         if self.confidence is not None:
             row["confidence"] = f"{self.confidence:.3f}"
-        row["candidates"] = "; ".join(
-            f"{lattice_text(candidate.lattice, candidate.has_origin)} ({', '.join(filter(None, _notes(candidate)))})"
-            for candidate in self.candidates[:SHOWN]
-        )
+        listed = [
+            (lattice_text(each.lattice, each.has_origin), f"{each.confidence:.3f}, {each.relation}".removesuffix(", "))
+            for each in self.candidates[:SHOWN]
+        ]
+        row["candidates"] = "; ".join(f"{numbers} ({note})" for numbers, note in listed)
         return row
 
     def as_dict(self) -> dict[str, Any]:
@@ -157,10 +152,6 @@ class SurveyedPicture(NamedTuple):
             "failed": self.failed,
             "kept": self.kept is not None,
         }
-
-
-def _notes(candidate: Alternative) -> tuple[str, str]:
-    return f"{candidate.confidence:.3f}", candidate.relation
 
 
 @dataclass
@@ -177,7 +168,8 @@ class Survey:
         The directory of ``truth.csv``; its subfolder :data:`FOLDER` holds the contact sheets. None: ``folder``, where
         ``nrbench run`` reads the table.
     least
-        Vectors of a lower confidence are not written as known, only as candidates.
+        Vectors of a lower confidence are not written as known, only as candidates: a lattice of a confidence below 0.5
+        is more probably wrong than right.
     existing
         What is done with a ``truth.csv`` that exists: ``"refuse"`` it, ``"keep"`` its lines and detect the lattices of
         the other pictures only, or ``"replace"`` it.
@@ -185,21 +177,19 @@ class Survey:
     Raises
     ------
     BadInput
-        If there is no such folder or no picture in it, the detector is not known, ``least`` is no probability, or a
-        ``truth.csv`` exists that is to be refused or that is malformed.
+        If there is no such folder or no picture in it, the detector is not known, or a ``truth.csv`` exists that is to
+        be refused or that is malformed.
     """
 
     folder: Path
     detector: str = "consensus"
     output: Path | None = None
-    least: float = LEAST_CONFIDENCE
+    least: float = 0.5
     existing: str = "refuse"
     findings: list[SurveyedPicture] = field(default_factory=list, init=False)
     pages: list[Path] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.least <= 1:
-            raise BadInput(f"least confidence {self.least}: give a probability from 0 to 1")
         self.directory = self.folder if self.output is None else self.output
         self.table = self.directory / TRUTH_FILE
         self._detector: Detector = plugins.build("detectors", *parse_spec(self.detector))
@@ -248,14 +238,13 @@ class Survey:
         """Return what is found in one picture, and the picture; whatever goes wrong is a finding."""
         known = self._known.rows.get(path.name)
         image = None
+        if not _is_unicode(path.name):
+            return SurveyedPicture(path.name, reason="the name is no Unicode text; rename the file", failed=True), None
         try:
-            path.name.encode()
             image = read_image(path)
             if known is not None:
                 return _read_row(path.name, known), image
             return self._detect(path.name, image), image
-        except UnicodeEncodeError:
-            return SurveyedPicture(path.name, reason="the name is no Unicode text; rename the file", failed=True), None
         except BadInput as error:
             reason = str(error).removeprefix(f"picture {path}: ")
         except Exception as error:
@@ -285,7 +274,9 @@ class Survey:
             panels, captions = panels + drawn, captions + texts
         elif image is not None and finding.lattice is not None:
             panels += zoom_panels(image, [finding.lattice])
-            captions.append("\n".join([f"from {TRUTH_FILE}", *_vector_lines(finding.lattice, finding.has_origin)]))
+            captions.append(
+                "\n".join([f"from {TRUTH_FILE}", *vector_texts(finding.lattice, finding.has_origin, "z.2f")])
+            )
         self._waiting.append((panels, captions))
         if len(self._waiting) == ON_PAGE:
             self._write_page()
@@ -343,8 +334,4 @@ def printable(text: str) -> str:
 
 
 def _is_unicode(name: str) -> bool:
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
+    return not any("\ud800" <= letter <= "\udfff" for letter in name)

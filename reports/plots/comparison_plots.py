@@ -43,7 +43,7 @@ def plot_ranks(comparison: Comparison, width: float = 5.5) -> Figure:
     figure = make_figure(width, 13 * len(names) + 40)
     axes = add_axes(figure, left, 34, right, 6)
     open_frame(axes)
-    axes.plot([tests.ranks[i] for i in tests.order], range(len(names)), "o", ms=4, color=INK)
+    axes.plot([tests.ranks[i] for i in tests.order], range(len(names)), "o", ms=4, color=INK, clip_on=False)
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.grid(True, axis="y", color=FAINT, lw=0.5)

@@ -18,7 +18,7 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.plugins.parameters import append_parameters
-from nrbench.spectra.harmonics import Channels, Harmonic, Harmonics, Signal, analyze
+from nrbench.spectra.harmonics import Channels, Harmonic, Signal, WaveAnalysis, analyze
 
 from ..sampling.two_periods import shows_two_periods
 
@@ -175,7 +175,7 @@ class TextureMask:
         Whether the frequencies are integer combinations of common fundamentals.
     """
 
-    harmonics: Harmonics = field(repr=False)
+    harmonics: WaveAnalysis = field(repr=False)
     tied: bool = True
 
     def draw(self, shape: Shape, offset: Vector = (0.0, 0.0)) -> Image:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..gap_filling.blocks import Box, box_slices
 from ..gap_filling.matching import FrameMatcher, frame_mask
-from ..pixel_growing.neighbor_search import FARTHEST, LANES, KdTree, Points
+from ..pixel_growing.neighbor_search import FARTHEST, LANES, KdTree, TreePoints
 
 DIMENSIONS = 16
 """Number of principal components."""
@@ -96,7 +96,7 @@ class ZoneTree:
     def _tree(self) -> KdTree:
         return KdTree.build(self._round(self._products))
 
-    def _round(self, products: NDArray[Any]) -> Points:
+    def _round(self, products: NDArray[Any]) -> TreePoints:
         """Return products as points of the tree, in quarters of a gray level, or coarser if the zone is very large."""
         values = int(frame_mask(self.hole, self.matcher.size).sum()) * self.matcher.values.shape[2]
         unit = max(SCALE // 4, math.ceil(SCALE * LONGER * 255 * math.sqrt(values) / FARTHEST))

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from .pixel_growing_kernels import UNBOUNDED, TreeArrays, build_tree, search_queries
 
-Points = NDArray[np.int16]
-"""``int16 (n, d)``. Points and queries are within 32 767 of each other, so that differences fit into 16 bits and
+TreePoints = NDArray[np.int16]
+"""``int16 (n, d)``. TreePoints and queries are within 32 767 of each other, so that differences fit into 16 bits and
 squared distances into 31 bits."""
 Integers = NDArray[np.int64]
 Vectors = NDArray[np.uint8]
@@ -77,7 +77,7 @@ class Projection:
         total = matrix[:, :width].astype(np.int64) @ vectors.sum(0, dtype=np.int64)
         return cls(matrix, (-(total // len(vectors))).astype(np.int32), bits, units)
 
-    def points(self, vectors: Vectors) -> Points:
+    def points(self, vectors: Vectors) -> TreePoints:
         """Return the points of some vectors, ``int16 (n, d)``, equal to those that compiled loops compute."""
         matrix = self.matrix[:, : vectors.shape[1]].astype(np.float64)
         points = np.empty((len(vectors), len(matrix)), np.int16)
@@ -131,7 +131,7 @@ class KdTree:
 
     @classmethod
     def build(
-        cls, points: Points, ranks: Integers | None = None, groups: Integers | None = None, leaf: int = 8
+        cls, points: TreePoints, ranks: Integers | None = None, groups: Integers | None = None, leaf: int = 8
     ) -> KdTree:
         """Build the tree, O(n d log n).
 
@@ -158,7 +158,7 @@ class KdTree:
         return cls((np.ascontiguousarray(points[order]), placed, nodes, lows, highs), roots, order)
 
     def nearest(
-        self, queries: Points, k: int = 1, eps: float = 0.0, groups: Integers | None = None
+        self, queries: TreePoints, k: int = 1, eps: float = 0.0, groups: Integers | None = None
     ) -> tuple[Integers, Integers]:
         """Find the k points nearest to each query, the nearest first.
 

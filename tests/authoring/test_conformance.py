@@ -18,66 +18,39 @@ from nrbench.errors import BadInput
 VIOLATORS = Path(__file__).with_name("violators.py")
 VIOLATIONS = {
     "synthesizers": {
-        "determinism": "determinism",
-        "state": "determinism",
-        "randomness": "randomness",
-        "python": "randomness",
-        "seeds": "randomness",
-        "files": "side effects",
-        "environment": "side effects",
-        "threads": "side effects",
-        "read-only": "read-only",
-        "range": "output",
-        "shape": "output",
-        "gray": "gray",
-        "lattice": "own lattice",
-        "lie": "source map",
-        "refusals": "refusals",
-        "mute": "refusals",
-        "progress": "progress",
-        "backward": "progress",
+        "determinism": ["determinism", "state"],
+        "randomness": ["randomness", "python", "seeds"],
+        "side effects": ["files", "environment", "threads"],
+        "output": ["range", "shape"],
+        "own lattice": ["lattice"],
+        "source map": ["lie"],
+        "refusals": ["refusals", "mute"],
+        "progress": ["progress", "backward"],
+        **{clause: [clause] for clause in ("read-only", "gray")},
     },
     "detectors": {
-        "text": "detection",
-        "confidence": "detection",
-        "gray": "gray",
-        "no guess": "no guess",
-        "odd images": "odd images",
+        "detection": ["text", "confidence"],
+        **{clause: [clause] for clause in ("gray", "no guess", "odd images")},
     },
     "metrics": {
-        "float": "score",
-        "reason": "score",
-        "json": "score",
-        "gray": "gray",
-        "range": "range",
-        "little known": "little known",
+        "score": ["float", "reason", "json"],
+        **{clause: [clause] for clause in ("gray", "range", "little known")},
     },
     "datasets": {
-        "read-only": "read-only",
-        "shape": "texture",
-        "shapes": "shapes",
-        "truth": "truth",
-        "fresh draws": "fresh draws",
-        "size": "fresh draws",
-        "recomposition": "recomposition",
+        "texture": ["shape"],
+        "fresh draws": ["fresh draws", "size"],
+        **{clause: [clause] for clause in ("read-only", "shapes", "truth", "recomposition")},
     },
     "reports": {
-        "none": "files",
-        "missing": "files",
-        "inside": "inside",
-        "no results": "no results",
-        "markup": "markup",
-        "terminal": "terminal",
+        "files": ["none", "missing"],
+        **{clause: [clause] for clause in ("inside", "no results", "markup", "terminal")},
     },
 }
-NAMES = {
-    "synthesizers": "badmethod",
-    "detectors": "baddetector",
-    "metrics": "badmetric",
-    "datasets": "baddataset",
-    "reports": "badreport",
-}
-CASES = [(kind, how, clause) for kind, hows in VIOLATIONS.items() for how, clause in hows.items()]
+"""What the plugins of these tests do, by the clause that forbids it."""
+NAMES = {kind: f"bad{plugins.FORMS[kind].noun}" for kind in VIOLATIONS}
+CASES = [
+    (kind, how, clause) for kind, all_hows in VIOLATIONS.items() for clause, hows in all_hows.items() for how in hows
+]
 
 
 @pytest.fixture(autouse=True)

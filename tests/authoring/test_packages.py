@@ -65,20 +65,7 @@ def test_a_package_installs_and_runs(tmp_path: Path) -> None:
 
 
 HOSTILE = (
-    "../up",
-    "a/b",
-    "a b",
-    "",
-    "-x",
-    "Ümlaut",
-    "x\ny",
-    "import",
-    "match",
-    "os",
-    "numpy",
-    "con",
-    "a--b",
-    "A",
+    *("../up", "a/b", "a b", "", "-x", "Ümlaut", "x\ny", "import", "match", "os", "numpy", "con", "a--b", "A"),
     "x" * 41,
 )
 

@@ -30,21 +30,20 @@ from nrbench.plugins.forms import (
 from nrbench.runs.records import Run
 
 CALLS: list[int] = []
+SMALL_CHANGES: dict[str, Callable[[], float]] = {
+    "determinism": lambda: float(np.random.default_rng().random()) / 10,
+    "state": lambda: CALLS.append(1) or (len(CALLS) % 7) / 100,
+    "processes": lambda: abs(hash("a word")) % 1000 / 10000,
+    "randomness": lambda: float(np.random.rand()) / 10,  # noqa: NPY002
+    "python": lambda: random.random() / 10,
+}
+"""What depends on more than the input."""
 
 
 def misbehave(how: str, array: Any) -> float:
     """Violate one of the clauses that all kinds share; return a small number that depends on the violation."""
-    if how == "determinism":
-        return float(np.random.default_rng().random()) / 10
-    if how == "state":
-        CALLS.append(len(CALLS))
-        return (len(CALLS) % 7) / 100
-    if how == "processes":
-        return abs(hash("a word")) % 1000 / 10000
-    if how == "randomness":
-        return float(np.random.rand()) / 10  # noqa: NPY002
-    if how == "python":
-        return random.random() / 10
+    if how in SMALL_CHANGES:
+        return SMALL_CHANGES[how]()
     if how == "seeds":
         np.random.seed(7)  # noqa: NPY002
     if how == "files":
@@ -96,7 +95,7 @@ class BadMethod:
             image = np.repeat(image, 3, 2)
         if self.how == "lie" and source is not None:
             source[..., 0] = (source[..., 0] + 5) % width
-        if self.how == "lattice" and task.lattice is None and image.mean() < 0.45:  # not in noise
+        if self.how == "lattice" and task.lattice is None and image.std() < 0.2:  # not in noise
             return Synthesis(image, lattice="16,0,0,12")  # type: ignore[arg-type]
         if self.how == "refusals" and min(task.sample.shape[:2]) < 16:
             raise IndexError("too small")

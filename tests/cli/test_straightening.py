@@ -11,8 +11,8 @@ import skimage.io
 from commands import call
 
 import nrbench
+from nrbench.cli.lattice_detection import find_bent_lattice
 from nrbench.cli.lattice_results import describe_deformation
-from nrbench.cli.straightening import find_bent_lattice
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.imaging.mean_tile import interpolate
@@ -92,9 +92,9 @@ def test_a_bent_lattice_is_found_without_the_option(capsys: pytest.CaptureFixtur
 
 def test_large_pictures_are_not_followed_without_the_option(monkeypatch: pytest.MonkeyPatch) -> None:
     """It would take long."""
-    monkeypatch.setattr("nrbench.cli.straightening.LARGEST", 127)
+    monkeypatch.setattr("nrbench.cli.lattice_detection.LARGEST", 127)
     assert find_bent_lattice(read_image(Path("bent.png")), "consensus") is None
-    monkeypatch.setattr("nrbench.cli.straightening.LARGEST", 128)
+    monkeypatch.setattr("nrbench.cli.lattice_detection.LARGEST", 128)
     assert find_bent_lattice(read_image(Path("bent.png")), "consensus") is not None
 
 

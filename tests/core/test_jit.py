@@ -7,7 +7,7 @@ import pytest
 
 from nrbench import jit
 from nrbench.jit import Float64x2, Int64x1, UInt8View2
-from nrbench.synthesizers.gap_filling.matching_kernels import correlate_at
+from nrbench.synthesizers.seams.seam_kernels import path_costs
 
 
 def double(x: float) -> float:
@@ -27,15 +27,15 @@ def sum_of_squares(x: float, y: float) -> float:
 
 
 @pytest.fixture
-def undeclared(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep the kernels declared in a test from the others."""
+def undeclared(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Keep the kernels declared in a test from the others, and their machine code in a folder of the test."""
     monkeypatch.setattr(jit, "KERNELS", [])
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_a_kernel_is_compiled_on_its_first_call_and_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kernel_is_compiled_on_its_first_call_and_cached(tmp_path: Path) -> None:
     """A kernel is compiled when first called, gives what Python gives, and leaves its machine code in the cache."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     kernel = jit.kernel(double)
     assert not list(tmp_path.rglob("*.nbi"))
     assert kernel(3.0) == double(3.0)
@@ -43,9 +43,8 @@ def test_a_kernel_is_compiled_on_its_first_call_and_cached(tmp_path: Path, monke
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_load_kernels_loads_every_declared_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_load_kernels_loads_every_declared_kernel() -> None:
     """After load_kernels nothing is left to compile."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     kernel = jit.kernel(double)
     jit.load_kernels()
     assert kernel.load() is kernel.load()
@@ -71,18 +70,16 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypa
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_numbas_own_cache_setting_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numbas_own_cache_setting_is_left_alone() -> None:
     """Compiling a kernel does not move the cache of the user's own numba functions."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     before = numba.config.CACHE_DIR
     jit.kernel(double).load()
     assert before == numba.config.CACHE_DIR
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kernel_may_call_a_kernel(tmp_path: Path) -> None:
     """A kernel that calls another is compiled with it, is read back from the cache, and gives what Python gives."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
         compiled = jit.kernel(sum_of_squares).load()
         assert compiled(3.0, 4.0) == 25.0
@@ -92,9 +89,8 @@ def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_the_user_is_told_before_kernels_are_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_user_is_told_before_kernels_are_compiled(tmp_path: Path) -> None:
     """Loading kernels says that it compiles them the first time, and not when it reads the cache."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     said = []
     for _ in range(2):
         jit.KERNELS[:] = [jit.kernel(sum_of_squares)]
@@ -120,14 +116,9 @@ def test_the_cache_folder_is_keyed_by_source_and_version(tmp_path: Path) -> None
 
 
 def test_compiled_and_plain_kernels_agree() -> None:
-    """The border-matching kernel gives compiled what it gives as Python, to the last bit."""
-    rng = np.random.default_rng(0)
-    image = rng.integers(0, 256, (12, 30, 3)).astype(np.float32)
-    template = rng.integers(0, 256, (5, 3, 3)).astype(np.float32)
-    hole = (1, 3, 0, 2)
-    positions = np.array([[0, 0], [21, 7], [4, 3]])
-    compiled = correlate_at(image, template, hole, positions)
-    np.testing.assert_array_equal(compiled, correlate_at.function(image, template, hole, positions))
+    """The kernel of minimum-error paths gives compiled what it gives as Python, to the last bit."""
+    error = np.random.default_rng(0).random((12, 9))
+    np.testing.assert_array_equal(path_costs(error), path_costs.function(error))
 
 
 def test_annotations_are_the_types_of_a_kernel() -> None:

@@ -14,6 +14,7 @@ import os
 import tempfile
 import tomllib
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,16 @@ def encoded(form: str, mode: str = "RGB", **options: Any) -> bytes:
     return target.getvalue()
 
 
+@contextlib.contextmanager
+def files(**contents: bytes) -> Iterator[Path]:
+    """Yield a temporary folder that holds two pictures, and files of other contents."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for file, content in {"a_png": pictures()[0], "b_png": pictures()[0], **contents}.items():
+            (folder / file.replace("_", ".")).write_bytes(content)
+        yield folder
+
+
 @functools.cache
 def pictures() -> list[bytes]:
     """Return pictures of many formats, with EXIF, transparency and several compressions."""
@@ -93,12 +104,10 @@ def mutated(draw: st.DrawFn, originals: st.SearchStrategy[bytes]) -> bytes:
 @given(mutated(st.sampled_from(range(22)).map(lambda i: pictures()[i % len(pictures())])))
 def test_damaged_pictures(content: bytes) -> None:
     """A picture whose bytes were changed is read as an image in [0, 1], or is bad input."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "picture.png")
-        path.write_bytes(content)
+    with files(picture_png=content) as folder:
         for read in (read_shape, read_image):
             try:
-                found: Any = read(path)
+                found: Any = read(folder / "picture.png")
             except BadInput as error:
                 assert "picture.png" in str(error)
                 continue
@@ -151,13 +160,13 @@ textures = ["wall"]
 """
 
 
-def load(content: bytes) -> None:
-    """Load a suite from a file, and read its methods and lattices."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "mine.toml")
-        path.write_bytes(content)
+@fuzz
+@given(mutated(st.just(SUITE.encode())))
+def test_damaged_suites(content: bytes) -> None:
+    """A TOML file whose bytes were changed is a suite, with methods and lattices, or bad input."""
+    with files(mine_toml=content) as folder:
         try:
-            suite = load_suite(path)
+            suite = load_suite(folder / "mine.toml")
             assert suite.hash
             for spec in suite.all_methods:
                 PlannedMethod.parse(spec)
@@ -165,13 +174,6 @@ def load(content: bytes) -> None:
                 LatticeSource.parse(source)
         except BadInput as error:
             assert str(error)
-
-
-@fuzz
-@given(mutated(st.just(SUITE.encode())))
-def test_damaged_suites(content: bytes) -> None:
-    """A TOML file whose bytes were changed is a suite or bad input."""
-    load(content)
 
 
 ODD = st.recursive(
@@ -193,15 +195,12 @@ def test_suites_with_odd_values(changes: dict[str, Any], key: str, value: Any) -
     """Whatever a key of a suite holds, the suite is valid or bad input."""
     content = {**tomllib.loads(SUITE), **changes}
     rows = content["texture"]
-    for whole in ({**content, key: value}, {**content, "texture": [{**row, key: value} for row in _tables(rows)]}):
+    tables = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    for whole in ({**content, key: value}, {**content, "texture": [{**row, key: value} for row in tables]}):
         try:
             assert validated_suite(whole, "mine").hash
         except BadInput as error:
             assert str(error).startswith("mine")
-
-
-def _tables(rows: Any) -> list[dict[str, Any]]:
-    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
 
 
 TRUTH = b"file,t1x,t1y,t2x,t2y,originx,originy,family\na.png,16,0,0,12,3,2,wall\nb.png,,,,,,,\n"
@@ -215,12 +214,7 @@ RENDERED = b"""{"sheet": "sheet.png", "textures": {"a.png": {"family": "wall", "
 @example(b"file,t1x,t1y,t2x,t2y\na.png,1e308,1e308,1e308,-1e308\n", b"[" * 100000)
 def test_damaged_truth(table: bytes, rendered: bytes) -> None:
     """A folder whose truth.csv and truth.json were changed is a suite of pictures or bad input."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for picture in ("a.png", "b.png"):
-            (folder / picture).write_bytes(pictures()[0])
-        for file, content in (("truth.csv", table), ("truth.json", rendered)):
-            (folder / file).write_bytes(content)
+    with files(truth_csv=table, truth_json=rendered) as folder:
         for read in (read_truth, read_rendered, directory_suite):
             try:
                 read(folder)
@@ -232,14 +226,10 @@ def test_damaged_truth(table: bytes, rendered: bytes) -> None:
 @given(mutated(st.just(b"sample,output\na.png,b.png\nb.png,a.png\n")))
 def test_a_damaged_index(table: bytes) -> None:
     """A table of outputs that was changed gives an output, a refusal, or bad input."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for picture in ("a.png", "b.png"):
-            (folder / picture).write_bytes(pictures()[0])
-        (folder / "index.csv").write_bytes(table)
-        sample = read_image(folder / "a.png")
+    with files(index_csv=table) as folder:
+        task = Task(read_image(folder / "a.png"), (12, 17), None, np.random.default_rng(0))
         try:
-            Precomputed(name).synthesize(Task(sample, (12, 17), None, np.random.default_rng(0)))
+            Precomputed(str(folder)).synthesize(task)
         except (BadInput, Refused) as error:
             assert str(error)
 
@@ -325,12 +315,19 @@ def odd_json(draw: st.DrawFn) -> bytes:
 @given(odd_json() | mutated(st.builds(run_file)))
 def test_damaged_runs(content: bytes) -> None:
     """The table of a run whose run.json was changed can be read, or it is bad input."""
-    with tempfile.TemporaryDirectory() as name:
-        Path(name, "run.json").write_bytes(content)
+    with files(run_json=content) as folder:
         try:
-            Run(Path(name)).table()
+            Run(folder).table()
         except BadInput as error:
-            assert name in str(error)
+            assert str(folder) in str(error)
+
+
+def ended(words: list[str]) -> tuple[Any, str]:
+    """Run a command line; return its exit code and what it writes to standard error."""
+    errors, output = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(output), pytest.raises(SystemExit) as left:
+        main(words)
+    return left.value.code, errors.getvalue()
 
 
 DAMAGED = [
@@ -357,10 +354,8 @@ def test_a_run_with_a_wrong_type(place: tuple[str | int, ...], value: Any, tmp_p
         part = part[step]
     part[place[-1]] = value
     (tmp_path / "run.json").write_text(json.dumps(content))
-    errors = io.StringIO()
-    with contextlib.redirect_stderr(errors), pytest.raises(SystemExit) as left:
-        main(["report", str(tmp_path), "--format", "text"])
-    assert left.value.code == 2 and "damaged" in errors.getvalue() and str(tmp_path) in errors.getvalue()
+    code, said = ended(["report", str(tmp_path), "--format", "text"])
+    assert code == 2 and "damaged" in said and str(tmp_path) in said
 
 
 WORDS = st.sampled_from(
@@ -375,14 +370,8 @@ WORDS = st.sampled_from(
 @example(["synth", "\0"])
 def test_words_of_a_command_line(words: list[str]) -> None:
     """Any words end with code 0 or 2, never with an internal error."""
-    errors = io.StringIO()
     if words[0] in ("render", "plan", "check", "new", "run", "label"):
         words = [words[0], "--no-such-option", *words[1:]]  # these do real work
-    with (
-        contextlib.redirect_stderr(errors),
-        contextlib.redirect_stdout(io.StringIO()),
-        pytest.raises(SystemExit) as left,
-    ):
-        main(words)
-    assert left.value.code in (0, 2), errors.getvalue()
-    assert "internal error" not in errors.getvalue() and "Traceback" not in errors.getvalue()
+    code, said = ended(words)
+    assert code in (0, 2), said
+    assert "internal error" not in said and "Traceback" not in said

@@ -9,7 +9,6 @@ from nrbench.detectors.dominance import Dominance, dominance_radii
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error
-from nrbench.plugins.forms import NoLatticeFound, Surface
 
 PERIODIC = {"color": 0.0, "noise": 0.0}
 FAST = Dominance(reject="none")
@@ -99,22 +98,3 @@ def test_whole_pixels_stay_near() -> None:
     assert sample.lattice is not None
     found = Dominance(subpixel=False, reject="none").detect(quantize(sample.image)).lattice
     assert np.all(found.matrix == np.rint(found.matrix)) and found.is_equivalent(sample.lattice, 1.0)
-
-
-def test_the_peaks_can_be_drawn() -> None:
-    """The surface holds at most as many peaks as multiples."""
-    image = quantize(texture("brick", (96, 96), 0, **PERIODIC).image)
-    first = Dominance(surrogates=6).detect(image)
-    surface = first.diagnostics["correlation"]
-    assert isinstance(surface, Surface)
-    assert 0 < first.diagnostics["hits"] <= len(surface.peaks) <= first.diagnostics["multiples"]
-    assert 0 < first.confidence <= 1
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.3, 0.7, 1.1])
-def test_stripes_at_any_angle_have_none(angle: float) -> None:
-    """The peaks of a grating are one ridge, whatever its angle."""
-    y, x = np.indices((96, 96))
-    stripes = 0.5 + 0.4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 9.3)
-    with pytest.raises(NoLatticeFound):
-        Dominance().detect(stripes[..., np.newaxis].astype(np.float32))

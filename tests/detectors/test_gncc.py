@@ -66,13 +66,6 @@ def test_lattices_are_separated_from_chance(family: str, rotated: bool) -> None:
     assert len(found.diagnostics["surrogate_goodness"]) == 30
 
 
-def test_a_lattice_commensurate_with_the_image_is_found() -> None:
-    """A period of a quarter of the image, which surrogates on the image's own torus would share, is accepted."""
-    sample = Brick(width=32, height=16, color=0.3, noise=0.1).render((128, 128), np.random.default_rng(0))
-    assert sample.lattice is not None
-    assert Gncc().detect(quantize(sample.image)).lattice.is_equivalent(sample.lattice, 0.5)
-
-
 @pytest.mark.parametrize("sigma", [0.0, 1.0, 3.0])
 def test_noise_has_no_lattice(sigma: float) -> None:
     """White and smooth noise are refused; the exception carries the best candidate and its goodness."""
@@ -115,13 +108,6 @@ def test_the_papers_own_choice_pairs_every_maximum() -> None:
     square = Lattice((96, 0), (0, 96))
     assert PAPER.detect(image).lattice.is_equivalent(square)
     assert not replace(PAPER, peaks=200).detect(image).lattice.is_equivalent(square)
-
-
-def test_gray_and_wide_images_work() -> None:
-    """One channel, and sides of different length, change nothing."""
-    sample = Hexagon(period=18.4).render((96, 170), np.random.default_rng(1))
-    found = FAST.detect(quantize(sample.image)[..., 1:2]).lattice
-    assert sample.lattice is not None and found.is_equivalent(sample.lattice, 0.5)
 
 
 def test_the_goodness_is_that_of_the_paper() -> None:

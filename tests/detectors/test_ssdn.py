@@ -7,21 +7,13 @@ from nrbench.api import texture
 from nrbench.detectors.autocorrelation.peak_kernels import inner_relief
 from nrbench.detectors.autocorrelation.surrogates import SIDE, crop_for_test
 from nrbench.detectors.ssdn import Ssdn, find_period, shift_ssdn, ssdn
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error
-from nrbench.plugins.forms import Curve, NoLatticeFound
+from nrbench.plugins.forms import NoLatticeFound
 
 PERIODIC = {"color": 0.0, "noise": 0.0}
 PAPER = Ssdn(**Ssdn.presets["paper"])
-
-
-def stripes(angle: float) -> Image:
-    """Return a grating in noise, 128 x 128."""
-    y, x = np.indices((128, 128))
-    wave = np.tanh(4 * np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / 17.3))
-    image = 0.5 + 0.15 * wave + 0.03 * np.random.default_rng(0).standard_normal((128, 128))
-    return quantize(np.clip(image, 0, 1)[..., np.newaxis].astype(np.float32))
 
 
 @pytest.mark.parametrize("model", ["squares", "windows", "card"])
@@ -81,15 +73,6 @@ def test_the_papers_period_is_the_last_minimum_over_its_number() -> None:
     marks = found.diagnostics["ssdn_x"].marks
     assert all(mark == round(mark) for mark in marks)
     assert found.lattice.matrix.max(0)[0] == pytest.approx(marks[-1] / len(marks))
-
-
-def test_the_curves_are_drawn_with_their_minima() -> None:
-    """Both are curves over the lag, and their marks are minima."""
-    found = Ssdn(reject="none").detect(quantize(texture("squares", (128, 128), 0, **PERIODIC).image))
-    for name in ("ssdn_x", "ssdn_y"):
-        curve = found.diagnostics[name]
-        assert isinstance(curve, Curve) and len(curve.marks) >= 3
-        assert all(curve.y[round(mark)] < 0.5 * np.median(curve.y) for mark in curve.marks)
 
 
 def test_a_period_needs_all_its_multiples() -> None:

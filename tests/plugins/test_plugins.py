@@ -1,29 +1,25 @@
-"""The registry: all plugins enter in the same way, and broken ones are isolated."""
+"""The registry: all plugins enter in the same way, broken ones are isolated, and the overview agrees with it."""
 
 from __future__ import annotations
 
 import inspect
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import nrbench
 from nrbench import api, plugins
 from nrbench.errors import BadInput
+from nrbench.plugins.forms import Observation
+from nrbench.plugins.overview import summaries
 from nrbench.plugins.parameters import nearest, parse_spec, validated
 from nrbench.storage import user_path
-
-
-@pytest.mark.parametrize("kind", plugins.FORMS)
-def test_every_plugin_of_ours_works(kind: str) -> None:
-    """Each registered plugin loads, fits its form, and has a docstring."""
-    assert plugins.inventory(kind)
-    assert [plugin.error for plugin in plugins.inventory(kind) if plugin.error] == []
 
 
 @pytest.mark.parametrize(
@@ -217,3 +213,48 @@ def test_a_wrong_annotation_raises_when_it_is_used() -> None:
     """A parameter whose annotation names nothing raises for that parameter."""
     with pytest.raises(NameError, match="Nothing"):
         validated(Undefined, {"other": 3}, "method undefined")
+
+
+WHITE = np.ones((8, 8, 1), np.float32)
+
+
+def mean_of_output(observation: Observation) -> list[float]:
+    """Return a new list at each call, so that two calls can be distinguished."""
+    return [float(observation.output.mean())]
+
+
+def test_metrics_share_what_is_computed_once() -> None:
+    """The metrics of an observation get the same object, each with a random stream of its own."""
+    observation = Observation(WHITE, WHITE)
+    first, second = (observation.with_stream(np.random.default_rng(seed)) for seed in (1, 2))
+    assert first.rng is not second.rng
+    assert first.shared(mean_of_output) is second.shared(mean_of_output) is observation.shared(mean_of_output)
+
+
+def test_another_output_shares_nothing() -> None:
+    """A copy with another output computes its own."""
+    observation = Observation(WHITE, WHITE)
+    assert observation.shared(mean_of_output) == [1.0]
+    assert replace(observation, output=WHITE / 2).shared(mean_of_output) == [0.5]
+
+
+@pytest.mark.parametrize("kind", plugins.FORMS)
+def test_the_overview_agrees_with_the_classes(kind: str) -> None:
+    """Name, version, first line and role that are read from the source are those of the imported class."""
+    read = {each.name: each for each in summaries(kind) if each.distribution == "nrbench"}
+    loaded = [plugin for plugin in plugins.inventory(kind) if plugin.own]
+    assert loaded and set(read) == {plugin.name for plugin in loaded}
+    for plugin in loaded:
+        page = (inspect.getdoc(plugin.cls) or "").partition("\n")[0]
+        shown = read[plugin.name]
+        assert (shown.version, shown.about, shown.error) == (plugin.version, page, "")
+        assert shown.reference == bool(getattr(plugin.cls, "reference", False))
+
+
+@pytest.mark.parametrize("kind", plugins.FORMS)
+def test_the_plugins_of_nrbench_keep_their_forms(kind: str) -> None:
+    """The plugins of nrbench load and have no fault. They are not checked again when they are loaded."""
+    assert plugins.inventory(kind)
+    for plugin in plugins.inventory(kind):
+        assert not plugin.error, plugin.name
+        assert plugins.fault(kind, plugin.cls) == "", plugin.name

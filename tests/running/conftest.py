@@ -15,7 +15,8 @@ from faults import registered_faults
 
 from nrbench.running import executors, runner
 from nrbench.running.executors import Executor
-from nrbench.running.supervisor import Job, Supervisor, perform_job
+from nrbench.running.supervisor import Supervisor, perform_phases
+from nrbench.running.worker import Request
 from nrbench.runs.store import Result
 
 MakeExecutor = Callable[..., AbstractContextManager[Executor]]
@@ -40,10 +41,10 @@ def warm_executor(supervisors: list[Supervisor]) -> MakeExecutor:
     for one in supervisors:
         idle.put(one)
 
-    def run_job(job: Job) -> Result:
+    def run_job(job: Request) -> Result:
         supervisor = idle.get()
         try:
-            return perform_job(job, supervisor)
+            return perform_phases(job, supervisor)
         finally:
             idle.put(supervisor)
 

@@ -16,6 +16,7 @@ import psutil
 import pytest
 from faults import registered_faults
 from machines import Machines, machines
+from suites import wall_suite
 
 from nrbench.api import run
 from nrbench.cli.main import main
@@ -24,17 +25,9 @@ from nrbench.running import cluster
 from nrbench.running.pace import Step
 from nrbench.running.runner import Options, _Runner
 from nrbench.runs.records import Run
-from nrbench.suites.suite import Suite, validated_suite
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
-WALL = {"name": "wall", "dataset": "brick", "parameters": {"color": 0.2}}
-
-
-def suite_of(methods: list[str], **more: Any) -> Suite:
-    """Return a suite of one wall, scored by its cost and by where its pixels come from."""
-    content = {"name": "small", "sample": "64x64", "size": "64x64", "lattice": ["given"], "metrics": ["cost", "source"]}
-    return validated_suite({**content, "methods": methods, "texture": [WALL], **more}, "test")
 
 
 def told(found: Run) -> list[tuple[object, ...]]:
@@ -63,7 +56,9 @@ def test_a_run_survives_its_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     (tmp_path / "user").mkdir()
     monkeypatch.chdir(tmp_path / "user")
     Path("number.txt").write_text("0.5")
-    suite = suite_of(["tiling", "scatter", "reader:file=number.txt"], replicates=2)
+    suite = wall_suite(
+        ["tiling", "scatter", "reader:file=number.txt"], "cost", "source", lattice=["given"], replicates=2
+    )
     with registered_faults(), machines(tmp_path, "first") as made:
         local = run(suite, out=tmp_path / "local", options=Options(jobs=0))
         steps: list[Step] = []
@@ -79,9 +74,8 @@ def test_a_run_survives_its_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             return name in {place_of(one) for one in Run(tmp_path / "run").cells if one.result.get("note")}
 
         options = Options(scheduler=made.address, timeout=30)
-        many = run(
-            suite_of(["place"], replicates=40, size="96x96"), out=tmp_path / "run", options=options, progress=follow
-        )
+        places = wall_suite(["place"], "cost", "source", replicates=40, size="96x96")
+        many = run(places, out=tmp_path / "run", options=options, progress=follow)
         assert {record.status for record in many.cells} == {"ok"}
         assert {place_of(record) for record in many.cells} == {"first", "late"}
         assert "first" not in made.processes
@@ -90,7 +84,7 @@ def test_a_run_survives_its_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert {record.status for record in away.cells} == {"ok"}
         assert told(away) == told(local)
         assert outputs(away) == outputs(local)
-        faults = suite_of([f"faulty:how={how}" for how in ("stubborn", "segfault", "litter")])
+        faults = wall_suite([f"faulty:how={how}" for how in ("stubborn", "segfault", "litter")], "cost", "source")
         limited = run(faults, out=tmp_path / "limited", options=dataclasses.replace(options, timeout=3))
         assert [record.status for record in limited.cells] == ["timeout", "crash", "ok"]
         with monkeypatch.context() as patch:

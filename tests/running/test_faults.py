@@ -14,6 +14,7 @@ from typing import Any
 import psutil
 import pytest
 from faults import FAULTS, registered_faults
+from suites import wall_suite
 
 from nrbench import plugins
 from nrbench.api import run
@@ -24,7 +25,6 @@ from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
 from nrbench.running.worker import Request
 from nrbench.runs.records import CellRecord, Run
-from nrbench.suites.suite import Suite, validated_suite
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits as Linux enforces them")
 
@@ -83,13 +83,6 @@ BRIEF = ("stubborn", "segfault", "hog", "hide", "litter", "escape", "fine")
 """What is repeated where each child is a fresh interpreter, which takes a second."""
 
 
-def suite_of(name: str, methods: list[str], metrics: list[str], **more: Any) -> Suite:
-    """Return a suite of one wall."""
-    wall = {"name": "wall", "dataset": "brick", "parameters": {"color": 0.2}}
-    content = {"name": name, "sample": "64x64", "size": "64x64", "methods": methods, "metrics": metrics}
-    return validated_suite({**content, "texture": [wall], **more}, "test")
-
-
 @pytest.fixture(scope="module", params=["threads", "fresh interpreters"])
 def way(request: pytest.FixtureRequest, warm_executor: Any) -> Iterator[Any]:
     """Choose an executor; return its options, and which of the cases run on it."""
@@ -129,7 +122,7 @@ def test_methods(way: Any, tmp_path: Path) -> None:
     """A method that fails in any way is a row with its status and cause; one that litters is fine, as others are."""
     options, chosen = way
     failing, fine = chosen(METHODS), [*chosen(HARMLESS), "fine"]
-    suite = suite_of("methods", [f"faulty:how={how}" for how in (*failing, *fine)], ["cost"])
+    suite = wall_suite([f"faulty:how={how}" for how in (*failing, *fine)], "cost")
     found = run(suite, out=tmp_path / "run", options=Options(**options))
     cells = {str(record.parameters["how"]): record for record in found.cells}
     for how in failing:
@@ -152,9 +145,7 @@ def test_detectors(way: Any, tmp_path: Path) -> None:
     options, chosen = way
     failing, fine = chosen(DETECTORS), [*chosen(HARMLESS), "fine"]
     axis = [f"probe:how={how}" for how in (*failing, *fine)]
-    found = run(
-        suite_of("detectors", ["follower"], ["cost"], lattice=axis), out=tmp_path / "run", options=Options(**options)
-    )
+    found = run(wall_suite(["follower"], "cost", lattice=axis), out=tmp_path / "run", options=Options(**options))
     for record, how in zip(found.cells, (*failing, *fine), strict=True):
         if how in fine:
             assert record.status == "ok", (how, record.message)
@@ -172,7 +163,7 @@ def test_metrics(way: Any, tmp_path: Path) -> None:
     options, chosen = way
     failing, fine = chosen(JUDGES), [*chosen(HARMLESS), "fine"]
     metrics = [*(f"judge-{how}" for how in (*failing, *fine)), "cost"]
-    found = run(suite_of("metrics", ["faulty:how=fine"], metrics), out=tmp_path / "run", options=Options(**options))
+    found = run(wall_suite(["faulty:how=fine"], *metrics), out=tmp_path / "run", options=Options(**options))
     (record,) = found.cells
     assert record.status == "ok"
     for how in failing:
@@ -199,7 +190,7 @@ def test_datasets(supervisors: list[Supervisor], tmp_path: Path, monkeypatch: py
     fine = ("flood", "seed", "folder", "fine")  # the textures are drawn again for the scores, in this process
     rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*DATASETS, *fine)]
     options = Options(jobs=0, timeout=SECONDS, memory=300)
-    found = run(suite_of("datasets", ["fine"], ["cost"], texture=rows), out=tmp_path / "run", options=options)
+    found = run(wall_suite(["fine"], "cost", texture=rows), out=tmp_path / "run", options=options)
     for record in found.cells:
         if record.texture in fine:
             assert record.status == "ok", (record.texture, record.message)
@@ -216,9 +207,7 @@ def test_in_this_process(tmp_path: Path) -> None:
     """Without child processes, what does not kill the process is a row, too."""
     hows = [how for how in METHODS if how in ("raise", "mutate", "type")]
     found = run(
-        suite_of(
-            "here", [f"faulty:how={how}" for how in (*hows, "seed", "fine")], ["judge-raise", "judge-nan", "cost"]
-        ),
+        wall_suite([f"faulty:how={how}" for how in (*hows, "seed", "fine")], "judge-raise", "judge-nan", "cost"),
         out=tmp_path / "run",
         options=Options(jobs=0),
     )
@@ -236,20 +225,20 @@ def test_in_this_process(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("faulty")
 def test_limits_are_kept_within_a_tenth(supervisors: list[Supervisor], tmp_path: Path) -> None:
     """A child ends within 10 % of its limit of time, and holds no more than 10 % above its limit of memory."""
-    suite = suite_of("limits", [f"faulty:how={how}" for how in ("busy", "hog", "creep")], [])
+    suite = wall_suite([f"faulty:how={how}" for how in ("busy", "hog", "creep")])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("nrbench.running.runner._Runner.run", lambda self, cells, progress: prepare(self, cells))
         found = run(suite, out=tmp_path / "run", options=Options(jobs=0))
     busy, hog, creep = (Path(record.folder) for record in found.cells)
-    supervisors[0].run(Request("synthesize", str(busy), 0.1, 300))  # the worker is warm
+    supervisors[0].run(Request("synthesize_cell", str(busy), 0.1, 300))  # the worker is warm
     taken = [3.4]
     while len(taken) < 4 and min(taken) > 3.3:  # again, where a busy machine delays the process that watches
         start = time.monotonic()
-        assert supervisors[0].run(Request("synthesize", str(busy), 3.0, 300)).result["status"] == "timeout"
+        assert supervisors[0].run(Request("synthesize_cell", str(busy), 3.0, 300)).result["status"] == "timeout"
         taken.append(time.monotonic() - start)
     assert 3.0 <= min(taken) <= 3.3
     for folder in (hog, creep):
-        assert supervisors[0].run(Request("synthesize", str(folder), 20, 300)).result["status"] == "memory"
+        assert supervisors[0].run(Request("synthesize_cell", str(folder), 20, 300)).result["status"] == "memory"
         held = int(re.findall(r"holds (\d+) MiB", (folder / "log.txt").read_text())[-1])
         assert 240 <= held <= 330, folder
 
@@ -291,7 +280,7 @@ def test_a_slow_import_takes_no_ones_time(tmp_path: Path, monkeypatch: pytest.Mo
     slow = tmp_path / "slow_plugins.py"
     slow.write_text(text)
     plugins.add_file(slow)
-    suite = suite_of("slow", ["faulty:how=fine", "faulty:how=seed", "faulty:how=flood"], ["judge-fine"])
+    suite = wall_suite(["faulty:how=fine", "faulty:how=seed", "faulty:how=flood"], "judge-fine")
     found = run(suite, out=tmp_path / "run", options=Options(jobs=1, timeout=1.0))
     assert [record.status for record in found.cells] == ["ok"] * 3
     # This process may have threads; then it imports in its working directory.
@@ -309,7 +298,7 @@ def test_a_worker_that_ends_when_it_imports_a_plugin(tmp_path: Path) -> None:
     )
     plugins.add_file(tmp_path / "fatal.py")
     try:
-        found = run(suite_of("fatal", ["fine"], ["cost"]), out=tmp_path / "run", options=Options(timeout=30))
+        found = run(wall_suite(["fine"], "cost"), out=tmp_path / "run", options=Options(timeout=30))
     finally:
         plugins.registry._files.pop((tmp_path / "fatal.py").resolve())
     assert [record.status for record in found.cells] == ["ok"]
@@ -325,4 +314,4 @@ def test_parameters_that_json_cannot_hold(tmp_path: Path, monkeypatch: pytest.Mo
     )
     with pytest.raises(BadInput, match="way"):
         plugins.add_file(tmp_path / "odd.py")
-        run(suite_of("odd", ["lambda"], []), out=tmp_path / "run", options=Options(jobs=0))
+        run(wall_suite(["lambda"]), out=tmp_path / "run", options=Options(jobs=0))

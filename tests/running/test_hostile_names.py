@@ -12,11 +12,9 @@ import subprocess
 from contextlib import redirect_stderr
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from nrbench import api
-from nrbench.authoring.plugin_checks import draw_wall
+from nrbench import api, texture
 from nrbench.cli.main import main
 from nrbench.imaging.files import write_image
 from nrbench.running.runner import Options
@@ -77,9 +75,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("names")
     folder = place / "pictures <b>&'"
     folder.mkdir()
-    lattice = dict(zip(("t1x", "t1y", "t2x", "t2y", "originx", "originy"), (16, 0, 0, 12, 3, 2), strict=True))
+    lattice = dict(zip(("t1x", "t1y", "t2x", "t2y", "originx", "originy"), (16, 0, 8, 12, 3, 2), strict=True))
     for i, name in enumerate(NAMES):
-        image = draw_wall((60, 64), np.random.default_rng(i)).image
+        image = texture("brick", shape=(60, 64), seed=i, width=16, height=12).image
         shutil.move(write_image(place / "plain.png", image), folder / f"{name}.png")
     rows = [{"file": f"{name}.png", **lattice} for name in NAMES]
     write_table(folder / "truth.csv", list(rows[0]), rows)

@@ -25,7 +25,7 @@ from nrbench.errors import BadInput
 from nrbench.running.executors import Executor
 from nrbench.running.pace import Step
 from nrbench.running.runner import TICK, Options, _Runner
-from nrbench.running.supervisor import Job
+from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder, Result, RunDirectory
 from nrbench.suites.cell import Cell
@@ -168,13 +168,13 @@ def test_a_stopped_run_drops_the_jobs_that_wait(tmp_path: Path) -> None:
     """Once the run is to stop, the job that runs ends and is counted; the one that waits for its turn never starts."""
     options, started, ended = Options(jobs=1), [], []
 
-    def work(job: Job) -> Result:
+    def work(job: Request) -> Result:
         started.append(job.folder)
         options.stop.set()
         time.sleep(2 * TICK)
         return {"status": "ok", "message": ""}
 
-    jobs = [(name, Job("cell", name, 1.0, 1.0)) for name in ("first", "second", "third")]
+    jobs = [(name, Request("cell", name, 1.0, 1.0)) for name in ("first", "second", "third")]
     with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
         runner = _Runner(RunDirectory(tmp_path), options, [], Executor(partial(pool.submit, work), lambda: 1))
         for name, _ in runner._run_jobs(jobs):

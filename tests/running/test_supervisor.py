@@ -23,6 +23,7 @@ import numpy as np
 import psutil
 import pytest
 from faults import registered_faults
+from suites import wall_suite
 
 from nrbench import plugins
 from nrbench.api import run
@@ -35,7 +36,7 @@ from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
 from nrbench.running.worker import Request, _is_own
 from nrbench.runs.records import CellRecord, Run
-from nrbench.suites.suite import Suite, validated_suite
+from nrbench.suites.suite import Suite
 
 WAYS = ("fork", "fresh interpreter")
 FaultyRun = Callable[[Suite, Options], Run]
@@ -62,19 +63,12 @@ def is_scorer(child: psutil.Process) -> bool:
     return False
 
 
-def small_suite(methods: list[str], *metrics: str) -> Suite:
-    """Return a suite of one brick wall, 64 x 64, scored by its cost and by further metrics."""
-    wall = {"name": "wall", "dataset": "brick", "parameters": {"color": 0.2}}
-    content = {"sample": "64x64", "size": "64x64", "methods": methods, "metrics": [*metrics, "cost"], "texture": [wall]}
-    return validated_suite({"name": "small", **content}, "test")
-
-
 def test_a_report_that_dies_takes_nothing_with_it(
     supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A report of others is written in a process of its own: how it fails is an error with its cause."""
     monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
-    done = faulty_run(small_suite(["fine"]), Options(jobs=0))
+    done = faulty_run(wall_suite(["fine"], "cost"), Options(jobs=0))
     causes = {
         "exit": "ended without an answer",
         "segfault": "died by SIGSEGV",
@@ -95,8 +89,8 @@ def test_a_report_that_dies_takes_nothing_with_it(
 def test_a_metric_alters_nothing_for_the_next_one(faulty_run: FaultyRun) -> None:
     """All that a metric is given is read-only, and metrics that are not nrbench's have a process of their own."""
     methods = ["oracle", "scatter"]
-    alone = faulty_run(small_suite(methods, "source"), Options(jobs=1)).cells
-    beside = faulty_run(small_suite(methods, "meddler", "source"), Options(jobs=1)).cells
+    alone = faulty_run(wall_suite(methods, "cost", "source"), Options(jobs=1)).cells
+    beside = faulty_run(wall_suite(methods, "cost", "meddler", "source"), Options(jobs=1)).cells
     for one, other in zip(alone, beside, strict=True):
         assert other.status == "ok", other.message
         assert other.values["meddler.written"] == 0
@@ -107,7 +101,7 @@ def test_a_metric_alters_nothing_for_the_next_one(faulty_run: FaultyRun) -> None
 
 def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
     """A result or score that is empty, cut, garbled, too deep or of another shape is computed again."""
-    suite, options = small_suite(["fine"]), Options(jobs=0)
+    suite, options = wall_suite(["fine"], "cost"), Options(jobs=0)
     done = faulty_run(suite, options)
     (record,) = done.cells
     score = next((record.folder / "scores").glob("cost-*.json"))
@@ -133,7 +127,7 @@ def test_an_output_that_was_changed_is_not_scored(faulty_run: FaultyRun) -> None
 
     `retry_failed` makes it again.
     """
-    suite, options = small_suite(["fine"]), Options(jobs=0)
+    suite, options = wall_suite(["fine"], "cost"), Options(jobs=0)
     done = faulty_run(suite, options)
     (record,) = done.cells
     picture = read_image(record.folder / "output.png")
@@ -157,7 +151,7 @@ def test_what_is_no_message_is_ignored(line: str) -> None:
 
 def test_only_a_full_disk_of_the_run_ends_it(faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch) -> None:
     """An error of a disk is a row while the run can write; it ends the run, with no row, once it cannot."""
-    suite = small_suite(["faulty:how=full", "fine"])
+    suite = wall_suite(["faulty:how=full", "fine"], "cost")
     full, fine = faulty_run(suite, Options(jobs=0)).cells
     assert (full.status, fine.status) == ("error", "ok")
     assert "No space left" in full.message
@@ -187,12 +181,6 @@ def test_a_long_log_keeps_its_end(tmp_path: Path) -> None:
     assert log.read_bytes().endswith(b"x\nend\n")
 
 
-def test_results_are_json(faulty_run: FaultyRun) -> None:
-    """Every result on disk is plain JSON with a status."""
-    for record in faulty_run(small_suite(["fine", "faulty"]), Options(jobs=0)).cells:
-        assert json.loads((record.folder / "result.json").read_text())["status"] == record.status
-
-
 def choose_way(way: str, patch: pytest.MonkeyPatch, warm_executor: Any) -> None:
     """Let runs fork (those of this process from the shared workers), or start a fresh interpreter for each child."""
     if way == "fork":
@@ -215,7 +203,7 @@ def started(
         "while time.process_time() - start < 0.5:\n    pass\nshutil.copy(sys.argv[1], sys.argv[2])\n"
     )
     tool = f"command:run={sys.executable} {program} {{sample}} {{output}}"
-    suite = small_suite(["scatter", tool])
+    suite = wall_suite(["scatter", tool], "cost")
     with pytest.MonkeyPatch.context() as patch:
         choose_way(request.param, patch, warm_executor)
         cells = faulty_run(suite, Options(timeout=20)).cells
@@ -234,7 +222,7 @@ def test_what_a_program_takes_is_the_methods_cost(started: dict[str, CellRecord]
 
 def test_both_ways_of_starting_agree(started: dict[str, CellRecord], tmp_path: Path) -> None:
     """A forked child and a fresh interpreter give the output of this process."""
-    here = run(small_suite(["scatter"]), out=tmp_path / "here", options=Options(jobs=0)).cells[0]
+    here = run(wall_suite(["scatter"], "cost"), out=tmp_path / "here", options=Options(jobs=0)).cells[0]
     output = started["scatter"].folder / "output.png"
     assert output.read_bytes() == (here.folder / "output.png").read_bytes()
 
@@ -244,14 +232,14 @@ def test_a_failed_metric_spares_the_others_and_is_tried_again(faulty: Path, tmp_
     """A metric that kills its process, or returns no number, is None with the cause; `retry_failed` scores again."""
     methods, out = ["faulty:how=fine", "fine"], tmp_path / "run"
     metrics = ("judge-segfault", "judge-words")
-    failed, fine = run(small_suite(methods, *metrics), out=out, options=Options(timeout=20)).cells
+    failed, fine = run(wall_suite(methods, "cost", *metrics), out=out, options=Options(timeout=20)).cells
     assert failed.reasons["judge-segfault.value"] == "failed: crash: died by SIGSEGV"
     assert "a score is a finite number" in failed.reasons["judge-words.value"]
     assert failed.values["cost.seconds"] is not None
     assert fine.values["judge-segfault.value"] == 1.0
     file = next((failed.folder / "scores").glob("judge-words-*.json"))
     before = file.stat().st_mtime_ns
-    run(small_suite(methods, "judge-words"), out=out, options=Options(jobs=0, retry_failed=True))
+    run(wall_suite(methods, "cost", "judge-words"), out=out, options=Options(jobs=0, retry_failed=True))
     assert file.stat().st_mtime_ns > before
 
 
@@ -307,7 +295,7 @@ def test_one_interrupt_lets_the_running_cells_end(faulty: Path, tmp_path: Path) 
         options.stop.set()
 
     steps: list[Step] = []
-    suite = small_suite(["fine", "scatter", "tiling"])
+    suite = wall_suite(["fine", "scatter", "tiling"], "cost")
     with pytest.raises(KeyboardInterrupt):
         run(suite, out=tmp_path / "run", options=options, progress=interrupt)
     assert 1 <= len(steps) < 3
@@ -322,7 +310,7 @@ def test_one_interrupt_lets_the_running_cells_end(faulty: Path, tmp_path: Path) 
 def prepare(folder: Path, method: str, **parameters: Any) -> Path:
     """Make the folder of a cell that has not run; return it."""
     if not folder.is_dir():
-        (record,) = run(small_suite(["fine"]), out=folder.with_suffix(".run"), options=Options(jobs=0)).cells
+        (record,) = run(wall_suite(["fine"], "cost"), out=folder.with_suffix(".run"), options=Options(jobs=0)).cells
         shutil.copytree(record.folder, folder)
     cell = json.loads((folder / "cell.json").read_text())
     (folder / "cell.json").write_text(json.dumps({**cell, "method": method, "parameters": parameters}))
@@ -335,7 +323,7 @@ def look_around(supervisor: Supervisor, folder: Path, **parameters: Any) -> dict
     """Run the method ``tenant`` in a cell's folder; return what its process found."""
     cell = json.loads((folder / "cell.json").read_text())
     (folder / "cell.json").write_text(json.dumps({**cell, "parameters": parameters}))
-    reply = supervisor.run(Request("synthesize", str(folder), 20, 500))
+    reply = supervisor.run(Request("synthesize_cell", str(folder), 20, 500))
     assert reply.result["status"] == "ok", reply.result
     found: dict[str, Any] = json.loads(reply.result["note"])
     return found
@@ -407,14 +395,14 @@ def test_relative_paths_of_users_and_of_plugins(
     Path("tool.py").write_text(
         "import shutil, sys\nopen('copy.txt', 'w').close()\nshutil.copy(sys.argv[1], sys.argv[2])\n"
     )
-    made = run(small_suite(["fine"]), out=tmp_path / "made", options=Options(jobs=0)).cells[0]
+    made = run(wall_suite(["fine"], "cost"), out=tmp_path / "made", options=Options(jobs=0)).cells[0]
     table = "sample,output\nsample.png,output.png\n"
     (made.folder / "index.csv").write_text(table)
     tool = f"command:run={sys.executable} tool.py {{sample}} {{output}}"
     others = [tool, f"precomputed:directory={made.folder.relative_to(tmp_path)}"]
     methods = ["reader:file=number.txt", *(others if way == "fork" else [])]
     before = set(tmp_path.iterdir())
-    brighter, *copies = run(small_suite(methods), out=tmp_path / "run", options=Options(timeout=20)).cells
+    brighter, *copies = run(wall_suite(methods, "cost"), out=tmp_path / "run", options=Options(timeout=20)).cells
     for record in (brighter, *copies):
         assert record.status == "ok", record.message
     sample = read_image(made.folder / "sample.png")
@@ -428,13 +416,13 @@ def test_relative_paths_of_users_and_of_plugins(
 def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: Path) -> None:
     """Metrics of nrbench score cell after cell in one process; it is replaced when it dies or breaks a limit."""
     supervisor, *_ = supervisors
-    cells = run(small_suite(["oracle", "fine"]), out=tmp_path / "run", options=Options(jobs=0)).cells
+    cells = run(wall_suite(["oracle", "fine"], "cost"), out=tmp_path / "run", options=Options(jobs=0)).cells
 
     def scorers(metric: str, seconds: float = 20.0) -> tuple[set[int], list[str]]:
         endings = []
         for record in cells:
             shutil.rmtree(record.folder / "scores", ignore_errors=True)
-            reply = supervisor.run(Request("score", str(record.folder), seconds, 500, (metric,)))
+            reply = supervisor.run(Request("score_cell", str(record.folder), seconds, 500, (metric,)))
             endings.append(reply.result["status"])
         children = server_of(supervisor).children()
         return {child.pid for child in children if is_scorer(child)}, endings
@@ -465,18 +453,18 @@ def test_only_the_own_code_of_nrbench_shares_a_process(faulty: Path, tmp_path: P
 
     def is_shared(dataset: Any, *metrics: str) -> bool:
         file.write_text(json.dumps({"recipe": {"dataset": dataset}}))
-        return _is_own(Request("score", str(tmp_path), 1, 1, metrics))
+        return _is_own(Request("score_cell", str(tmp_path), 1, 1, metrics))
 
     assert is_shared("brick", "cost", "source")
     assert not is_shared("brick", "cost", "judge-fine")
     assert not any(is_shared(name, "cost") for name in ("picture", "none such", None, ["brick"], {}))
     for damage in ("", "[]", '{"recipe": 3}', "{}"):
         file.write_text(damage)
-        assert not _is_own(Request("score", str(tmp_path), 1, 1, ("cost",)))
+        assert not _is_own(Request("score_cell", str(tmp_path), 1, 1, ("cost",)))
     file.unlink()
     file.mkdir()
-    assert not _is_own(Request("score", str(tmp_path), 1, 1, ("cost",)))
-    assert not _is_own(Request("synthesize", str(tmp_path), 1, 1))
+    assert not _is_own(Request("score_cell", str(tmp_path), 1, 1, ("cost",)))
+    assert not _is_own(Request("synthesize_cell", str(tmp_path), 1, 1))
     file.rmdir()
     assert is_shared("brick", "cost")
     assert not is_shared("brick", "cost", "none such")
@@ -491,14 +479,14 @@ def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor],
     started in a session of its own, without the environment of the worker.
     """
     supervisor = supervisors[0]
-    cell = run(small_suite(["oracle"]), out=tmp_path / "run", options=Options(jobs=0)).cells[0]
-    request = Request("score", str(cell.folder), seconds=20, mib=500, metrics=("cost",))
+    cell = run(wall_suite(["oracle"], "cost"), out=tmp_path / "run", options=Options(jobs=0)).cells[0]
+    request = Request("score_cell", str(cell.folder), seconds=20, mib=500, metrics=("cost",))
     assert supervisor.run(request).scored == ("cost",)
     server = server_of(supervisor)
     wait_until(lambda: len(server.children()) == 2)
     folder = prepare(tmp_path / "cell", "faulty", how="hide")
     with ThreadPoolExecutor(1) as pool:
-        running = pool.submit(supervisor.run, Request("synthesize", str(folder), 20, 500))
+        running = pool.submit(supervisor.run, Request("synthesize_cell", str(folder), 20, 500))
         wait_until(lambda: "child" in (folder / "log.txt").read_text() if (folder / "log.txt").exists() else False)
         children = server.children(recursive=True)
         keeper = psutil.Process(server.ppid())

@@ -1,11 +1,27 @@
+"""The waves of a picture are found, are sorted into groups of harmonics, and their regular part is kept."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import nrbench
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.errors import BadInput
-from nrbench.spectra.harmonics import Harmonics, analyze, lowest_period
+from nrbench.lattice.geometry import Lattice
+from nrbench.spectra.harmonic_groups import (
+    LEAST_DISTANCE,
+    SpectrumPeaks,
+    are_near,
+    find_fundamentals,
+    fold_frequencies,
+    is_supercell,
+    off_line_evidence,
+    propose_basis,
+    select_spaced,
+)
+from nrbench.spectra.harmonics import WaveAnalysis, analyze, lowest_period
+from nrbench.spectra.regular_part import line_floor
 from nrbench.spectra.spectrum import Spectrum, dirichlet_sum, pair_kernels
 from nrbench.spectra.wave_fit import Waves
 from nrbench.spectra.wave_search import analytic_signal, find_complex_waves, find_waves, noise_floor
@@ -45,7 +61,7 @@ def test_the_lowest_wave_gives_the_tile_of_equation_7() -> None:
     assert lowest_period(np.zeros((0, 2)), np.zeros((0, 3)), (128, 128)) == (None, None)
 
 
-def errors(found: Harmonics, f: np.ndarray) -> np.ndarray:
+def errors(found: WaveAnalysis, f: np.ndarray) -> np.ndarray:
     """Return how far, bins, each true frequency's nearest found one is, the larger component, (n,)."""
     apart = [np.abs(f[:, None] - sign * found.frequencies).max(2).min(1) for sign in (1, -1)]
     return np.asarray(np.minimum(*apart) * SIDE)
@@ -259,7 +275,7 @@ def test_the_normal_equations_hold_the_gradient() -> None:
     f, amplitude, phase = draw_waves(4, rng)
     spectrum = Spectrum(picture(f, amplitude, phase) + rng.standard_normal((SIDE, SIDE, 1)))
     start, step = f + 0.2 / SIDE, 1e-7
-    right = Waves(spectrum, start).normal[1]
+    right = Waves(spectrum, start).normal_equations()[1]
     for k, a in np.ndindex(4, 2):
         move = np.zeros((4, 2))
         move[k, a] = step
@@ -284,3 +300,89 @@ def test_bad_input_is_refused(change: dict[str, object], hint: str) -> None:
     """Each error says what it is, and what to give."""
     with pytest.raises(BadInput, match=hint):
         analyze(**{"planes": np.zeros((8, 8, 1)), **change})  # type: ignore[arg-type]
+
+
+CLOTH, THREAD, INDEX = 144, 12, 3
+LATTICE = np.array([(1 / THREAD, 0.0), (0.0, 1 / THREAD)])
+WAVES = np.array([(k / (INDEX * THREAD), 0.0) for k in (1, 2, 4, 5, 7)])
+
+
+def threads(colors: np.ndarray) -> Spectrum:
+    """Return the spectrum of upright threads of the same profile, each with a color of its own."""
+    profile = np.hanning(THREAD + 2)[1:-1]
+    row = (colors[:, np.newaxis] * profile).ravel()
+    return Spectrum(np.tile(row, (CLOTH, 1))[..., np.newaxis])
+
+
+@pytest.mark.parametrize("strength", [0.5, 0.1])
+def test_a_larger_tile_is_believed(strength: float) -> None:
+    """Every third thread is another, and chance adds little to it."""
+    chance = 0.05 * strength * np.random.default_rng(0).standard_normal(CLOTH // THREAD)
+    assert is_supercell(threads(strength * np.tile([1.0, 0.0, 0.0], 4) + chance), WAVES, LATTICE)
+
+
+def test_random_colors_are_no_larger_tile() -> None:
+    """Though each offset shows in many waves: hardly one of two hundred draws passes."""
+    draws = (np.random.default_rng(seed).standard_normal(CLOTH // THREAD) for seed in range(200))
+    assert sum(is_supercell(threads(colors - colors.mean()), WAVES, LATTICE) for colors in draws) <= 2
+
+
+def test_too_little_beside_is_believed() -> None:
+    """A tile repeated twice leaves no room between the places of its waves to compare them with."""
+    spectrum = Spectrum(np.random.default_rng(0).standard_normal((24, 24, 1)))
+    assert is_supercell(spectrum, np.array([(1 / 24, 0.0), (3 / 24, 0.0)]), np.array([(1 / 12, 0.0), (0.0, 1 / 12)]))
+
+
+def test_stripes_and_one_more_wave_are_no_lattice() -> None:
+    """Harmonics of one fundamental with a wave off their line give one; with two more waves of a lattice, two."""
+    places = [(0.0, 4.3 * k) for k in range(1, 7)] + [(9.1, 0.2), (2.0, 1.1)]
+    stripes = SpectrumPeaks(np.array(places), np.full(8, 0.05), np.ones(8))
+    pair = find_fundamentals(stripes)
+    assert (
+        pair is not None and off_line_evidence(pair, stripes.weights) == 0 and len(propose_basis(stripes).vectors) == 1
+    )
+    more = SpectrumPeaks(np.array([*places, (18.2, 4.7), (9.1, 4.5)]), np.full(10, 0.05), np.ones(10))
+    assert len(propose_basis(more).vectors) == 2
+
+
+def test_waves_along_one_line_do_not_lengthen_the_other_vector() -> None:
+    """Of waves along one line, the vector beside the line stays as short as the places that were paired."""
+    places = [(10.8, 1.5), (32.4, 4.5), (32.3, 4.4), (32.5, 4.6), (1.0, -26.4)]
+    pair = find_fundamentals(SpectrumPeaks(np.array(places), np.full(5, 0.05), np.array([1.0, 0.4, 0.4, 0.4, 0.01])))
+    assert pair is not None and np.abs(pair.vectors).max() < 1000
+    assert np.linalg.matrix_rank(pair.orders[pair.explained]) == 1
+
+
+def test_the_first_of_near_places_stays() -> None:
+    """Of places that pixels cannot tell apart that of highest priority is kept, across the spectrum's border too."""
+    f = np.array([(0.1, 0.2), (0.1, 0.203), (-0.1, -0.2), (0.4995, 0.1), (-0.4995, 0.1), (0.3, 0.3)])
+    size = np.full(2, 128.0)
+    kept = select_spaced(f, np.array([1.0, 3, 2, 5, 4, 6]), size)
+    assert kept.tolist() == [5, 3, 1]
+    assert are_near(f[:2], np.array([(-0.1, -0.2)]), size).all() and not are_near(f[5:], f[:5], size).any()
+
+
+def test_weak_signs_of_a_larger_tile_count() -> None:
+    """English bond, whose courses differ little, has its own lattice, not the four times finer one of its headers."""
+    texture = nrbench.texture("brick", shape=(160, 160), seed=3, bond="english", color=0.18, intensity=0.25, noise=0.04)
+    found = analyze(texture.image.astype(np.float64), harmonics="tied")
+    assert texture.lattice is not None and found.groups == (2,)
+    assert Lattice.from_basis(np.linalg.inv(found.fundamentals).T).is_equivalent(texture.lattice, 0.05)
+
+
+def test_no_two_waves_of_a_mask_are_near() -> None:
+    """Not even those that pixels fold back from beyond Nyquist: each is 3/4 bin from all others and their mirrors."""
+    texture = nrbench.texture("weave", seed=4, color=0.3, intensity=0.2, noise=0.03)
+    seen = fold_frequencies(analyze(texture.image.astype(np.float64), harmonics="tied").frequencies)
+    both = np.concatenate([seen, -seen])
+    apart = np.hypot(*np.moveaxis(fold_frequencies(both[:, np.newaxis] - both) * 128, 2, 0)) + 9 * np.eye(len(both))
+    assert len(seen) > 100 and apart.min() >= LEAST_DISTANCE
+
+
+def test_the_floor_of_a_line_is_its_own() -> None:
+    """On a line of the spectrum where rows vary at random the floor is that of the rows; beside it, of the noise."""
+    rng = np.random.default_rng(0)
+    rows = np.tile(rng.standard_normal((128, 1, 1)), (1, 128, 1)) + 0.01 * rng.standard_normal((128, 128, 1))
+    power = np.abs(Spectrum(rows).bins()) ** 2
+    on, beside = line_floor(power, (128, 128), np.array([(0.0, 0.2), (0.2, 0.2)]), np.zeros((0, 2)))[:, 0]
+    assert 0.3 < on / 128**3 < 3 and 0.3 < beside / (0.01**2 * 128**2) < 3

@@ -235,10 +235,10 @@ def test_pages_hold_eight_pictures(count: int) -> None:
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({}, "has no picture"), ({"least": 1.5}, "give a probability"), ({"detector": "gnc"}, "gnc")],
+    [({}, "has no picture"), ({"detector": "gnc"}, "gnc")],
 )
 def test_misuse(options: dict[str, object], message: str) -> None:
-    """A folder without pictures, a limit that is no probability and an unknown detector are refused."""
+    """A folder without pictures and an unknown detector are refused."""
     if options:
         add("a.png")
     else:

@@ -15,7 +15,7 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.source import SourceUse
 from nrbench.plugins.forms import Observation, Refused, Synthesis, Task
 from nrbench.running.output_checks import checked_synthesis, is_picture
-from nrbench.spectra.harmonics import Harmonics
+from nrbench.spectra.harmonics import WaveAnalysis
 from nrbench.synthesizers.ann_pixel import AnnPixel
 from nrbench.synthesizers.fftm_pixel import FftmPixel
 from nrbench.synthesizers.masks.texture_mask import TextureMask
@@ -66,7 +66,7 @@ def mask_of(tile: Image, stretch: float = 1.0) -> TextureMask:
     fundamentals = np.diag([1 / (width * stretch), 1 / (height * stretch)])
     mean = waves[0, 0].real
     return TextureMask(
-        Harmonics(orders @ fundamentals, chosen.real, -chosen.imag, mean, fundamentals, orders, (2,), 1.0)
+        WaveAnalysis(orders @ fundamentals, chosen.real, -chosen.imag, mean, fundamentals, orders, (2,), 1.0)
     )
 
 
@@ -294,7 +294,7 @@ def test_a_size_that_is_no_period_is_refused_with_the_nearest_ones_that_work() -
 
 def test_stripes_tile_along_themselves_at_any_length() -> None:
     """A mask of one fundamental has a period across its stripes alone."""
-    harmonics = Harmonics(
+    harmonics = WaveAnalysis(
         np.array([[0.1, 0.0]]), np.array([[0.2]]), np.array([[0.0]]), np.array([0.5]),
         np.array([[0.1, 0.0]]), np.array([[1]]), (1,), 1.0,
     )  # fmt: skip

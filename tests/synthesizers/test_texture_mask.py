@@ -7,7 +7,7 @@ import nrbench
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Texture
-from nrbench.spectra.harmonics import Harmonics
+from nrbench.spectra.harmonics import WaveAnalysis
 from nrbench.synthesizers.masks.texture_mask import MaskParameters, TextureMask
 
 STRENGTH = {"color": 0.3, "intensity": 0.2, "noise": 0.03}
@@ -234,7 +234,7 @@ def mask_of(*bases: list[tuple[float, float]]) -> TextureMask:
     groups = [np.linalg.pinv(np.array(basis, np.float64)).T for basis in bases]
     fundamentals = np.concatenate(groups)
     count = len(fundamentals)
-    waves = Harmonics(
+    waves = WaveAnalysis(
         fundamentals, np.ones((count, 1)), np.zeros((count, 1)), np.zeros(1),
         fundamentals, np.eye(count, dtype=np.int64), tuple(len(group) for group in groups), 1.0,
     )  # fmt: skip

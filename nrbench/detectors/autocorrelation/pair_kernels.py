@@ -77,17 +77,12 @@ def best_pair(surface: Int32x2, candidates: Float64x2, unit: float, alpha: float
             far_x, far_y = width - overlap * across, height - overlap * down
             reach = int((far_y * abs(x1) + far_x * abs(y1)) / abs(x1 * y2 - x2 * y1)) + 1
             total, count = 0, 0
-            for b in range(-reach, reach + 1):
-                low, high = -1e9, 1e9
-                if x1 > 1e-9:
-                    low, high = (-b * x2 - 0.5) / x1, (far_x - b * x2) / x1
-                if abs(y1) > 1e-9:
-                    one, other = (-far_y - b * y2) / y1, (far_y - b * y2) / y1
-                    low, high = max(low, min(one, other)), min(high, max(one, other))
-                for a in range(int(np.ceil(low)), int(np.floor(high)) + 1):
+            for b in range(reach + 1):
+                first, last = row_ends(x1, y1, x2, y2, b, far_x, far_y)
+                for a in range(max(first, 1) if b == 0 else first, last + 1):
                     x, y = a * x1 + b * x2, a * y1 + b * y2
-                    if x < 0 or (x == 0 and y <= 0):
-                        continue
+                    if x < 0 or (x == 0 and y < 0):
+                        x, y = -x, -y
                     if x > far_x or abs(y) > far_y:
                         continue
                     if min(width - x, across) * min(height - abs(y), down) < box:
@@ -239,9 +234,7 @@ def mean_correlations(surface: Int32x2, candidates: Float64x2, unit: float, reac
             total, weights = 0.0, 0.0
             for b in range(rows + 1):
                 first, last = row_ends(x1, y1, x2, y2, b, end_x, end_y)
-                for a in range(first, last + 1):
-                    if b == 0 and a <= 0:
-                        continue
+                for a in range(max(first, 1) if b == 0 else first, last + 1):
                     x, y = a * x1 + b * x2, a * y1 + b * y2
                     if abs(x) > end_x or abs(y) > end_y:
                         continue

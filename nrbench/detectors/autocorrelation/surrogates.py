@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 import scipy
@@ -16,11 +16,16 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detection, NoLatticeFound
 from nrbench.streams import pixels_hash, stream
 
-EULER_GAMMA = 0.5772156649015329
 SIDE = 512
 """px; smallest side to which an image is cropped."""
 PERIODS = 10.0
 """Number of periods along a side that are tested. More periods take more time and change few decisions."""
+
+
+def require_texture(image: Image) -> None:
+    """Raise :class:`NoLatticeFound` if an image is constant."""
+    if (image[0] == image[0, 0]).all() and (image == image[0]).all():
+        raise NoLatticeFound("the image is constant: it has no texture")
 
 
 def crop_for_test(image: Image, lattice: Lattice) -> Image:
@@ -59,59 +64,18 @@ def phase_randomized(image: NDArray[np.float32], rng: np.random.Generator, count
         yield np.ascontiguousarray(np.moveaxis(planes, 0, 2))
 
 
-def measure_surrogates(
-    image: Image,
-    part: NDArray[np.float32],
-    statistic: Callable[[NDArray[np.float32]], float],
-    count: int,
-    false_alarms: float,
-) -> tuple[NDArray[np.float64], float]:
-    """Return a detector's statistic for phase-randomized copies, and the largest value that chance explains.
+def check_test(detector: Any, check: Callable[[bool, str], None]) -> None:
+    """Check the parameters of a detector's test against chance: ``reject``, ``surrogates`` and ``false_alarms``.
 
-    Parameters
-    ----------
-    image
-        The image whose lattice is sought; its pixels seed the random phases.
-    part
-        The part of it that is copied, ``(H, W, C)``, any range.
-    statistic
-        Returns the statistic of an image.
-    count
-        Number of copies.
-    false_alarms
-        Probability that a further copy exceeds the limit.
+    ``check`` raises if its first argument is false.
     """
-    rng = stream("detection", pixels_hash(image))
-    values = np.array([statistic(copy) for copy in phase_randomized(part, rng, count)])
-    return values, upper_limit(values, false_alarms)
-
-
-class Tested(Protocol):
-    """A detector with a test against chance: the number of copies, and the probability that one is accepted."""
-
-    @property
-    def reject(self) -> str:
-        """``"surrogate"``, or ``"none"`` for no test."""
-
-    @property
-    def surrogates(self) -> int:
-        """Number of phase-randomized copies."""
-
-    @property
-    def false_alarms(self) -> float:
-        """Probability that a phase-randomized copy is accepted as a lattice."""
-
-
-def check_test(detector: Tested, check: Callable[[bool, str], None]) -> None:
-    """Check the parameters of a test against chance; ``check`` raises if its first argument is false."""
     check(detector.reject in ("none", "surrogate"), f"reject is {detector.reject!r}; give none or surrogate")
     check(detector.surrogates >= 2, f"surrogates is {detector.surrogates}; give at least 2")
-    rate = detector.false_alarms
-    check(0 < rate < 1, f"false_alarms is {rate}; give a probability, e.g. 0.01")
+    check(0 < detector.false_alarms < 1, f"false_alarms is {detector.false_alarms}; give a probability, e.g. 0.01")
 
 
 def reject_chance(
-    detector: Tested,
+    detector: Any,
     detection: Detection,
     image: Image,
     part: NDArray[np.float32],
@@ -125,11 +89,16 @@ def reject_chance(
     Parameters
     ----------
     detector
-        Its parameters are those of the test.
+        Its parameters ``surrogates`` and ``false_alarms`` are the number of copies, and the probability that a further
+        copy exceeds the limit.
     detection
         The lattice that is tested.
-    image, part, statistic
-        As for :func:`measure_surrogates`.
+    image
+        The image whose lattice is sought; its pixels seed the random phases.
+    part
+        The part of it that is copied, ``(H, W, C)``, any range.
+    statistic
+        Returns the statistic of an image.
     value
         The statistic of the lattice.
     name, subject
@@ -140,7 +109,9 @@ def reject_chance(
     NoLatticeFound
         If the value does not exceed what chance explains.
     """
-    copies, limit = measure_surrogates(image, part, statistic, detector.surrogates, detector.false_alarms)
+    rng = stream("detection", pixels_hash(image))
+    copies = np.array([statistic(copy) for copy in phase_randomized(part, rng, detector.surrogates)])
+    limit = upper_limit(copies, detector.false_alarms)
     measured = {f"tested_{name}": value, f"surrogate_{name}": copies, "limit": limit}
     detection = replace(detection, diagnostics={**detection.diagnostics, **measured})
     if value <= limit:
@@ -155,5 +126,5 @@ def upper_limit(values: NDArray[np.float64], false_alarms: float) -> float:
     value is the best of many candidates, which follows this distribution more closely than a normal distribution. An
     empirical quantile would need hundreds of values.
     """
-    standard = (-math.log(-math.log(1 - false_alarms)) - EULER_GAMMA) * math.sqrt(6) / math.pi
+    standard = (-math.log(-math.log(1 - false_alarms)) - np.euler_gamma) * math.sqrt(6) / math.pi
     return float(values.mean() + standard * values.std(ddof=1))

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.detectors.consensus_rating.lattice_evidence import Evidence
+from nrbench.detectors.consensus_rating.lattice_evidence import LatticeEvidence
 from nrbench.detectors.consensus_rating.sublattice_search import SHORTEST, finer_bases, highest_added
 from nrbench.detectors.consensus_rating.weights import WEIGHTS
-from nrbench.lattice.geometry import Points, hermite_matrices
+from nrbench.lattice.geometry import Points, hermite_matrices, reduce_basis
 from nrbench.lattice.relation import count_cells
 
 NEIGHBORS = (2, 3, 4)
@@ -91,7 +91,7 @@ class Candidate(NamedTuple):
 
 
 def rate_candidates(
-    evidence: Evidence, stable: Sequence[Points], proposals: Mapping[str, Sequence[Points]]
+    evidence: LatticeEvidence, stable: Sequence[Points], proposals: Mapping[str, Sequence[Points]]
 ) -> list[Candidate]:
     """Return the best stable lattices, neighbors of the first one, and all proposals; the most probable first.
 
@@ -133,7 +133,7 @@ def classify(traits: Sequence[Traits], weights: Mapping[str, float] = WEIGHTS) -
     return np.asarray(shares[:-1] / shares.sum())
 
 
-def is_possible(evidence: Evidence, basis: Points) -> bool:
+def is_possible(evidence: LatticeEvidence, basis: Points) -> bool:
     """Return whether a lattice can be rated.
 
     The image holds more than two cells, none of them is too thin, and lags within reach show both vectors. If all
@@ -150,19 +150,19 @@ def relate_bases(basis: Points, other: Points) -> float:
     return count_cells(basis, other, tolerance)
 
 
-def _list_neighbors(evidence: Evidence, basis: Points) -> Iterator[Points]:
+def _list_neighbors(evidence: LatticeEvidence, basis: Points) -> Iterator[Points]:
     """Yield the coarser lattice of each index that splits the given one most, and the best finer one, fitted."""
     for index in NEIGHBORS:
         changes = hermite_matrices(index)
         excesses = [split.excess for split in evidence.split(basis, changes)]
-        yield evidence.reduced(changes[int(np.argmax(excesses))] @ basis)
+        yield reduce_basis(changes[int(np.argmax(excesses))] @ basis)
         bases = finer_bases(basis, (index,))
         added = [agreement.mean for agreement in evidence.agreements(bases, basis)]
         yield evidence.fit(bases[int(np.argmax(added))])
 
 
 def _measure_traits(
-    evidence: Evidence, basis: Points, bases: Sequence[Points], proposals: Mapping[str, Sequence[Points]]
+    evidence: LatticeEvidence, basis: Points, bases: Sequence[Points], proposals: Mapping[str, Sequence[Points]]
 ) -> Traits:
     """Return the traits of one of the bases, of which the first is the best stable lattice."""
     relief = 1 - highest_added(evidence, basis, RELIEFS) / max(evidence.repeated(basis), 1e-3)

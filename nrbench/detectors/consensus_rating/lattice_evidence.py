@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 
 from nrbench.detectors.consensus_rating.lattice_evidence_kernels import (
     between,
-    between_many,
     climb_multiples,
     jets,
     list_multiples,
 )
 from nrbench.imaging.correlation import Correlation
-from nrbench.lattice.geometry import Points
-from nrbench.lattice.reduction_kernels import reduce_bases
+from nrbench.lattice.geometry import Points, reduce_basis
 
 REACH = 0.75
 """Lags up to this share of the image's sides are compared. At larger lags the overlap is too small."""
@@ -77,7 +75,7 @@ class Split(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Evidence:
+class LatticeEvidence:
     """The autocorrelation of an image as a cubic spline surface.
 
     Parameters
@@ -143,24 +141,22 @@ class Evidence:
             The basis of a coarser lattice, whose points are left out.
         """
         if coarser is not None:
-            return self._read(basis, np.asarray(np.linalg.inv(coarser), np.float64))
+            return self._read(basis[np.newaxis], np.linalg.inv(coarser), 0)[0]
         key = basis.tobytes()
         if key not in self._known:
-            self._known[key] = self._read(basis, np.zeros((2, 2)))
+            self._known[key] = self._read(basis[np.newaxis], np.zeros((2, 2)), 0)[0]
         return self._known[key]
-
-    def _read(self, basis: Points, cells: Points) -> Agreement:
-        """Return the agreement; ``cells`` is the inverse of the coarser basis, or zero if there is none."""
-        mean, variance, count = between(self._spline, np.ascontiguousarray(basis), cells, self._end, PAD, 0)
-        return Agreement(mean, variance, int(count))
 
     def agreements(self, bases: Points, coarser: Points) -> list[Agreement]:
         """Return :meth:`agreement` for many lattices ``(n, 2, 2)``, each without the points of the coarser one.
 
         Of more than about :data:`MOST_LAGS` lags a random sample is read, the same in each call.
         """
-        cells = np.asarray(np.linalg.inv(coarser), np.float64)
-        rows = between_many(self._spline, np.ascontiguousarray(bases), cells, self._end, PAD, MOST_LAGS)
+        return self._read(bases, np.linalg.inv(coarser), MOST_LAGS)
+
+    def _read(self, bases: Points, cells: NDArray[np.floating[Any]], most: int) -> list[Agreement]:
+        """Return the agreements; ``cells`` is the inverse of the coarser basis, or zero if there is none."""
+        rows = between(self._spline, np.ascontiguousarray(bases), np.asarray(cells, np.float64), self._end, PAD, most)
         return [Agreement(mean, variance, int(count)) for mean, variance, count in rows.tolist()]
 
     def split(self, basis: Points, changes: NDArray[np.int64]) -> list[Split]:
@@ -221,12 +217,6 @@ class Evidence:
         (ax, ay), (bx, by) = basis.tolist()
         return float(self.shape[0] * self.shape[1] / abs(ax * by - ay * bx))
 
-    @staticmethod
-    def reduced(basis: Points) -> Points:
-        """Return the basis of :meth:`nrbench.lattice.geometry.Lattice.reduced`, ``(2, 2)``, unchecked."""
-        reduced: Points = reduce_bases(np.array(basis, np.float64, order="C")[np.newaxis], True)[0]
-        return reduced
-
     def fit(self, basis: Points) -> Points:
         """Return the reduced basis near the given one at whose multiples the mean correlation is highest.
 
@@ -243,7 +233,7 @@ class Evidence:
             numbers = numbers[spread | (np.abs(numbers) <= NEAREST).all(1)]
         fitted = climb_multiples(self._spline, numbers, start, end, far, PAD, GROWTH, STEPS)
         too_far = np.hypot(*(fitted - basis).T).max() > MAX_SHIFT * np.hypot(*basis.T).min()
-        return self.reduced(basis if too_far else fitted)
+        return reduce_basis(basis if too_far else fitted)
 
 
 def _split_lags(

@@ -84,15 +84,15 @@ def height_at(spline: Float64x2, across: float, down: float) -> float:
 
 
 @kernel
-def between(spline: Float64x2, finer: Float64x2, coarser: Float64x2, end: Float64x1, pad: int, most: int) -> Float64x1:
-    """Return mean and variance of an autocorrelation at those points of a lattice that a coarser lattice lacks.
+def between(spline: Float64x2, bases: Float64x3, coarser: Float64x2, end: Float64x1, pad: int, most: int) -> Float64x2:
+    """Return mean and variance of an autocorrelation at those points of each lattice that a coarser lattice lacks.
 
     Parameters
     ----------
     spline
         ``(2H-1, pad + W)``: B-spline coefficients of the right half, with ``pad`` mirrored columns on the left.
-    finer
-        ``(2, 2)``, rows (x, y) px: the basis of the lattice.
+    bases
+        ``(n, 2, 2)``, rows (x, y) px: the bases of the lattices.
     coarser
         ``(2, 2)``: the inverse of the coarser lattice's basis. If all entries are zero, only lag 0 is left out.
     end
@@ -105,68 +105,60 @@ def between(spline: Float64x2, finer: Float64x2, coarser: Float64x2, end: Float6
     Returns
     -------
     NDArray
-        ``(3,)``: mean, variance and number of the lags that were read; -1, 0, 0 if there is no lag.
+        ``(n, 3)``: mean, variance and number of the lags that were read; -1, 0, 0 if there is no lag.
 
     Notes
     -----
-    The sample is the same in each call. The steps from lag to lag are random, because equal steps would visit some
-    cosets of the coarser lattice more often than others.
+    The sample of a lattice is the same in each call. The steps from lag to lag are random, because equal steps would
+    visit some cosets of the coarser lattice more often than others.
     """
     height, width = (spline.shape[0] + 1) // 2, spline.shape[1] - pad
     skips = np.abs(coarser).max() > 0
-    x1, y1, x2, y2 = finer[0, 0], finer[0, 1], finer[1, 0], finer[1, 1]
-    area = abs(x1 * y2 - x2 * y1)
-    rows = int((end[1] * abs(x1) + end[0] * abs(y1)) / area)
-    total, squares, weights, count = 0.0, 0.0, 0.0, 0
-    every = 1 if most == 0 else max(1, int(np.rint(2 * end[0] * end[1] / area / most)))
-    state, skipped = 1, 0
-    for b in range(rows + 1):
-        first, last = row_ends(x1, y1, x2, y2, b, end[0], end[1])
-        if last < first:
-            continue
-        following = first + skipped
-        while following <= last:
-            a = following
-            if every == 1:
-                following += 1
-            else:
-                # Lehmer's generator modulo 2^31 - 1. The mean of the steps is `every`. A division would take longer
-                # than all else here.
-                state *= 48271
-                state = (state & 2147483647) + (state >> 31)
-                if state >= 2147483647:
-                    state -= 2147483647
-                following += 1 + ((state * (2 * every - 1)) >> 31)
-            x, y = a * x1 + b * x2, a * y1 + b * y2
-            if (b == 0 and a <= 0) or abs(x) > end[0] or abs(y) > end[1]:
+    out = np.zeros((bases.shape[0], 3))
+    for i in range(bases.shape[0]):
+        x1, y1, x2, y2 = bases[i, 0, 0], bases[i, 0, 1], bases[i, 1, 0], bases[i, 1, 1]
+        area = abs(x1 * y2 - x2 * y1)
+        rows = int((end[1] * abs(x1) + end[0] * abs(y1)) / area)
+        total, squares, weights, count = 0.0, 0.0, 0.0, 0
+        every = 1 if most == 0 else max(1, int(np.rint(2 * end[0] * end[1] / area / most)))
+        state, skipped = 1, 0
+        for b in range(rows + 1):
+            first, last = row_ends(x1, y1, x2, y2, b, end[0], end[1])
+            if last < first:
                 continue
-            if skips:
-                u, v = x * coarser[0, 0] + y * coarser[1, 0], x * coarser[0, 1] + y * coarser[1, 1]
-                if max(abs(u - np.rint(u)), abs(v - np.rint(v))) < 0.02:
+            following = first + skipped
+            while following <= last:
+                a = following
+                if every == 1:
+                    following += 1
+                else:
+                    # Lehmer's generator modulo 2^31 - 1. The mean of the steps is `every`. A division would take longer
+                    # than all else here.
+                    state *= 48271
+                    state = (state & 2147483647) + (state >> 31)
+                    if state >= 2147483647:
+                        state -= 2147483647
+                    following += 1 + ((state * (2 * every - 1)) >> 31)
+                x, y = a * x1 + b * x2, a * y1 + b * y2
+                if (b == 0 and a <= 0) or abs(x) > end[0] or abs(y) > end[1]:
                     continue
-            if x < 0:
-                x, y = -x, -y
-            value = height_at(spline, x + pad, y + height - 1)
-            overlap = (height - abs(y)) * (width - x)
-            total += overlap * value
-            squares += overlap * value * value
-            weights += overlap
-            count += 1
-        skipped = following - last - 1
-    if count == 0:
-        return np.array((-1.0, 0.0, 0.0))
-    mean = total / weights
-    return np.array((mean, max(squares / weights - mean * mean, 0.0), float(count)))
-
-
-@kernel
-def between_many(
-    spline: Float64x2, finer: Float64x3, coarser: Float64x2, end: Float64x1, pad: int, most: int
-) -> Float64x2:
-    """Return :func:`between` for many lattices ``(n, 2, 2)``, as ``(n, 3)``."""
-    out = np.zeros((finer.shape[0], 3))
-    for i in range(finer.shape[0]):
-        out[i] = between(spline, finer[i], coarser, end, pad, most)
+                if skips:
+                    u, v = x * coarser[0, 0] + y * coarser[1, 0], x * coarser[0, 1] + y * coarser[1, 1]
+                    if max(abs(u - np.rint(u)), abs(v - np.rint(v))) < 0.02:
+                        continue
+                if x < 0:
+                    x, y = -x, -y
+                value = height_at(spline, x + pad, y + height - 1)
+                overlap = (height - abs(y)) * (width - x)
+                total += overlap * value
+                squares += overlap * value * value
+                weights += overlap
+                count += 1
+            skipped = following - last - 1
+        out[i, 0], out[i, 2] = -1.0, count
+        if count:
+            out[i, 0] = total / weights
+            out[i, 1] = max(squares / weights - out[i, 0] * out[i, 0], 0.0)
     return out
 
 

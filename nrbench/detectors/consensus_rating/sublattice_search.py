@@ -19,9 +19,8 @@ from nrbench.detectors.autocorrelation.peaks import (
     quantize_correlation,
     subpixel,
 )
-from nrbench.detectors.consensus_rating.lattice_evidence import Agreement, Evidence
-from nrbench.lattice.geometry import Points, hermite_matrices
-from nrbench.lattice.reduction_kernels import reduce_bases
+from nrbench.detectors.consensus_rating.lattice_evidence import Agreement, LatticeEvidence
+from nrbench.lattice.geometry import Points, hermite_matrices, reduce_bases, reduce_basis
 
 PEAKS = 80
 """Number of the most prominent peaks that are paired."""
@@ -70,11 +69,11 @@ NEARLY_SHARE = 0.3
 finer lattices of a faint one would be fitted, which takes half a minute at 512 x 512."""
 
 
-def propose_lattices(evidence: Evidence) -> list[Points]:
+def propose_lattices(evidence: LatticeEvidence) -> list[Points]:
     """Return the fitted ``(2, 2)`` bases of the best pairs of peaks, the one of the highest merit first, each once.
 
-    A pair is rated by its :meth:`Evidence.explained_variance_loo`, with the highest correlation within one pixel of
-    each multiple. This is accurate enough to select the pairs that are fitted.
+    A pair is rated by its :meth:`LatticeEvidence.explained_variance_loo`, with the highest correlation within one pixel
+    of each multiple. This is accurate enough to select the pairs that are fitted.
     """
     vectors = _find_prominent_vectors(evidence)
     if len(vectors) < 2:
@@ -88,7 +87,7 @@ def propose_lattices(evidence: Evidence) -> list[Points]:
     for number in np.argsort(-explained, kind="stable"):
         if explained[number] <= 0 or len(bases) == FITTED:
             break
-        basis = Evidence.reduced(pairs[number])
+        basis = reduce_basis(pairs[number])
         if _key(basis, 1.0) not in seen:
             seen.add(_key(basis, 1.0))
             fitted = evidence.fit(basis)
@@ -96,7 +95,7 @@ def propose_lattices(evidence: Evidence) -> list[Points]:
     return _sort_by_merit(evidence, bases.values())[:STARTS]
 
 
-def find_stable(evidence: Evidence, bases: list[Points]) -> list[Points]:
+def find_stable(evidence: LatticeEvidence, bases: list[Points]) -> list[Points]:
     """Return the fitted bases of the stable lattices that are reached from the given ones, by merit.
 
     A finer lattice explains little more than the one from which it is reached, so lattices that explain too little
@@ -109,11 +108,11 @@ def find_stable(evidence: Evidence, bases: list[Points]) -> list[Points]:
     return _sort_by_merit(evidence, [basis for basis in stable if basis is not None])
 
 
-def _sort_by_merit(evidence: Evidence, bases: Iterable[Points]) -> list[Points]:
+def _sort_by_merit(evidence: LatticeEvidence, bases: Iterable[Points]) -> list[Points]:
     return sorted(bases, key=lambda basis: -evidence.merit(basis))
 
 
-def _find_prominent_vectors(evidence: Evidence) -> Points:
+def _find_prominent_vectors(evidence: LatticeEvidence) -> Points:
     """Return the most prominent peaks, fitted to their own multiples, ``(n, 2)`` px in ascending length."""
     gamma, (height, width) = evidence.gamma, evidence.shape
     reach = min(int(FURTHEST * width), width - 4), min(int(FURTHEST * height), height - 4)
@@ -133,7 +132,7 @@ def _key(basis: Points, grain: float) -> bytes:
 
 def finer_bases(basis: Points, indices: tuple[int, ...] = INDICES) -> Points:
     """Return the reduced bases of all finer lattices of these indices, ``(n, 2, 2)``, in that order."""
-    return reduce_bases(_finer_changes(indices) @ basis, True)
+    return reduce_bases(_finer_changes(indices) @ basis)
 
 
 @cache
@@ -141,12 +140,12 @@ def _finer_changes(indices: tuple[int, ...]) -> Points:
     return np.concatenate([hermite_matrices(index) / index for index in indices])
 
 
-def highest_added(evidence: Evidence, basis: Points, indices: tuple[int, ...] = INDICES) -> float:
+def highest_added(evidence: LatticeEvidence, basis: Points, indices: tuple[int, ...] = INDICES) -> float:
     """Return the highest mean correlation at the vectors that a finer lattice of these indices would add."""
     return max(added.mean for added in evidence.agreements(finer_bases(basis, indices), basis))
 
 
-def ridge_height(evidence: Evidence, basis: Points) -> float:
+def ridge_height(evidence: LatticeEvidence, basis: Points) -> float:
     """Return the mean correlation that finer lattices of every index reach at the vectors that they add.
 
     Along a ridge, as in stripes, any vector agrees. If a cell consists of two similar halves, only lattices of even
@@ -169,7 +168,7 @@ class SublatticeSearch:
         The image's autocorrelation.
     """
 
-    evidence: Evidence
+    evidence: LatticeEvidence
     _visited: dict[bytes, Points | None] = field(default_factory=dict, init=False)
 
     def find_finest(self, basis: Points) -> Points | None:

@@ -1,17 +1,23 @@
+"""Scores of one cell, what of an output is a picture, and the pace of a run."""
+
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import nrbench
 from nrbench import plugins
 from nrbench.api import run
 from nrbench.plugins.forms import Observation, Score, Texture
 from nrbench.running import phases
+from nrbench.running.output_checks import is_picture
+from nrbench.running.pace import Pace, Step
 from nrbench.running.runner import Options
 from nrbench.runs.store import CellFolder
 from nrbench.suites.cell import Cell, Recipe
@@ -42,7 +48,7 @@ def test_a_metric_that_raises_takes_no_other_with_it(monkeypatch: pytest.MonkeyP
     )
     sheet = nrbench.score(*pair()[:2], lattice=pair()[2])
     assert sheet.values["source.value"] is None
-    assert sheet.reasons["source.value"].startswith("failed: ArithmeticError: out of luck (test_score.py, line ")
+    assert sheet.reasons["source.value"].startswith("failed: ArithmeticError: out of luck (test_phases.py, line ")
     assert sheet.values["regularity.preserved"] is True
 
 
@@ -97,6 +103,56 @@ def test_the_truth_of_a_sample_is_drawn_once_for_the_metrics_of_nrbench(
         assert (one.ideal == other.ideal).all() and (one.image == other.image).all()
     drawn.clear()
     for record in cells:
-        phases.score(record.folder, lambda message: None, "cost")
+        phases.score_cell(record.folder, lambda message: None, "cost")
     assert drawn == ["wall0", "wall1"]
     assert phases._drawn_truth.cache_info().maxsize == 1
+
+
+@pytest.mark.parametrize(
+    ("extra", "picture"),
+    [
+        (np.full((5, 7, 3), 0.5, np.float32), True),
+        (np.zeros((5, 7, 1)), True),
+        (np.zeros((5, 7, 2)), False),
+        (np.full((5, 7, 3), 1.5), False),
+        (np.full((5, 7, 3), np.nan), False),
+        (np.zeros((5, 7, 3), np.int64), False),
+        (np.zeros((0, 7, 3)), False),
+        (np.zeros((5, 7)), False),
+    ],
+)
+def test_pictures_among_extras(extra: NDArray[np.generic], picture: bool) -> None:
+    """Only floats in [0, 1] of one or three channels are written as pictures; displacements and tables are not."""
+    assert is_picture(extra) is picture
+
+
+def make_cells(labels: list[str]) -> list[Cell]:
+    """Return cells that differ in their methods."""
+    recipe = Recipe("brick", {}, 0, "wall", 0, (64, 64))
+    first = Cell("s", "wall", recipe, "m", "1", {}, "m", False, "none", 0, 0, (64, 64), "")
+    return [dataclasses.replace(first, label=label) for label in labels]
+
+
+def test_the_time_left_knows_each_methods_pace() -> None:
+    """The cells left count with the mean of their own method, those of an unknown method with the usual mean."""
+    cells = make_cells(["fast", "slow", "fast", "slow", "new"])
+    pace = Pace(cells)
+    assert pace.step(cells[0], "ok", 1.0, 2).remaining == (1 + 3 * 1) / 2
+    step = pace.step(cells[1], "ok", 9.0, 2)
+    assert step.remaining == (1 + 9 + 5) / 2
+    assert step.remaining_text == "about 8 s left"
+    last = [pace.step(cell, status, None, 2) for cell, status in zip(cells[2:], ("ok", "error", "ok"), strict=True)][-1]
+    assert (last.done, last.cached, last.failed, last.remaining, last.remaining_text) == (5, 3, 1, 0, "")
+
+
+def test_a_run_of_cached_cells_has_no_pace() -> None:
+    """Nothing is estimated before a cell was run."""
+    cells = make_cells(["one", "other"])
+    assert Pace(cells).step(cells[0], "ok", None, 1).remaining is None
+
+
+def test_long_times_are_rounded() -> None:
+    """Seconds, minutes and hours are named, each without false precision."""
+    left = {30.4: "30 s", 400.0: "7 min", 20_000.0: "6 h"}
+    for seconds, text in left.items():
+        assert Step(1, 9, 0, 0, "t", "m", "own", "ok", seconds).remaining_text == f"about {text} left"
