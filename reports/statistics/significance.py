@@ -126,7 +126,6 @@ def adjust_holm(p: Floats) -> Floats:
     Examples
     --------
     >>> import numpy as np
-    import pandas as pd
     >>> adjust_holm(np.array([0.01, 0.04, 0.03])).tolist()
     [0.03, 0.06, 0.06]
     """
