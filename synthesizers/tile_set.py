@@ -17,8 +17,9 @@ from nrbench.plugins.registry import NamedDetector
 
 from .geometry.straightening import Geometry, straighten_first
 from .sampling.two_periods import require_two_periods
-from .tile_laying.tile_canvas import FEATHER, TileCanvas
-from .tile_laying.tile_shape import AnchorKind, TileKind, TileShape, anchor_lattice, element_weights, tile_shape
+from .tile_laying.stitch_kernels import FEATHER
+from .tile_laying.tile_canvas import TileCanvas
+from .tile_laying.tile_shape import AnchorKind, ElementWeights, TileKind, TileShape, anchor_lattice, tile_shape
 from .tile_laying.tile_stock import OverlapMeasure, ShiftedImages, TilePlaces, TileStock
 
 FINE_PARTS: Final = 4
@@ -226,10 +227,8 @@ class TileLaying:
         self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
         self.stock = TileStock(self.tile, ShiftedImages.of(task.sample, parts), self.lattice)
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
-        self.canvas = TileCanvas(task.shape, self.stock)
-        if method.stitch == "graphcut":
-            first, shape = -self.canvas.margin, self.canvas.filled.shape
-            self.canvas.weights = element_weights(task.sample, self.lattice, first, shape)
+        weights = ElementWeights.of(task.sample, self.lattice) if method.stitch == "graphcut" else None
+        self.canvas = TileCanvas(task.shape, self.stock, weights)
 
     def lay_tiles(self) -> None:
         """Lay every tile that touches the output, row by row (step 2)."""

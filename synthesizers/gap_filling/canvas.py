@@ -13,14 +13,14 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 
 from ..sampling.patches import Patches, Source
-from ..seams.minimum_cut import Links, Mask, cut_overlap, record_seams
+from ..seams.minimum_cut import Links, Mask, cut_overlap
 from ..seams.seam_kernels import link_costs
 from .blocks import OWN, Block, BlockGrid, Box, Sides, box_slices
 
 SeamMethod = Literal["blend", "graphcut"]
 Places = NDArray[np.float64]
 """``float64 (rows, columns, 2)``: the real-valued (x, y) in the sample of every block's first pixel."""
-GapLayers = tuple[Image, Source]
+Layers = tuple[Image, Source]
 """``(5, block, block, C)`` and ``(5, block, block, 3)``: what the patch of each neighbor shows in a gap, 0 where it
 does not reach. The last layer is the gap's own patch."""
 
@@ -122,7 +122,7 @@ class BlockCanvas:
         y0, y1, x0, x1 = box
         return self.patches.cut_patch(np.add(place, (x0, y0)), (y1 - y0, x1 - x0))
 
-    def _layers(self, gap: Block) -> GapLayers:
+    def _layers(self, gap: Block) -> Layers:
         size = self.grid.size
         image = np.zeros((5, size, size, self.image.shape[2]), np.float32)
         source = np.ones((5, size, size, 3), np.float32)
@@ -274,7 +274,9 @@ def cut_graph(overlap: PatchOverlap, seams: Links) -> Mask:
     np.copyto(links.across, highest, where=~(overlap.known[:, 1:] & overlap.known[:, :-1]))
     np.copyto(links.down, highest, where=~(overlap.known[1:] & overlap.known[:-1]))
     new = cut_overlap(links, overlap.fixed_old(), overlap.fixed_new(), seams)
-    record_seams(seams, links, new, np.ones_like(new))
+    ends = ((new[:, 1:], new[:, :-1]), (new[1:], new[:-1]))
+    for seam, cost, (one, other) in zip(seams, links, ends, strict=True):
+        np.copyto(seam, np.where(one != other, cost, 0), where=one | other)
     return new
 
 

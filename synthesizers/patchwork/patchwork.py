@@ -17,9 +17,9 @@ from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
 
 from ..sampling.patches import Source
-from ..seams.minimum_cut import ENDS, Links, Mask, minimum_cut
+from ..seams.minimum_cut import Mask
 from .feather_kernels import feather_seams
-from .patchwork_kernels import FIRST, SECOND, STAY, UNIT, link_choices
+from .patchwork_kernels import UNIT, cut_links, link_choices, show_patch
 from .translations import Features, Translations, draw_translation
 
 Window = tuple[int, int, int, int]
@@ -172,20 +172,8 @@ class Patchwork:
         x, y = place[0] + around[2] - window[2], place[1] + around[0] - window[0]
         choices = link_choices(self._rule, origin, known, x, y)
         new = cut_links(choices, (ring | ~known) & ~forced, forced)
-        self._record_seams(choices, new, ring, pixels)
-        shown = np.argwhere(new)
-        at = pixels[0].ravel()[shown[:, 0]], pixels[1].ravel()[shown[:, 1]]
-        self.origin[at], self.known[at] = shown[:, ::-1] + (x, y), True
-        return len(shown)
-
-    def _record_seams(self, choices: NDArray[np.int64], new: Mask, ring: Mask, pixels: Pixels) -> None:
-        """Record the costs of a window's seams; those between pixels of the ring stay."""
-        for axis, (here, ahead) in enumerate(ENDS):
-            there, outside = np.zeros_like(new), np.ones_like(ring)
-            there[here], outside[here] = new[ahead], ring[ahead]
-            cases = [np.zeros_like(choices[axis, STAY]), choices[axis, FIRST], choices[axis, SECOND]]
-            costs = np.select([new & there, new, there], cases, choices[axis, STAY])
-            self.seams[axis][pixels] = np.where(ring & outside, self.seams[axis][pixels], costs)
+        rows, columns = pixels[0].ravel(), pixels[1].ravel()
+        return show_patch(choices, new, ring, rows, columns, x, y, self.origin, self.known, self.seams)
 
     def _add_ring(self, window: Window) -> tuple[Window, Mask]:
         """Return a window extended by one pixel on each side, and a mask of the added ring."""
@@ -210,33 +198,6 @@ class Patchwork:
             else:
                 ends += [max(start - reach, first, 0), min(stop + reach, last, side)]
         return ends[0], ends[1], ends[2], ends[3]
-
-
-def cut_links(choices: NDArray[np.int64], fixed_old: Mask, fixed_new: Mask) -> Mask:
-    """Return the pixels of a window that become new, so that the total cost of its links is least.
-
-    Parameters
-    ----------
-    choices
-        Costs from :func:`~.patchwork_kernels.link_choices`.
-    fixed_old, fixed_new
-        ``bool (h, w)``: pixels that must stay, and pixels that must become new; none is both.
-
-    Notes
-    -----
-    Let a link cost c if both its pixels s and t stay, b if only s becomes new, a if only t becomes new, and 0 if both
-    do. Up to a constant, this is a link of cost (a + b - c) / 2 between s and t, plus (b - a - c) / 2 if s becomes new,
-    plus (a - b - c) / 2 if t becomes new. If c exceeds a + b, which no metric allows, c is replaced by a + b. All costs
-    are doubled, so that they stay integers.
-    """
-    first, second = choices[:, FIRST], choices[:, SECOND]
-    stay = np.minimum(choices[:, STAY], first + second)
-    links, ahead = first + second - stay, second - first - stay
-    sink = (first - second - stay).sum(0).astype(np.float64)
-    sink[:, 1:] += ahead[0, :, :-1]
-    sink[1:] += ahead[1, :-1]
-    sink[fixed_old] = np.inf
-    return minimum_cut(Links(links[0, :, :-1], links[1, :-1]), np.where(fixed_new, np.inf, 0.0), sink)
 
 
 def _within(window: Window, around: Window) -> tuple[slice, slice]:

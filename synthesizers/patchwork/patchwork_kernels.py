@@ -1,10 +1,12 @@
-"""The compiled loops of a patchwork: the costs of a window's links."""
+"""The compiled loops of a patchwork: the costs of a window's links, the cut, and the patch that it shows."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Boolx2, Int32x3, Int64x3, Int64x4, kernel
+from nrbench.jit import Boolx2, Float64x2, Int32x3, Int64x1, Int64x3, Int64x4, kernel
+
+from ..seams.seam_kernels import SOURCE, grow_trees
 
 UNIT = 16.0
 """Costs are integers, in units of 1 / UNIT gray levels, so that flows are exact."""
@@ -16,6 +18,15 @@ link costs nothing."""
 SeamRule = tuple[Int32x3, Int32x3, bool, int]
 """How a seam is rated: the sample's ``features``, their gradients ``(2, H, W)``, and the parameters ``normalized`` and
 ``power`` of :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`."""
+
+
+@kernel
+def seam_cost(rule: SeamRule, apart: float, busy: int) -> int:
+    """Return the cost of a seam on a link, from the summed differences and gradients of two patches at its pixels."""
+    normalized, power = rule[2], rule[3]
+    if not normalized:
+        return int(np.rint(UNIT * apart))
+    return int(np.rint(UNIT * UNIT * apart * (apart if power == 2 else UNIT) / (busy + UNIT)))
 
 
 @kernel
@@ -46,9 +57,28 @@ def step_cost(rule: SeamRule, axis: int, y: int, x: int, v: int, u: int) -> int:
         n, m = min(max(v + down, 0), last_row), min(max(u + right, 0), last_column)
         apart += feature_distance(features, j, i, n, m)
         busy += slopes[axis, j, i] + slopes[axis, n, m]
-    if not rule[2]:
-        return int(np.rint(UNIT * apart))
-    return int(np.rint(UNIT * UNIT * apart * (apart if rule[3] == 2 else UNIT) / (busy + UNIT)))
+    return seam_cost(rule, apart, busy)
+
+
+@kernel
+def measure_pixels(
+    rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int, apart: Float64x2, busy: Int64x3
+) -> None:
+    """Write each known pixel's distance from the new patch, ``(h, w)``, and the sums of both gradients, ``(2, h, w)``.
+
+    Most links join pixels of one patch; their costs follow from these numbers. Parameters are those of
+    :func:`link_choices`.
+    """
+    features, slopes = rule[0], rule[1]
+    for j in range(known.shape[0]):
+        for i in range(known.shape[1]):
+            if not known[j, i]:
+                continue
+            v, u = source[j, i, 1], source[j, i, 0]
+            n, m = min(max(y + j, 0), features.shape[0] - 1), min(max(x + i, 0), features.shape[1] - 1)
+            apart[j, i] = feature_distance(features, v, u, n, m)
+            for axis in range(2):
+                busy[axis, j, i] = slopes[axis, v, u] + slopes[axis, n, m]
 
 
 @kernel
@@ -74,7 +104,9 @@ def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int)
         The time is O(h w F).
     """
     height, width = known.shape
-    costs = np.zeros((2, 3, height, width), np.int64)
+    costs, apart = np.zeros((2, 3, height, width), np.int64), np.zeros((height, width))
+    busy = np.zeros((2, height, width), np.int64)
+    measure_pixels(rule, source, known, x, y, apart, busy)
     for axis in range(2):
         down, right = axis, 1 - axis
         for j in range(height - down):
@@ -83,12 +115,107 @@ def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int)
                 first, second = known[j, i], known[n, m]
                 ay, ax = source[j, i, 1], source[j, i, 0]
                 by, bx = source[n, m, 1] - down, source[n, m, 0] - right
+                if first and second and ay == by and ax == bx:
+                    if ay != y + j or ax != x + i:
+                        cost = seam_cost(rule, apart[j, i] + apart[n, m], busy[axis, j, i] + busy[axis, n, m])
+                        costs[axis, SECOND, j, i] = costs[axis, FIRST, j, i] = cost
+                    continue
                 if first and second:
                     costs[axis, STAY, j, i] = step_cost(rule, axis, ay, ax, by, bx)
                 if first:
                     costs[axis, SECOND, j, i] = step_cost(rule, axis, ay, ax, y + j, x + i)
-                if first and second and ay == by and ax == bx:
-                    costs[axis, FIRST, j, i] = costs[axis, SECOND, j, i]
-                elif second:
+                if second:
                     costs[axis, FIRST, j, i] = step_cost(rule, axis, y + j, x + i, by, bx)
     return costs
+
+
+@kernel
+def cut_links(choices: Int64x4, fixed_old: Boolx2, fixed_new: Boolx2) -> Boolx2:
+    """Return the pixels of a window that become new, so that the total cost of its links is least.
+
+    Parameters
+    ----------
+    choices
+        Costs from :func:`link_choices`.
+    fixed_old, fixed_new
+        ``bool (h, w)``: pixels that must stay, and pixels that must become new; none is both.
+
+    Notes
+    -----
+    Let a link cost c if both its pixels s and t stay, b if only s becomes new, a if only t becomes new, and 0 if both
+    do. Up to a constant, this is a link of cost (a + b - c) / 2 between s and t, plus (b - a - c) / 2 if s becomes new,
+    plus (a - b - c) / 2 if t becomes new. If c exceeds a + b, which no metric allows, c is replaced by a + b. All costs
+    are doubled, so that they stay integers.
+    """
+    height, width = fixed_old.shape
+    stride = width + 2
+    residual, terminal = np.zeros((4, (height + 2) * stride)), np.zeros((height + 2) * stride)
+    for j in range(height):
+        for i in range(width):
+            node = (j + 1) * stride + i + 1
+            for axis in range(2):
+                if (i if axis == 0 else j) == (width if axis == 0 else height) - 1:
+                    continue
+                ahead = node + (1 if axis == 0 else stride)
+                first, second = choices[axis, FIRST, j, i], choices[axis, SECOND, j, i]
+                stay = min(choices[axis, STAY, j, i], first + second)
+                residual[2 * axis, node] = residual[2 * axis + 1, ahead] = first + second - stay
+                terminal[node] -= first - second - stay
+                terminal[ahead] -= second - first - stay
+            if fixed_new[j, i]:
+                terminal[node] = np.inf
+            elif fixed_old[j, i]:
+                terminal[node] = -np.inf
+    tree = grow_trees(residual, terminal, stride)
+    new = np.empty((height, width), np.bool_)
+    for j in range(height):
+        for i in range(width):
+            new[j, i] = tree[(j + 1) * stride + i + 1] == SOURCE
+    return new
+
+
+@kernel
+def show_patch(
+    choices: Int64x4,
+    new: Boolx2,
+    ring: Boolx2,
+    rows: Int64x1,
+    columns: Int64x1,
+    x: int,
+    y: int,
+    origin: Int64x3,
+    known: Boolx2,
+    seams: Int64x3,
+) -> int:
+    """Show a patch at the new pixels of a window, record the costs of the seams, and return the number of new pixels.
+
+    Parameters
+    ----------
+    choices, x, y
+        As in :func:`link_choices`.
+    new, ring
+        ``(h, w)``: the pixels that become new, and those around the window, whose links to one another stay.
+    rows, columns
+        ``(h,)`` and ``(w,)``: the window's rows and columns in the output.
+    origin, known, seams
+        Those of :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`; written.
+    """
+    height, width = new.shape
+    count = 0
+    for j in range(height):
+        for i in range(width):
+            for axis in range(2):
+                n, m = (j, i + 1) if axis == 0 else (j + 1, i)
+                inside = n < height and m < width
+                if ring[j, i] and not (inside and not ring[n, m]):
+                    continue
+                there = inside and new[n, m]
+                case = STAY
+                if new[j, i] != there:
+                    case = FIRST if new[j, i] else SECOND
+                seams[axis, rows[j], columns[i]] = 0 if new[j, i] and there else choices[axis, case, j, i]
+            if new[j, i]:
+                count += 1
+                origin[rows[j], columns[i], 0], origin[rows[j], columns[i], 1] = i + x, j + y
+                known[rows[j], columns[i]] = True
+    return count

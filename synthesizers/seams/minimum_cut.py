@@ -17,9 +17,6 @@ from .seam_kernels import SOURCE, grow_trees
 
 Mask = NDArray[np.bool_]
 Weights = NDArray[np.float64]
-Slices = tuple[slice, slice]
-ENDS: tuple[tuple[Slices, Slices], ...] = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :]))
-"""The first and the second pixel of each link across, and of each link down."""
 
 
 class Links(NamedTuple):
@@ -96,20 +93,3 @@ def cut_overlap(links: Links, fixed_old: Mask, fixed_new: Mask, old_seams: Links
     source[1:] += down
     source[:-1] += down
     return minimum_cut(Links(links.across - across, links.down - down), source, sink)
-
-
-def record_seams(seams: Links, links: Links, new: Mask, known: Mask) -> None:
-    """Change the costs of a picture's seams to those with a new picture in it: new ones along the cut, none inside it.
-
-    Parameters
-    ----------
-    seams
-        The costs of the old picture's seams; changed.
-    links
-        Costs of a seam between old and new.
-    new, known
-        ``bool (H, W)``: where the new picture is shown, and where either picture is known.
-    """
-    for seam, cost, (here, there) in zip(seams, links, ENDS, strict=True):
-        cut = (new[here] != new[there]) & known[here] & known[there]
-        np.copyto(seam, np.where(cut, cost, 0), where=new[here] | new[there])

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .minimum_cut import Mask
-from .seam_kernels import cheapest_path, follow_path, path_costs
+from .overlap_seam_kernels import cut_corner, squared_differences
+from .seam_kernels import cheapest_path
 
 
 def cut_sides(old: NDArray[np.uint8], new: NDArray[np.uint8], overlap: int, left: bool, top: bool) -> Mask:
@@ -29,16 +30,19 @@ def cut_sides(old: NDArray[np.uint8], new: NDArray[np.uint8], overlap: int, left
     """
     height, width = new.shape[:2]
     mask = np.ones((height, width), np.bool_)
-    error = ((old.astype(np.float64) - new) ** 2).sum(-1)
     if left and top:
-        return l_shaped_seam(error, overlap)[0]
+        return l_shaped_seam(squared_differences(np.ascontiguousarray(old), np.ascontiguousarray(new)), overlap)[0]
     if left:
-        path = cheapest_path(np.ascontiguousarray(error[:, :overlap]))
-        mask[:, :overlap] = np.arange(overlap) >= path[:, np.newaxis]
+        mask[:, :overlap] = np.arange(overlap) >= cheapest_path(_strip_error(old, new, overlap))[:, np.newaxis]
     if top:
-        path = cheapest_path(np.ascontiguousarray(error[:overlap].T))
-        mask[:overlap] = np.arange(overlap)[:, np.newaxis] >= path
+        error = _strip_error(old.swapaxes(0, 1), new.swapaxes(0, 1), overlap)
+        mask[:overlap] = np.arange(overlap)[:, np.newaxis] >= cheapest_path(error)
     return mask
+
+
+def _strip_error(old: NDArray[np.uint8], new: NDArray[np.uint8], overlap: int) -> NDArray[np.float64]:
+    """Return the squared differences in the first ``overlap`` columns."""
+    return squared_differences(np.ascontiguousarray(old[:, :overlap]), np.ascontiguousarray(new[:, :overlap]))
 
 
 def l_shaped_seam(error: NDArray[np.float64], overlap: int) -> tuple[Mask, float]:
@@ -70,13 +74,5 @@ def l_shaped_seam(error: NDArray[np.float64], overlap: int) -> tuple[Mask, float
     >>> mask.astype(int).tolist(), cost
     ([[0, 0, 0, 0], [0, 1, 1, 1], [0, 1, 1, 1], [1, 1, 1, 1]], 4.0)
     """
-    error = np.asarray(error, np.float64)
-    upright, level = path_costs(error[:, :overlap]), path_costs(error[:overlap].T)
-    both = upright[:overlap] + level[:overlap].T - error[:overlap, :overlap]
-    row, column = divmod(int(both.argmin()), overlap)  # of pixels of equal cost, the first one
-    first, below = follow_path(upright, row, column), follow_path(level, column, row)
-    mask = np.ones(error.shape, np.bool_)
-    mask[:row, :column] = False
-    mask[row:] &= np.arange(error.shape[1]) >= first[:, np.newaxis]
-    mask[:, column:] &= np.arange(error.shape[0])[:, np.newaxis] >= below
-    return mask, float(both[row, column])
+    mask, cost = cut_corner(np.ascontiguousarray(error, np.float64), overlap)
+    return mask.view(np.bool_), float(cost)

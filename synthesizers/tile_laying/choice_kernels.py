@@ -1,4 +1,4 @@
-"""The compiled steps that choose a tile: which tiles fit over what is filled, and the registration of one.
+"""The compiled steps that choose a tile: what is filled under it, which tiles fit there, and its registration.
 
 Small tiles are laid by the thousand, so that each step is one call. Pixels are 8-bit whole numbers and all sums are
 exact: equal tiles tie, and results do not depend on the machine.
@@ -10,7 +10,39 @@ import math
 
 import numpy as np
 
-from nrbench.jit import Float64x1, Float64x2, Int64x1, Int64x2, Int64x3, UInt8x1, UInt8x2, kernel
+from nrbench.jit import Float64x1, Float64x2, Int64x1, Int64x2, Int64x3, UInt8x1, UInt8x2, UInt8x3, kernel
+
+
+@kernel
+def gather(
+    canvas: UInt8x3, filled: UInt8x2, pixels: Int64x2, left: int, top: int, values: UInt8x2, runs: Int64x2
+) -> tuple[int, int]:
+    """Write the filled pixels under a tile, and return the number of pixels and of runs.
+
+    Parameters
+    ----------
+    canvas, filled, pixels, left, top
+        As in :func:`~nrbench.synthesizers.tile_laying.stitch_kernels.paste`.
+    values
+        ``(n, C)``, written: the filled pixels.
+    runs
+        ``(n, 3)``, written: see :class:`~nrbench.synthesizers.tile_laying.tile_stock.CoveredPixels`.
+    """
+    channels = canvas.shape[2]
+    count, number, following = 0, 0, np.int64(0)
+    for k in range(pixels.shape[0]):
+        x, y, step = left + pixels[k, 0], top + pixels[k, 1], pixels[k, 2]
+        if filled[y, x] == 0:
+            continue
+        if number == 0 or step != following:
+            runs[number, 0], runs[number, 1], runs[number, 2] = count * channels, 0, step
+            number += 1
+        runs[number - 1, 1] += channels
+        following = step + channels
+        for c in range(channels):
+            values[count, c] = canvas[y, x, c]
+        count += 1
+    return count, number
 
 
 @kernel

@@ -278,30 +278,37 @@ def element_variance(sample: Image, lattice: Lattice) -> Array:
     return fold(power, lattice).values[..., 0].astype(np.float64)
 
 
-def element_weights(sample: Image, lattice: Lattice, first: Points, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return how much a seam counts at each pixel of a picture, ``(H, W)``: most inside elements, least at joints.
-
-    This is the square of the sample's :func:`element_variance`, plus a floor. The largest is 1 + :data:`LEAST_WEIGHT`.
-    The smoothing halves the variance at a joint between two elements and divides it by more where three meet; the
-    square deepens these valleys.
+@dataclass(frozen=True, eq=False)
+class ElementWeights:
+    """How much a seam counts at each place of the cell: most inside elements, least at joints.
 
     Parameters
     ----------
-    sample
-        ``(H, W, C)``.
+    table
+        ``float32 (rows, columns)``: the weights along the vectors of the lattice, from its origin.
     lattice
-        Its lattice.
-    first, shape
-        The picture's first pixel (x, y) on this lattice, and its shape.
+        The lattice.
     """
-    lattice = lattice.reduced()
-    variance = element_variance(sample, lattice)
-    table = ((variance / max(float(variance.max()), 1e-12)) ** 2 + LEAST_WEIGHT).astype(np.float32)
-    inverse, (rows, columns) = np.linalg.inv(lattice.matrix), table.shape
-    x, y, start = np.arange(shape[1]), np.arange(shape[0])[:, np.newaxis], (first - lattice.origin) @ inverse
-    u, v = (across * x + down * y + begin for (across, down), begin in zip(inverse.T, start, strict=True))
-    column, row = (((u % 1.0) * columns + 0.5).astype(np.int64), ((v % 1.0) * rows + 0.5).astype(np.int64))
-    return np.asarray(table[row % rows, column % columns])
+
+    table: NDArray[np.float32]
+    lattice: Lattice
+
+    @classmethod
+    def of(cls, sample: Image, lattice: Lattice) -> ElementWeights:
+        """Return the weights of a sample ``(H, W, C)``: the square of its :func:`element_variance`, plus a floor.
+
+        The largest is 1 + :data:`LEAST_WEIGHT`. The smoothing halves the variance at a joint between two elements and
+        divides it by more where three meet; the square deepens these valleys.
+        """
+        lattice = lattice.reduced()
+        variance = element_variance(sample, lattice)
+        share = variance / max(float(variance.max()), 1e-12)
+        return cls(np.ascontiguousarray(share**2 + LEAST_WEIGHT, np.float32), lattice)
+
+    def numbers_from(self, first: Points) -> NDArray[np.float64]:
+        """Return ``(2, 3)``: cell coordinates u and v of pixel (x, y) are ``row @ (x, y, 1)``, first at (0, 0)."""
+        inverse = np.linalg.inv(self.lattice.matrix)
+        return np.ascontiguousarray(np.column_stack([inverse.T, (first - self.lattice.origin) @ inverse]))
 
 
 def _anchors(shape: tuple[int, ...], lattice: Lattice) -> Points:

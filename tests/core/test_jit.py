@@ -7,7 +7,7 @@ import pytest
 
 from nrbench import jit
 from nrbench.jit import Float64x2, Int64x1, UInt8View2
-from nrbench.synthesizers.seams.seam_kernels import path_costs
+from nrbench.synthesizers.gap_filling.matching_kernels import correlate_at
 
 
 def double(x: float) -> float:
@@ -116,9 +116,14 @@ def test_the_cache_folder_is_keyed_by_source_and_version(tmp_path: Path) -> None
 
 
 def test_compiled_and_plain_kernels_agree() -> None:
-    """The kernel of minimum-error paths gives compiled what it gives as Python, to the last bit."""
-    error = np.random.default_rng(0).random((12, 9))
-    np.testing.assert_array_equal(path_costs(error), path_costs.function(error))
+    """The border-matching kernel gives compiled what it gives as Python, to the last bit."""
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (12, 30, 3)).astype(np.float32)
+    template = rng.integers(0, 256, (5, 3, 3)).astype(np.float32)
+    hole = (1, 3, 0, 2)
+    positions = np.array([[0, 0], [21, 7], [4, 3]])
+    compiled = correlate_at(image, template, hole, positions)
+    np.testing.assert_array_equal(compiled, correlate_at.function(image, template, hole, positions))
 
 
 def test_annotations_are_the_types_of_a_kernel() -> None:

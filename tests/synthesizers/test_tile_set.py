@@ -16,7 +16,7 @@ from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Task
-from nrbench.synthesizers.tile_laying.tile_shape import element_costs, element_weights, tile_shape
+from nrbench.synthesizers.tile_laying.tile_shape import ElementWeights, element_costs, tile_shape
 from nrbench.synthesizers.tile_laying.tile_stock import TilePlaces
 from nrbench.synthesizers.tile_set import LEAST_SIDE, TileLaying, TileSet
 
@@ -56,7 +56,7 @@ def test_the_minimum_cut_keeps_to_the_overlap() -> None:
     canvas.lay(40, 40, cuts.take(np.array([0])))
     before = canvas.values.copy()
     canvas.lay(50, 40, cuts.take(np.array([1])))
-    x, y, border = canvas.tile.pixels[:, 0] + 50, canvas.tile.pixels[:, 1] + 40, canvas.tile.pixels[:, 4]
+    x, y, border = canvas.pixels[:, 0] + 50, canvas.pixels[:, 1] + 40, canvas.pixels[:, 5]
     assert canvas.filled[y, x].all()
     ring = (before[y, x].any(-1)) & (border == 0)
     assert ring.any()
@@ -409,10 +409,13 @@ def test_element_weights_are_least_at_joints() -> None:
     """The weight in the middle of a brick is at least three times that at the joint between two."""
     drawn = texture("brick", (160, 160), 5, width=27.3, height=12.2, joint=2.2, color=0.1)
     assert drawn.lattice is not None
+    weights = ElementWeights.of(quantize(drawn.image), drawn.lattice)
+    rows, columns = weights.table.shape
+    numbers = weights.numbers_from(np.zeros(2))
 
     def at(x: float, y: float) -> float:
-        first = np.add(drawn.lattice.origin, (x, y))
-        return float(element_weights(quantize(drawn.image), drawn.lattice, first, (1, 1))[0, 0])
+        u, v = numbers @ (x + drawn.lattice.origin[0], y + drawn.lattice.origin[1], 1)
+        return float(weights.table[round(v * rows) % rows, round(u * columns) % columns])
 
     assert at(0, 0) > 3 * at(27.3 / 2, 0)
     assert at(0, 0) > 3 * at(0, 12.2 / 2)

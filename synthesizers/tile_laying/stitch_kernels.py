@@ -1,0 +1,318 @@
+"""The compiled steps that stitch a tile: its seams or its exact minimum cut, and pasting."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nrbench.jit import (
+    Float32View3,
+    Float32x2,
+    Float32x3,
+    Float64x1,
+    Float64x2,
+    Int64x1,
+    Int64x2,
+    Int64x3,
+    UInt8View2,
+    UInt8x1,
+    UInt8x2,
+    UInt8x3,
+    kernel,
+)
+
+from ..seams.seam_kernels import SOURCE, grow_trees, link_costs
+
+_OUTSIDE, _EMPTY, _KEPT, _FREE = 0, 1, 2, 3
+"""States of a pixel of the tile's box: outside the tile; not filled; filled under the tile's outermost pixels, so that
+it is kept; free to choose."""
+FEATHER = 3.0
+"""px; width of the ramp where the two seams of dynamic programming conflict (the paper gives no width)."""
+
+
+@kernel
+def error_surface(
+    canvas: UInt8x3,
+    filled: UInt8x2,
+    source: UInt8x1,
+    first: int,
+    cells: Int64x3,
+    left: int,
+    top: int,
+    surface: Float64x2,
+) -> None:
+    """Write the squared color difference of canvas and tile at each cell of the tile's grid, or -1 if it is not filled.
+
+    Parameters
+    ----------
+    canvas, filled
+        ``(H, W, C)`` and ``(H, W)``, 1 where the canvas is filled.
+    source, first
+        The flattened source, and the position of the tile's middle in it.
+    cells
+        ``(rows, columns, 3)``: each cell's (x, y) from the tile's middle, and its offset in the source.
+    left, top
+        The tile's middle in the canvas.
+    surface
+        ``(rows, columns)``, written.
+    """
+    channels = canvas.shape[2]
+    for i in range(cells.shape[0]):
+        for j in range(cells.shape[1]):
+            x, y, at = left + cells[i, j, 0], top + cells[i, j, 1], first + cells[i, j, 2]
+            if filled[y, x] == 0:
+                surface[i, j] = -1
+                continue
+            total = np.int64(0)
+            for c in range(channels):
+                difference = np.int64(canvas[y, x, c]) - np.int64(source[at + c])
+                total += difference * difference
+            surface[i, j] = total
+
+
+@kernel
+def blend_weights(
+    filled: UInt8x2,
+    pixels: Int64x2,
+    left: int,
+    top: int,
+    across: Int64x1,
+    down: Int64x1,
+    bands: Int64x1,
+) -> Float64x1:
+    """Return the weight of each of a tile's pixels over what is filled, given its two seams.
+
+    Where nothing is filled the weight is 1. Where only one seam applies, it cuts. Where both apply, the tile fades in
+    with the depth beyond the nearer seam, from half of :data:`FEATHER` before it to half of it behind. Where the canvas
+    is filled and no seam applies, the tile fades in from its border.
+
+    Parameters
+    ----------
+    filled, pixels, left, top
+        As in :func:`paste`.
+    across, down, bands
+        See :func:`~nrbench.synthesizers.tile_laying.tile_canvas.find_seams`.
+    """
+    weights = np.ones(pixels.shape[0])
+    for k in range(pixels.shape[0]):
+        if filled[top + pixels[k, 1], left + pixels[k, 0]] == 0:
+            continue
+        row, column = pixels[k, 3], pixels[k, 4]
+        beside, above = column < bands[0], row < bands[1]
+        if beside or above:
+            depth = 1e9
+            if beside:
+                depth = min(depth, column - across[row] + 0.5)
+            if above:
+                depth = min(depth, row - down[column] + 0.5)
+            soft = beside and above
+        else:
+            depth, soft = pixels[k, 5] + 0.5 - FEATHER / 2, True
+        weights[k] = min(max(depth / FEATHER + 0.5, 0.0), 1.0) if soft else (1.0 if depth > 0 else 0.0)
+    return weights
+
+
+@kernel
+def paste(
+    canvas: UInt8x3,
+    filled: UInt8x2,
+    origins: Float32x3,
+    source: UInt8x1,
+    first: int,
+    pixels: Int64x2,
+    left: int,
+    top: int,
+    weights: Float64x1,
+    place: Float64x1,
+) -> None:
+    """Blend a tile into the canvas, and record where its pixels come from.
+
+    Parameters
+    ----------
+    canvas, filled, origins
+        ``(H, W, C)``, ``(H, W)``, and ``(H, W, 3)``: the canvas, 1 where it is filled, and its source map; all written.
+    source, first
+        The flattened source, and the position of the tile's middle in it.
+    pixels
+        ``(n, 6)``: for each pixel (x, y) from the tile's middle, its offset in the source, its row and column in the
+        tile's grid, and its distance in px from the tile's border.
+    left, top
+        The tile's middle in the canvas.
+    weights
+        ``(n,)``: weight of each of the tile's pixels; 0 leaves the canvas as it is.
+    place
+        ``(x, y, weight)``: the pixel of the sample nearest to the tile's middle, and its weight.
+    """
+    for k in range(pixels.shape[0]):
+        weight = weights[k]
+        if weight <= 0:
+            continue
+        x, y, at = left + pixels[k, 0], top + pixels[k, 1], first + pixels[k, 2]
+        for c in range(canvas.shape[2]):
+            mixed = weight * source[at + c] + (1 - weight) * canvas[y, x, c]
+            canvas[y, x, c] = np.uint8(mixed + 0.5)
+        new, old = weight * place[2], (1 - weight) * origins[y, x, 2]
+        if filled[y, x] == 0 or new >= old:
+            origins[y, x, 0], origins[y, x, 1] = place[0] + pixels[k, 0], place[1] + pixels[k, 1]
+            origins[y, x, 2] = new
+        else:
+            origins[y, x, 2] = old
+        filled[y, x] = 1
+
+
+@kernel
+def cut_tile(
+    canvas: UInt8x3,
+    filled: UInt8x2,
+    seams: Float32x3,
+    weights: tuple[Float32x2, Float64x2],
+    source: UInt8x1,
+    first: int,
+    pixels: Int64x2,
+    box: Int64x2,
+    left: int,
+    top: int,
+) -> Float64x1:
+    """Return the weight of each of a tile's pixels: 1 where nothing is filled and beyond the best seam, else 0.
+
+    Parameters
+    ----------
+    canvas, filled, source, first, pixels, left, top
+        As in :func:`paste`. The tile's outermost pixels are not shown where the canvas is filled.
+    seams
+        ``(H, W, 2)``: costs of the canvas's seams between each pixel and the next to its right, and below; changed to
+        those with the tile. They count for pixels that stay, so that it pays to cover them.
+    weights
+        Table and numbers of :class:`~nrbench.synthesizers.tile_laying.tile_shape.ElementWeights`, for the canvas.
+    box
+        ``(2, 2)``: the least and the greatest (x, y) of the tile's pixels.
+
+    Notes
+    -----
+    A seam along the border of the filled region has nothing to be compared with. Its cost is the double of what the
+    known side contributes, for this tile and for those that follow. If it were free, cuts would follow it straight
+    through elements.
+    """
+    height, width = box[1, 1] - box[0, 1] + 1, box[1, 0] - box[0, 0] + 1
+    x0, y0, channels = left + box[0, 0], top + box[0, 1], canvas.shape[2]
+    state = np.zeros((height, width), np.uint8)
+    old = np.empty((height, width, channels), np.float32)
+    for y in range(height):
+        for x in range(width):
+            for c in range(channels):
+                old[y, x, c] = canvas[y0 + y, x0 + x, c] / np.float32(255)
+    new = old.copy()
+    differs = False
+    for k in range(pixels.shape[0]):
+        x, y, at = pixels[k, 0] - box[0, 0], pixels[k, 1] - box[0, 1], first + pixels[k, 2]
+        is_filled = filled[y0 + y, x0 + x] != 0
+        state[y, x] = (_FREE if pixels[k, 5] > 0 else _KEPT) if is_filled else _EMPTY
+        for c in range(channels):
+            new[y, x, c] = source[at + c] / np.float32(255)
+            if not is_filled:
+                old[y, x, c] = new[y, x, c]
+            elif old[y, x, c] != new[y, x, c]:
+                differs = True
+    shown = np.zeros(pixels.shape[0])
+    if not differs:
+        for k in range(pixels.shape[0]):
+            shown[k] = state[pixels[k, 1] - box[0, 1], pixels[k, 0] - box[0, 0]] == _EMPTY
+        return shown
+    across, down = link_costs(old, new, False)
+    weigh_links(weights[0], weights[1], x0, y0, across, down)
+    double_border(state, across, down)
+    residual, terminal = link_graph(state, across, down, seams[y0 : y0 + height, x0 : x0 + width])
+    tree = grow_trees(residual, terminal, width + 2)
+    mask = np.zeros((height, width), np.uint8)
+    for k in range(pixels.shape[0]):
+        x, y = pixels[k, 0] - box[0, 0], pixels[k, 1] - box[0, 1]
+        mask[y, x] = shown[k] = tree[(y + 1) * (width + 2) + x + 1] == SOURCE
+    record_seams(
+        seams[y0 : y0 + height, x0 : x0 + width], filled[y0 : y0 + height, x0 : x0 + width], mask, across, down
+    )
+    return shown
+
+
+@kernel
+def weigh_links(table: Float32x2, to_cell: Float64x2, x0: int, y0: int, across: Float64x2, down: Float64x2) -> None:
+    """Multiply the costs of links by the mean weight of their two pixels, read from a table over the cell.
+
+    Parameters
+    ----------
+    table, to_cell
+        As ``weights`` in :func:`cut_tile`.
+    x0, y0
+        The first pixel of the box in the canvas.
+    across, down
+        Costs of the links to the right ``(h, w - 1)`` and downward ``(h - 1, w)``; changed.
+    """
+    height, width = across.shape[0], down.shape[1]
+    rows, columns = table.shape
+    weights = np.empty((height, width))
+    for y in range(height):
+        for x in range(width):
+            u = to_cell[0, 0] * (x0 + x) + to_cell[0, 1] * (y0 + y) + to_cell[0, 2]
+            v = to_cell[1, 0] * (x0 + x) + to_cell[1, 1] * (y0 + y) + to_cell[1, 2]
+            column, row = int((u - np.floor(u)) * columns + 0.5), int((v - np.floor(v)) * rows + 0.5)
+            weights[y, x] = table[row % rows, column % columns]
+    for y in range(height):
+        for x in range(width):
+            if x < width - 1:
+                across[y, x] *= (weights[y, x] + weights[y, x + 1]) / 2
+            if y < height - 1:
+                down[y, x] *= (weights[y, x] + weights[y + 1, x]) / 2
+
+
+@kernel
+def double_border(state: UInt8x2, across: Float64x2, down: Float64x2) -> None:
+    """Double the costs of links to where nothing is filled: the unknown half counts as much as the known one."""
+    for y in range(state.shape[0]):
+        for x in range(state.shape[1]):
+            if x < state.shape[1] - 1 and (state[y, x] == _EMPTY) != (state[y, x + 1] == _EMPTY):
+                across[y, x] *= 2
+            if y < state.shape[0] - 1 and (state[y, x] == _EMPTY) != (state[y + 1, x] == _EMPTY):
+                down[y, x] *= 2
+
+
+@kernel
+def link_graph(state: UInt8x2, across: Float64x2, down: Float64x2, seams: Float32View3) -> tuple[Float64x2, Float64x1]:
+    """Return the capacities and terminals of a box, see :func:`~nrbench.synthesizers.seams.seam_kernels.grow_trees`.
+
+    Old seams count as in :func:`~nrbench.synthesizers.seams.minimum_cut.cut_overlap`.
+    """
+    height, width = state.shape
+    stride = width + 2
+    residual, terminal = np.zeros((4, (height + 2) * stride)), np.zeros((height + 2) * stride)
+    for y in range(height):
+        for x in range(width):
+            node = (y + 1) * stride + x + 1
+            if state[y, x] == _EMPTY:
+                terminal[node] = np.inf
+            elif state[y, x] != _FREE:
+                terminal[node] = -np.inf
+            if x < width - 1:
+                half = min(seams[y, x, 0] / 2, across[y, x])
+                residual[0, node] = residual[1, node + 1] = across[y, x] - half
+                terminal[node] += half
+                terminal[node + 1] += half
+            if y < height - 1:
+                half = min(seams[y, x, 1] / 2, down[y, x])
+                residual[2, node] = residual[3, node + stride] = down[y, x] - half
+                terminal[node] += half
+                terminal[node + stride] += half
+    return residual, terminal
+
+
+@kernel
+def record_seams(seams: Float32View3, filled: UInt8View2, mask: UInt8x2, across: Float64x2, down: Float64x2) -> None:
+    """Change the seams of a box to those with the tile: new ones along its cut, none inside it."""
+    height, width = mask.shape
+    for y in range(height):
+        for x in range(width):
+            here = mask[y, x]
+            for axis in range(2):
+                v, u = (y, x + 1) if axis == 0 else (y + 1, x)
+                if v == height or u == width or not (here or mask[v, u]):
+                    continue
+                both_filled = (here or filled[y, x] != 0) and (mask[v, u] or filled[v, u] != 0)
+                cost = across[y, x] if axis == 0 else down[y, x]
+                seams[y, x, axis] = cost if both_filled and here != mask[v, u] else 0.0
