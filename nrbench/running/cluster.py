@@ -189,7 +189,7 @@ def _record_loss(job: Request, why: str = "each worker of the cluster that ran i
 
 @cache
 def code_hash(files: tuple[str, ...]) -> str:
-    """Return a hash of all code that decides a result, as it was when the hash was asked for first.
+    """Return a hash of all code that decides a result, as it was when the hash was first computed.
 
     It covers the sources of nrbench, and the versions of the packages with plugins, of Python and of :data:`LIBRARIES`.
 

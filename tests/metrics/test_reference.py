@@ -146,7 +146,7 @@ def test_detail_is_compared_where_colors_hide_the_joints() -> None:
 
 @pytest.mark.parametrize("model", [True, False])
 def test_the_truth_comes_first(model: bool) -> None:
-    """A lattice in the truth is taken, and it is said whether a model or a person knows it."""
+    """A lattice in the truth is taken; its origin names whether a model or a person knows it."""
     observation = case("brick").observe(case("brick").fresh(), model)
     known = find_known_lattice(replace(observation, lattice_used=Lattice((9, 0), (0, 9))))
     assert known.lattice is not None and observation.truth is not None and observation.truth.lattice is not None
