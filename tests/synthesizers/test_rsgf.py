@@ -99,6 +99,16 @@ def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
     return 0.5 + 0.2 * (np.cos(2 * math.pi * u) + np.cos(2 * math.pi * v))[..., np.newaxis].astype(np.float32)
 
 
+@pytest.mark.parametrize("seam", get_args(SeamMethod))
+def test_a_smooth_fractional_texture_is_continued_without_drift_or_blur(seam: Any) -> None:
+    """A periodic texture with fractional vectors is continued within 2.5 gray levels, seams included."""
+    truth = waves((512, 512), FRACTIONAL)
+    for part in (np.s_[:512, :144], np.s_[:144, :512]):
+        made = synthesize(Rsgf(seam=seam), quantize(truth[:128, :128]), truth[part].shape[:2], FRACTIONAL)
+        assert -10 * np.log10(((made.image - truth[part]) ** 2).mean()) > 45
+        assert np.abs(made.image - truth[part])[-100:, -100:].max() < 2.5 / 255
+
+
 def test_at_whole_pixels_it_is_continued_less_well() -> None:
     """The paper's rounding of places costs more than 10 dB."""
     truth = waves((256, 256), FRACTIONAL)
