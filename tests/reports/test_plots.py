@@ -15,7 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
-from nrbench.imaging.files import write_image
 from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures
 from nrbench.reports.page.forest_plot import forest_axes
 from nrbench.reports.page.inline_svg import inline_svg
@@ -76,7 +75,7 @@ def test_overlays_are_transparent(tmp_path: Path) -> None:
     store = PictureStore(tmp_path / "report")
     overlay = store.overlay(tmp_path / "output.png", tmp_path / "layer.png")
     assert overlay is not None
-    alpha = np.asarray(PIL.Image.open(tmp_path / "report" / "pictures" / overlay.name))[..., 3]
+    alpha = np.asarray(PIL.Image.open(io.BytesIO(overlay.content)))[..., 3]
     assert (alpha[20:30, 40:50] > 100).all() and alpha[:16].max() == 0
     assert store.overlay(tmp_path / "output.png", tmp_path / "other.png") is None
     assert store.overlay(tmp_path / "output.png", None) is None
@@ -88,12 +87,11 @@ def test_source_maps_are_colored_by_place(tmp_path: Path) -> None:
     places[:, 16:] = (20, 20)
     np.savez(tmp_path / "source.npz", source=places)
     (tmp_path / "bad.npz").write_bytes(b"no archive")
-    output = write_image(tmp_path / "output.png", np.zeros((32, 32, 3), np.float32))
     store = PictureStore(tmp_path / "report")
-    picture = store.source_map(output, tmp_path / "source.npz")
+    picture = store.source_map(tmp_path / "source.npz")
     assert picture is not None and (picture.width, picture.height) == (32, 32)
-    assert store.source_map(output, tmp_path / "bad.npz") is None
-    assert store.source_map(output, tmp_path / "absent.npz") is None
+    assert store.source_map(tmp_path / "bad.npz") is None
+    assert store.source_map(tmp_path / "absent.npz") is None
 
 
 def test_the_worst_place_has_the_marks() -> None:
