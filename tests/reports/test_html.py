@@ -240,8 +240,9 @@ def ranked_page(ranked: Run, tmp_path_factory: pytest.TempPathFactory) -> Page:
 
 
 def test_the_plots_are_on_the_page(ranked_page: Page) -> None:
-    """The plots are SVG elements without style attributes and with ids of their own; their texts list every point."""
-    assert len([one for one in ranked_page.all("svg") if one.get("class") == "plot"]) == 4
+    """The plots are embedded as SVG, and the text of each figure lists its points; no element has a style."""
+    plots = [one["src"] for one in ranked_page.all("img") if one.get("class") == "plot"]
+    assert len(plots) == 4 and all(source.startswith("data:image/svg+xml;base64,") for source in plots)
     said = " ".join(one.get("aria-label", "") for one in ranked_page.all("figure"))
     assert "good (own): in place and whole" in said
     assert "bend: close (own) breaks at –" in said

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from hypothesis import strategies as st
 from nrbench.errors import BadInput
 from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures
 from nrbench.reports.page.forest_plot import forest_axes
-from nrbench.reports.page.inline_svg import inline_svg
 from nrbench.reports.page.pictures import PictureStore
 from nrbench.reports.perils import PerilsPlane
 from nrbench.reports.plots.captions import MOST_NAMES, choose_named, describe_unnamed, spread
@@ -151,15 +149,6 @@ def test_plots_are_the_same_again_and_embed_fonts(long_run: Run) -> None:
     assert plot_cost("svg", timed) == plot_cost("svg", timed)
     for pdf in (plot_ranks("pdf", comparison), plot_heat_map("pdf", comparison), plot_cost("pdf", timed)):
         assert b"/FontFile2" in pdf and b"/Type3" not in pdf
-
-
-def test_inline_plots_have_no_style_and_ids_of_their_own(long_run: Run) -> None:
-    """Inline plots have no style attribute, no style element, no address, and a prefix before every id."""
-    svg = str(inline_svg(plot_ranks("svg", compare_methods(long_run)), "x"))
-    assert svg.startswith('<svg class="plot" aria-hidden="true"') and svg.rstrip().endswith("</svg>")
-    assert " style=" not in svg and "<style" not in svg and "http" not in svg
-    assert all(name.startswith("x-") for name in re.findall(r' id="([^"]*)"', svg))
-    assert 'class="stroke-ink"' in svg
 
 
 @given(st.lists(st.booleans(), max_size=60))
