@@ -145,8 +145,9 @@ class HtmlReport:
 
 def _fill_template(content: Mapping[str, Any], pictures: PictureStore) -> str:
     """Return the page; its content policy names style and script by hash, so that nothing else on it can run."""
-    filters = {"score_shade": gallery.score_shade, "strip_control": strip_control, "as_image": _as_image}
-    environment = make_environment(filters, autoescape=True)
+    environment = make_environment(
+        {"score_shade": gallery.score_shade, "strip_control": strip_control, "as_image": _as_image}, autoescape=True
+    )
     embed = pictures.embeds()
     address = cache(lambda picture: pictures.address(picture, embed))
     style = Markup(environment.get_template("style.css").render(content))
