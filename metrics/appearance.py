@@ -1,90 +1,232 @@
-"""Appearance: color, gradients, spectrum, sharpness and seams of the output, compared with fresh draws."""
+"""Appearance: color, light, contrast and detail of the output, as a whole and at its worst place, and seams."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from functools import lru_cache
+from typing import Any, ClassVar
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
-from scipy import fft, ndimage
 
-from nrbench.imaging.convert import Image, gray
+from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Column, Observation, Score, Texture, Value
+from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Value
 
-from .ncc.periodic import tile_box
-from .residual_tiles.tiles import try_fresh
+from .judgment import limits
+from .judgment.examination import examine
+from .judgment.texture_reference import DRAWS, FIRST_DRAW, CannotTell
+from .perception.visible import Lab, measure_looks, perceive
+from .registration.lattice_net import LatticeNet, sample_planes, sum_boxes
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
-from .verdict.reference import FIRST_DRAW
 
-_DRAWS = 2
-_FIRST_DRAW = FIRST_DRAW + (1 << 10)
+Looks = NDArray[np.float64]
+"""``(n, 9)``: features of windows, see :func:`~.perception.visible.measure_looks`."""
+_FLOORS = np.array(
+    [limits.COLOR_FLOOR] * 3 + [limits.GRAIN_FLOOR, limits.FINE_FLOOR] + [limits.BAND_FLOOR] * 4, np.float64
+)
+_GAINS = np.array([1, 1, 1, limits.LOSS, limits.LOSS, 0.6, 1, 1, 1])
+_SIZES = (1, 2)
+"""Sides of the windows, in cells."""
+_LEAST_WINDOWS = 6
+_WITHOUT_LATTICE = 24.0
+"""Side in px of the windows of a texture without a lattice."""
+_CROPS = 3
+"""Number of parts along each side of a sample that show how much its means vary."""
 
-_BINS = 512
-_DIRECTIONS = 12
-"""Directions in color space along which distributions of colors are compared."""
-_COLOR_PIXELS = 1 << 14
-"""About how many pixels, evenly spaced over the image, a distribution of colors uses."""
-_GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
-
-_SPECTRUM_WINDOW = 64
-_ROUNDING_VARIANCE = 1 / 12 / 255**2
-_SCALES = (0.0, 1.0, 2.0, 4.0, 8.0)
-"""Standard deviations in px of the Gaussians whose differences are the octave bands."""
-_SUBSAMPLED = 2.0
-"""Standard deviation of a Gaussian, over the distance of the samples, from which every second sample is left out."""
-_BLURRIEST = 0.01
-"""The blurriest window is this quantile of all windows."""
-_WIDTH_IN_TILES, _WIDTH_WITHOUT_LATTICE, _LEAST_WIDTH, _WIDEST_SHARE = 1.5, 24.0, 8, 4
-"""Width of the windows for sharpness: in tiles, in px without a lattice, at least in px, at most side over this."""
-
+_SEAM_DRAWS = 2
 _LEAST_SEAM_SIDE = 16
 _INSIDE = 0.95
 """Quantile of the gradients across lines inside a tile, to which its border is compared."""
 _ROUNDING_STEP = 0.5 / 255
 _LEAST_TILE_SIDE = 4
 
-Levels = NDArray[np.float64]
-Histograms = NDArray[np.float64]
-"""``(k, _BINS + 1)``: k histograms over [0, 1]."""
+
+@dataclass(frozen=True, eq=False)
+class LooksModel:
+    r"""How windows of a texture look.
+
+    The distance of features f from the mean is the root of (f - mean)' (C + F)^{-1} (f - mean), with the covariance C of
+    the references and the squared floors F of what is not seen. Windows of one and two cells hold each place of the cell
+    equally often, wherever they lie, so they differ only as the texture varies. Quarters of the picture show uneven
+    light. The whole is compared with parts as large as the sample: no method knows the mean better than its sample does.
+
+    Parameters
+    ----------
+    mean
+        (9,): the mean features.
+    inverses
+        Inverse covariances of windows of each size, of quarters, and of the whole.
+    largest
+        Largest distance of each kind that the references show, with its margin.
+    vectors, origin
+        The cell of the windows.
+    """
+
+    mean: Looks
+    inverses: Sequence[NDArray[np.float64]]
+    largest: NDArray[np.float64]
+    net: LatticeNet
+
+    def measure(self, lab: Lab) -> NDArray[np.float64]:
+        """Return the largest distances of an output over those that are allowed: of each size, of quarters, whole."""
+        looks = measure_looks(lab)
+        net = LatticeNet((lab.shape[0], lab.shape[1]), self.net.vectors, self.net.origin)
+        planes = sample_planes(looks, net.points)
+        kinds = [_window_means(planes, net, size) for size in _SIZES[: len(self.inverses) - 2]]
+        whole = looks.mean((0, 1), dtype=np.float64)
+        departures = [kind - self.mean for kind in kinds] + [
+            _quarter_means(looks) - whole,
+            (whole - self.mean)[np.newaxis],
+        ]
+        found = [_measure(kind, m).max(initial=0.0) for kind, m in zip(departures, self.inverses, strict=True)]
+        return np.array(found) / self.largest
 
 
-def _column(meaning: str, unit: str = "", better: Literal["lower", "one"] = "lower") -> Column:
-    return Column(meaning, unit, (0.0, math.inf), better)
+def _measure(departures: Looks, inverse: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distances of departures. A loss of fine detail is weighed less than a gain."""
+    seen = np.where(departures < 0, departures * _GAINS, departures)
+    return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", seen, inverse, seen)))
+
+
+def _invert(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.inv(covariance + np.diag(_FLOORS**2)))
+
+
+def _window_means(
+    planes: NDArray[np.float32], net: LatticeNet, size: int, known: NDArray[np.bool_] | None = None
+) -> Looks:
+    """Return the mean features of windows of ``size`` x ``size`` cells at every half cell."""
+    means, share = net.half_cells(planes, net.inside if known is None else known)
+    if min(share.shape) < 2 * size:
+        return np.zeros((0, planes.shape[-1]))
+    total, weight = sum_boxes(means, 2 * size), sum_boxes(share, 2 * size)
+    whole = weight > 0.97 * (2 * size) ** 2
+    return np.asarray(total[whole] / weight[whole][:, np.newaxis])
+
+
+def _quarter_means(looks: NDArray[np.float32]) -> Looks:
+    return np.array([part.mean((0, 1), dtype=np.float64) for part in _cut(looks, 2)])
+
+
+def _cut(planes: NDArray[Any], parts: int) -> list[NDArray[Any]]:
+    """Cut planes into ``parts`` x ``parts`` parts."""
+    return [part for rows in np.array_split(planes, parts, 0) for part in np.array_split(rows, parts, 1)]
+
+
+def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_sample: bool) -> LooksModel:
+    """Learn how a texture looks from fresh draws, or from its sample."""
+    looks = [measure_looks(lab) for lab in labs]
+    planes = [sample_planes(look, net.points) for look in looks]
+    means = [look.mean((0, 1), dtype=np.float64) for look in looks]
+    mean = np.mean(means, 0)
+    learned = []
+    for size in _SIZES:
+        groups = [group - mean for group in _group_windows(planes, net, size, from_sample)]
+        if sum(map(len, groups)) < _LEAST_WINDOWS or len(groups) < 2:
+            break
+        learned.append(_learn_kind(groups, limits.LEAST_LOCAL))
+    quarters = [_quarter_means(look) - own for look, own in zip(looks, means, strict=True)]
+    if from_sample:
+        crops = np.array([part.mean((0, 1), dtype=np.float64) for part in _cut(looks[0], _CROPS)])
+        whole = _invert(2 * np.cov(crops.T) / _CROPS**2)
+        uneven = _invert(8 * np.cov(crops.T) / _CROPS**2)
+        learned.append((uneven, max(_measure(quarters[0], uneven).max(), limits.LEAST_WHOLE)))
+        learned.append((whole, limits.LEAST_WHOLE))
+    else:
+        parts = min(max(round(a / b), 1) for a, b in zip(net.shape, sample_shape, strict=True))
+        crops = [part.mean((0, 1), dtype=np.float64) - mean for look in looks for part in _cut(look, parts)]
+        learned.append(_learn_kind(quarters, limits.LEAST_WHOLE))
+        learned.append(_learn_kind([crop[np.newaxis] for crop in crops], limits.LEAST_WHOLE))
+    margin = limits.OF_SAMPLE_LOOKS if from_sample else limits.OF_LOOKS
+    margins = [margin] * (len(learned) - 2) + [limits.OF_MEANS] * 2
+    return LooksModel(mean, [inverse for inverse, _ in learned], np.array(margins) * [far for _, far in learned], net)
+
+
+def _learn_kind(groups: Sequence[Looks], least: float) -> tuple[NDArray[np.float64], float]:
+    """Return the inverse covariance of departures, and the largest distance of a group by that of all others."""
+    far = [least]
+    for k, group in enumerate(groups):
+        rest = np.concatenate([*groups[:k], *groups[k + 1 :]])
+        far.append(float(_measure(group, _invert(rest.T @ rest / len(rest))).max()))
+    everything = np.concatenate(groups)
+    return _invert(everything.T @ everything / len(everything)), max(far)
+
+
+def _group_windows(planes: Sequence[NDArray[np.float32]], net: LatticeNet, size: int, from_sample: bool) -> list[Looks]:
+    """Return the windows of each draw, or of each of four strips of the sample."""
+    if not from_sample:
+        return [_window_means(plane, net, size) for plane in planes]
+    axis = int(net.shape[0] > net.shape[1])
+    edges = np.linspace(0, net.shape[1 - axis], 5)
+    place = net.points[..., axis]
+    strips = [net.inside & (place >= low) & (place < high) for low, high in itertools.pairwise(edges)]
+    groups = [_window_means(planes[0], net, size, strip) for strip in strips]
+    return [group for group in groups if len(group)]
+
+
+@lru_cache(maxsize=4)
+def _looks_of_draws(again: Again, lattice: Lattice | None, shape: Shape, sample_shape: Shape) -> LooksModel:
+    draws = [again(shape, FIRST_DRAW + k) for k in range(DRAWS)]
+    labs = [perceive(quantize(draw.image)) for draw in draws if draw is not None]
+    if len(labs) < DRAWS:
+        raise CannotTell("not applicable: the texture's dataset gives no fresh draw of the output's shape")
+    return learn_looks(labs, _make_net(lattice, shape), sample_shape, False)
+
+
+@lru_cache(maxsize=2)
+def _looks_of_sample(pixels: bytes, shape: tuple[int, ...], lattice: Lattice | None) -> LooksModel:
+    lab = perceive(np.frombuffer(pixels, np.float32).reshape(shape))
+    return learn_looks([lab], _make_net(lattice, (shape[0], shape[1])), (shape[0], shape[1]), True)
+
+
+def _make_net(lattice: Lattice | None, shape: Shape) -> LatticeNet:
+    vectors = np.eye(2) * _WITHOUT_LATTICE if lattice is None else lattice.matrix
+    return LatticeNet(shape, vectors, np.zeros(2) if lattice is None else np.array(lattice.origin))
+
+
+def _find_looks(observation: Observation) -> LooksModel:
+    """Return how the texture of an observation looks."""
+    lattice = examine(observation).known_lattice.lattice
+    sample, output = observation.sample, observation.output
+    if observation.again is None:
+        return _looks_of_sample(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, lattice)
+    shape = (min(max(output.shape[0], 128), 384), min(max(output.shape[1], 128), 384))
+    return _looks_of_draws(observation.again, lattice, shape, (sample.shape[0], sample.shape[1]))
+
+
+def _column(meaning: str, unit: str = "", better: str = "lower") -> Column:
+    return Column(meaning, unit, (0.0, math.inf), better)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """Whether the output looks like the texture, regardless of its lattice.
+    """Whether the output looks like the texture: its color, light, contrast, grain and sharpness.
 
-    Everything is compared with two fresh draws of the output's size, or with the sample of a photograph. Distances
-    compare distributions over the whole image, so they do not depend on places. A fresh draw's own distance is not 0;
-    the row of the oracle shows it. Sharpness and seams are ratios to fresh draws, about 1 for a fresh draw.
+    Nine features of what an eye sees (:func:`~nrbench.metrics.perception.visible.measure_looks`) are averaged over
+    windows of one and of two cells, over quarters of the picture and over the whole. The largest distance of each kind
+    from the references (:class:`LooksModel`) is divided by the largest one that these show: ``local``, ``local_wide``,
+    ``quarters`` and ``whole``. A ratio up to 1 has the score 1, a ratio of 1.5 has 0, and the worst of the four counts.
+    Fresh draws are the references; for a photograph they are four strips of the sample, each compared with the others.
 
     Seams are searched on every straight line of at least half the image's side, in every direction, because the places
     where a method has cut are unknown. A tile that claims to be seamless when it is repeated is also measured across
     its border: ``extras["tile"]``, or the output itself if ``extras["tileable"]`` is not zero.
     """
 
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
+    uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
-        "color": _column("Sliced Wasserstein distance between the colors of output and fresh draws.", "values"),
-        "gradient": _column(
-            "Wasserstein distance between gradient magnitudes of output and fresh draws, over the latter's mean."
+        "score": Column(
+            "Color, light and detail kept, as a whole and at the worst place: 1 as a fresh draw.", better="higher"
         ),
-        "spectrum": _column("Difference of the power spectra of output and fresh draws, rms over frequencies.", "dB"),
-        "sharpness": _column(
-            "Amplitude of four octaves of detail over that of fresh draws; below 1 the output is blurred.", better="one"
-        ),
-        "sharpness_worst": _column(
-            "Amplitude of detail in the blurriest window over that in the blurriest window of fresh draws.",
-            better="one",
-        ),
+        "local": _column("Distance of the window of one cell that looks strangest, over that of the references."),
+        "local_wide": _column("The same for windows of two cells."),
+        "quarters": _column("The same for quarters of the picture: uneven light."),
+        "whole": _column("The same for the whole picture."),
         "seam": _column(
             "Visibility (size, and contrast to its parallels) of the worst line over that of fresh draws' worst line."
         ),
@@ -97,186 +239,69 @@ class Appearance:
 
     def score(self, observation: Observation) -> Score:
         """Return the scores, and the picture ``seam`` that shows the most visible line."""
-        output = observation.output
-        references = fresh_images(observation, _DRAWS) or [observation.sample]
-        lattice = _repeated_lattice(observation)
-        values: dict[str, Value] = dict(_distances(output, references))
-        reasons: dict[str, str] = {}
-        width = _window_width(lattice, min(min(image.shape[:2]) for image in (output, *references)))
-        values["sharpness"], values["sharpness_worst"] = _sharpness(
-            _local_energies(output, width), [_local_energies(reference, width) for reference in references]
-        )
-        values["seam"], values["seam_step"], line = _seam(output, references, lattice)
-        if line is None:
-            reason = f"undecided: the images are smaller than {_LEAST_SEAM_SIDE} px, too small to compare lines"
-            reasons |= dict.fromkeys(("seam", "seam_step"), reason)
-        tile = _claimed_tile(output, observation.extras)
-        if isinstance(tile, str):
-            reasons |= dict.fromkeys(("tileable", "tile_bytes"), tile)
-        values["tileable"] = None if isinstance(tile, str) else border_excess(tile)
-        values["tile_bytes"] = None if isinstance(tile, str) else tile.size / observation.sample.size
-        pictures = {} if line is None else {"seam": draw_line(output, line)}
-        records = {"reference": "sample" if references[0] is observation.sample else "fresh draws"}
-        return Score({name: values[name] for name in self.columns}, reasons, pictures, records)
+        return observation.shared(_score)
 
 
-def fresh_images(observation: Observation, number: int) -> list[Image]:
-    """Return up to ``number`` fresh draws of the output's shape; none of a photograph.
-
-    The first ones are those that ``integrity`` and ``randomness`` use, too.
-    """
-    shape = (observation.output.shape[0], observation.output.shape[1])
-    draws: list[Texture | None] = [*observation.shared(try_fresh)[:number]]
-    if observation.again is not None:
-        draws += [observation.again(shape, _FIRST_DRAW + k) for k in range(len(draws), number)]
-    return [draw.image for draw in draws if draw is not None]
-
-
-def _repeated_lattice(observation: Observation) -> Lattice | None:
-    """Return the true lattice if sample and output hold two cells along each side; in less everything is regular."""
-    lattice = observation.truth.lattice if observation.truth else None
-    room = np.minimum(observation.sample.shape[1::-1], observation.output.shape[1::-1])
-    return lattice if lattice is not None and (2 * tile_box(lattice.canonical()) <= room).all() else None
-
-
-# Distances between distributions: colors, gradients, spectra.
-
-
-def _distances(output: Image, references: list[Image]) -> dict[str, float]:
-    colors = [color_histograms(image) for image in (output, *references)]
-    slopes = [_slopes(image) for image in (output, *references)]
-    steep = [histograms(slope[:, np.newaxis]) for slope in slopes]
-    mean = max(float(np.mean([slope.mean() for slope in slopes[1:]])), 1e-6)
-    side = min(_SPECTRUM_WINDOW, *(min(image.shape[:2]) for image in (output, *references)))
-    power = [_spectrum(image, side) for image in (output, *references)]
-    return {
-        "color": histogram_distance(colors[0], np.mean(colors[1:], 0)) * color_scale(output.shape[2]),
-        "gradient": histogram_distance(steep[0], np.mean(steep[1:], 0)) / mean,
-        "spectrum": float(np.sqrt(((power[0] - np.mean(power[1:], 0)) ** 2).mean())),
-    }
-
-
-def histograms(values: NDArray[np.float32]) -> Histograms:
-    """Return the histogram of each column of values in [0, 1], ``(n, k)``.
-
-    A value between two bins is shared among them, so that distances do not depend on the bins.
-    """
-    at = np.clip(values, 0, 1) * np.float32(_BINS)
-    low = np.minimum(at.astype(np.int32), _BINS - 1)
-    share = at - low
-    upper = [np.bincount(column, weight, _BINS) for column, weight in zip(low.T, share.T, strict=True)]
-    whole = [np.bincount(column, minlength=_BINS) for column in low.T]
-    counts = np.zeros((values.shape[1], _BINS + 1))
-    counts[:, :-1] = np.array(whole) - upper
-    counts[:, 1:] += upper
-    return counts / len(values)
-
-
-def histogram_distance(one: Histograms, other: Histograms) -> float:
-    """Return the Wasserstein distance of order 1 between distributions over [0, 1], mean over the histograms."""
-    bins = np.arange(_BINS + 1) / _BINS
-    return float(np.mean([scipy.stats.wasserstein_distance(bins, bins, a, b) for a, b in zip(one, other, strict=True)]))
-
-
-def color_histograms(image: Image) -> Histograms:
-    """Return histograms of an image's colors along directions spread evenly over the half-sphere.
-
-    They serve the sliced Wasserstein distance (Rabin, Peyré, Delon, Bernot, SSVM 2011). The directions are fixed, not
-    random, so that equal pixels have equal scores. Projected colors are scaled into [0, 1]; multiply a distance by
-    :func:`color_scale`.
-    """
-    pixels = image.reshape(-1, image.shape[2])
-    pixels = pixels[:: len(pixels) // _COLOR_PIXELS | 1]
-    if image.shape[2] == 1:
-        return histograms(pixels)
-    # A Fibonacci spiral over the half-sphere.
-    z = (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
-    angle = _GOLDEN_ANGLE * np.arange(_DIRECTIONS)
-    radius = np.sqrt(1 - z**2)
-    directions = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], -1).astype(np.float32)
-    return histograms(pixels @ directions.T / np.float32(color_scale(3)) + np.float32(0.5))
-
-
-def color_scale(channels: int) -> float:
-    """Return the factor that converts a distance of :func:`color_histograms` to values."""
-    return 1.0 if channels == 1 else 2 * np.sqrt(3.0)
-
-
-def _slopes(image: Image) -> NDArray[np.float32]:
-    """Return the gradient magnitude at every pixel, rms over channels, as a share of the largest possible one."""
-    across, down = np.diff(image[:-1], axis=1), np.diff(image[:, :-1], axis=0)
-    squares = np.einsum("ijk,ijk->ij", across, across) + np.einsum("ijk,ijk->ij", down, down)
-    return np.asarray(np.sqrt(squares.ravel() / np.float32(2 * image.shape[2])), np.float32)
-
-
-def _spectrum(image: Image, side: int) -> Levels:
-    """Return the power spectrum in dB of the image less its mean, ``(side, side // 2 + 1)``.
-
-    It is averaged over Hann windows of ``side`` px that overlap by half (Welch, 1967), and over 3 x 3 frequencies.
-    """
-    plane = gray(image)
-    taper = np.hanning(side + 2)[1:-1].astype(np.float32)
-    windows = np.lib.stride_tricks.sliding_window_view(plane - plane.mean(), (side, side))[:: side // 2, :: side // 2]
-    power = (np.abs(fft.rfft2(windows * np.outer(taper, taper))) ** 2).mean((0, 1)) / float((taper**2).sum()) ** 2
-    power = ndimage.uniform_filter(power, 3, mode=("wrap", "mirror"))
-    return np.asarray(10 * np.log10(power + _ROUNDING_VARIANCE), np.float64)
-
-
-# Sharpness: energies of octave bands.
-
-
-def _window_width(lattice: Lattice | None, side: int) -> int:
-    wanted = _WIDTH_WITHOUT_LATTICE if lattice is None else _WIDTH_IN_TILES * float(tile_box(lattice.canonical()).max())
-    return int(np.clip(round(wanted), min(_LEAST_WIDTH, side // 2), max(side // _WIDEST_SHARE, 1)))
-
-
-def _local_energies(image: Image, width: int) -> NDArray[np.float32]:
-    """Return the mean energy of each of four octave bands in windows of ``width`` px, ``(4, rows, columns)``.
-
-    Windows lie inside the image, a quarter of their width apart. Coarse bands are computed on every second or
-    fourth pixel, where next to nothing of them is lost. The variance of rounding to 8 bits is added.
-    """
-    fine, step, energies = gray(image), 1, []
-    for near, far in itertools.pairwise(_SCALES):
-        coarse = ndimage.gaussian_filter(fine, math.sqrt(far**2 - near**2) / step, mode="reflect")
-        band, own = (fine - coarse) ** 2, max(width // step, 1)
-        means = ndimage.uniform_filter1d(ndimage.uniform_filter1d(band, own, 0), own, 1)
-        rows, columns = (
-            np.minimum(np.arange(width // 2, side - width // 2, max(width // 4, 1)) // step, last)
-            for side, last in zip(image.shape[:2], np.array(band.shape) - 1, strict=True)
-        )
-        energies.append(means[np.ix_(rows, columns)])
-        if far >= _SUBSAMPLED * step:
-            fine, step = coarse[::2, ::2], 2 * step
-        else:
-            fine = coarse
-    return np.stack(energies) + np.float32(_ROUNDING_VARIANCE)
-
-
-def _sharpness(output: NDArray[np.float32], references: list[NDArray[np.float32]]) -> tuple[float, float]:
-    """Return the amplitude over the references', geometric mean over bands: of the whole, and of the worst window."""
-    usual = np.mean([np.log(reference.mean((1, 2))) for reference in references], 0)
-    whole = float((np.log(output.mean((1, 2))) - usual).mean())
-    middle = usual[:, np.newaxis, np.newaxis]
-    worst = [float(np.quantile((np.log(energies) - middle).mean(0), _BLURRIEST)) for energies in (output, *references)]
-    return float(np.exp(whole / 2)), float(np.exp((worst[0] - np.mean(worst[1:])) / 2))
+def _score(observation: Observation) -> Score:
+    values: dict[str, Value] = dict.fromkeys(Appearance.columns)
+    reasons: dict[str, str] = {}
+    try:
+        ratios = _find_looks(observation).measure(examine(observation).lab)
+        kinds = (*("local", "local_wide")[: len(ratios) - 2], "quarters", "whole")
+        values |= dict(zip(kinds, map(float, ratios), strict=True))
+        values["score"] = float(np.clip(1 - limits.LOOKS_SLOPE * (ratios.max() - 1), 0, 1))
+        few = "undecided: the references show too few windows of this size"
+        reasons |= {name: few for name in ("local", "local_wide") if values[name] is None}
+    except CannotTell as reason:
+        reasons |= dict.fromkeys(("score", "local", "local_wide", "quarters", "whole"), str(reason))
+    values["seam"], values["seam_step"], line = _seam(observation)
+    if line is None:
+        reason = f"undecided: the images are smaller than {_LEAST_SEAM_SIDE} px, too small to compare lines"
+        reasons |= dict.fromkeys(("seam", "seam_step"), reason)
+    tile = _claimed_tile(observation.output, observation.extras)
+    if isinstance(tile, str):
+        reasons |= dict.fromkeys(("tileable", "tile_bytes"), tile)
+    else:
+        values["tileable"], values["tile_bytes"] = border_excess(tile), tile.size / observation.sample.size
+    pictures = {} if line is None else {"seam": draw_line(observation.output, line)}
+    records = {"reference": "sample" if observation.again is None else "fresh draws"}
+    return Score(values, reasons, pictures, records)
 
 
 # Seams, and the border of a tile that claims to be seamless.
 
 
-def _seam(
-    output: Image, references: list[Image], lattice: Lattice | None
-) -> tuple[float | None, float | None, Line | None]:
+def _seam(observation: Observation) -> tuple[float | None, float | None, Line | None]:
     """Return the visibility of the worst line over that of the references' worst, the largest step, and the line."""
-    if min(min(image.shape[:2]) for image in (output, *references)) < _LEAST_SEAM_SIDE:
+    output, sample = observation.output, observation.sample
+    if min(*output.shape[:2], *sample.shape[:2]) < _LEAST_SEAM_SIDE:
         return None, None, None
+    lattice = _repeated_lattice(observation)
     own = find_worst_lines(output, lattice)
-    others = [find_worst_lines(image, lattice) for image in references]
+    if observation.again is None:
+        others = [find_worst_lines(sample, lattice)]
+    else:
+        others = _lines_of_draws(observation.again, lattice, (output.shape[0], output.shape[1]))
     usual = [max(float(np.mean([_visibility(lines)[kind] for lines in others])), 1e-6) for kind in (0, 1)]
     ratios = [own_level / level for own_level, level in zip(_visibility(own), usual, strict=True)]
     kind = int(np.argmax(ratios))
     return ratios[kind], own[0].size, own[kind]
+
+
+@lru_cache(maxsize=2)
+def _lines_of_draws(again: Again, lattice: Lattice | None, shape: Shape) -> list[tuple[Line, Line]]:
+    draws = [again(shape, FIRST_DRAW + k) for k in range(_SEAM_DRAWS)]
+    return [find_worst_lines(draw.image, lattice) for draw in draws if draw is not None]
+
+
+def _repeated_lattice(observation: Observation) -> Lattice | None:
+    """Return the true lattice if sample and output hold two cells along each side; in less everything is regular."""
+    lattice = observation.truth.lattice if observation.truth else None
+    if lattice is None:
+        return None
+    room = np.minimum(observation.sample.shape[1::-1], observation.output.shape[1::-1])
+    box = np.sqrt((lattice.canonical().matrix ** 2).sum(0))
+    return lattice if (2 * box <= room).all() else None
 
 
 def _visibility(lines: tuple[Line, Line]) -> tuple[float, float]:

@@ -6,58 +6,58 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nrbench.plugins.forms import Column, Observation, Score, Value
+from nrbench.plugins.forms import Column, Metric, Observation, Score, Value
 
+from .appearance import Appearance
 from .integrity import Integrity
+from .judgment.limits import TABLE, Limit
 from .randomness import Randomness
 from .regularity import Regularity
 
-LOST = 0.25
-"""Factor of the regularity of an output that lost its lattice: if its second half is out of step, nobody calls it half
-good."""
+PERILS: Mapping[str, type[Metric]] = {
+    "regularity": Regularity,
+    "integrity": Integrity,
+    "randomness": Randomness,
+    "appearance": Appearance,
+}
+"""The four perils, each with the metric that measures it."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """The worst of three perils: regularity lost, integrity lost, randomness lost.
+    """The worst of four perils: regularity, integrity, randomness and appearance lost.
 
-    Each peril has a score from 0 to 1. A fresh draw of the texture has 1 in all of them. They are measured by the
-    metrics of the same names. The quality of an output is the smallest of its three scores, because a fault in one
-    respect is not made good by another: wallpaper is perfectly regular, and a heap of bricks is perfectly random. The
-    quality of a method is the mean over textures.
+    Each peril has a score from 0 to 1, measured by the metric of its name. A fresh draw of the texture has 1 in all of
+    them. The quality of an output is the smallest of its four scores, because a fault in one respect is not made good by
+    another: wallpaper is perfectly regular, and a heap of bricks is perfectly random. The quality of a method is the
+    mean over textures.
 
-    *Regularity* is the share of tiles in place, ``regularity.score``. It counts a quarter if the verdict is that the
-    lattice is lost. *Integrity* is ``integrity.score``, *randomness* is ``randomness.score``.
-
-    Randomness is not measured where the lattice is lost. Integrity is not measured where elements cannot be told from
-    composite ones, and randomness not where a texture does not vary. The quality is then the smallest of the others.
-    It is None if the verdict on regularity is undecided, and on textures without a lattice.
+    Where a peril cannot be measured, the quality is the smallest of the others, and ``complete`` is False: the quality
+    is then an upper bound. Integrity and randomness need the tiles in their places, so they are not needed where the
+    lattice is lost. The quality is None if the score of regularity is, and on textures without a lattice.
     """
 
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
+    limits: ClassVar[tuple[Limit, ...]] = tuple(TABLE)
     columns: ClassVar[Mapping[str, Column]] = {
-        "score": Column("The worst of regularity, integrity and randomness; 1 as a fresh draw.", better="higher"),
-        "regularity": Column("Share of tiles in place; a quarter of it if the lattice is lost.", better="higher"),
+        "score": Column("The worst of the four perils; 1 as a fresh draw.", better="higher"),
+        "complete": Column("Whether all perils were measured; if not, the score is an upper bound.", better="higher"),
+        "regularity": Column("Tiles in place, see regularity.score.", better="higher"),
         "integrity": Column("Wholeness of the elements, see integrity.score.", better="higher"),
         "randomness": Column("Randomness kept, see randomness.score.", better="higher"),
+        "appearance": Column("Color, light and detail kept, see appearance.score.", better="higher"),
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the quality and the three perils; the record ``worst`` names the smallest."""
-        regularity = Regularity().score(observation)
-        if regularity.values["preserved"] is None:
-            return Score.missing(self.columns, regularity.reasons["preserved"])
-        share = regularity.values["score"]
-        if share is None:
-            return Score.missing(self.columns, regularity.reasons["score"])
-        perils: dict[str, Value] = {"regularity": share if regularity.values["preserved"] else LOST * share}
-        reasons: dict[str, str] = {}
-        for name, metric in (("integrity", Integrity()), ("randomness", Randomness())):
-            score = metric.score(observation)
-            perils[name] = score.values["score"]
-            if perils[name] is None:
-                reasons[name] = score.reasons["score"]
+        """Return the quality and the four perils; the record ``worst`` names the smallest."""
+        scores = {name: metric().score(observation) for name, metric in PERILS.items()}
+        perils: dict[str, Value] = {name: score.values["score"] for name, score in scores.items()}
+        reasons = {name: scores[name].reasons["score"] for name, value in perils.items() if value is None}
+        if perils["regularity"] is None:
+            return Score.missing(self.columns, reasons["regularity"])
         known = {name: float(value) for name, value in perils.items() if value is not None}
         worst = min(known, key=lambda name: known[name])
-        return Score({"score": known[worst], **perils}, reasons, records={"worst": worst})
+        lost = perils["regularity"] == 0
+        values: dict[str, Value] = {"score": known[worst], "complete": lost or not reasons, **perils}
+        return Score(values, reasons, records={"worst": worst})

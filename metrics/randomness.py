@@ -3,105 +3,281 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import cached_property, lru_cache
+from typing import ClassVar
 
 import numpy as np
+import scipy.spatial.distance
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import mean_channels
-from nrbench.imaging.mean_tile import Values
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
-from .residual_tiles.dependence import sum_variance
-from .residual_tiles.distance import measure_distances
-from .residual_tiles.repetition import SIZES, Twins, copied_share, count_sources, find_twins
-from .residual_tiles.tiles import ComparedTiles, TileSet, part_starts, quarters
-from .verdict.examination import examine
-from .verdict.reference import NoFreshDraw
-from .verdict.verdict import Verdict
+from .judgment import limits
+from .judgment.examination import Examination, examine
+from .judgment.texture_reference import CannotTell, TextureReference
+from .perception.visible import perceive
+from .registration.coarse_plane import CoarsePlane, shift_plane
+from .registration.lattice_net import Mask, split_cells
 
+Features = NDArray[np.float64]
+"""``(n, 48)``: residual colors of a tile on 4 x 4 places."""
+_LAGS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2), (2, 2), (2, -2), (3, 0), (0, 3))
+"""Lags, in cells, at which the tones of tiles are compared."""
+_LEAST_PAIRS = 8
+"""Least number of pairs of tiles at a lag."""
+_COMPONENTS, _ARRANGED_COMPONENTS = 12, 3
+"""Number of principal components of the features in distances, and in the arrangement."""
+_MOST_TILES = 400
+"""Largest number of tiles of which all pairs are compared; the first ones if there are more."""
 _LEAST_TILES = 4
-_LEAST_VARIANCE = (2 / 255) ** 2
-"""Departures weaker than two gray levels (of 8 bits) cannot be told from rounding and resampling."""
-_LEAST_COLOR = (1 / 255) ** 2
-"""Mean colors that vary by less than a gray level (of 8 bits) are not compared."""
-_LEAST_TOLERANCE, _DEVIATIONS = 0.1, 3.0
-"""Tolerance of the logarithm of the variation: at least 0.1, because differences of 10 % are not visible, and at least
-three standard deviations over fresh draws, which one of 370 exceeds."""
-_RESOLUTION = 5.0
-"""Twins that are less frequent than one fifth of those of the best copier cannot be told from chance."""
-_OUTLYING = 4.5
-"""A window is odd if the logarithm of its worst spot exceeds the median by this many median absolute deviations."""
-_SPOTS = 3
-"""Spots along each side of a window of half a tile; damage is local."""
 
 
 def _ratio(meaning: str) -> Column:
     return Column(meaning, range=(0.0, math.inf), better="one")
 
 
-def _excess(meaning: str) -> Column:
-    return Column(meaning, range=(-math.inf, math.inf), better="lower")
+@dataclass(frozen=True)
+class Tiles:
+    """The whole tiles of a straightened picture.
+
+    Parameters
+    ----------
+    plane
+        The residual of the picture.
+    """
+
+    plane: CoarsePlane
+
+    @cached_property
+    def grid(self) -> tuple[Features, Mask]:
+        """``(N1, N2, 48)`` features, and the whole cells."""
+        cells = self.plane.cells
+        half = limits.PLACES // 2
+        means = cells.reshape(*cells.shape[:2], half, 2, half, 2, 3).mean((3, 5), dtype=np.float64)
+        return means.reshape(*cells.shape[:2], -1), self.plane.whole
+
+    @cached_property
+    def features(self) -> Features:
+        """Features of the whole tiles."""
+        values, whole = self.grid
+        return values[whole]
+
+    @cached_property
+    def quarters(self) -> list[tuple[Features, Features]]:
+        """``(n, d)`` lightness residuals of the whole windows of half a tile, in four parts of the cell, and cells."""
+        half, found = self.plane.samples // 2, []
+        light, known = (split_cells(a, self.plane.samples) for a in (self.plane.fine[..., 0], self.plane.known))
+        for i, j in np.ndindex(2, 2):
+            part = np.s_[:, :, i * half[0] : (i + 1) * half[0], j * half[1] : (j + 1) * half[1]]
+            whole = known[part].all((2, 3))
+            windows = light[part][whole].reshape(int(whole.sum()), int(half.prod()))
+            found.append((windows[:_MOST_TILES], np.argwhere(whole)[:_MOST_TILES]))
+        return found
+
+    def compare_windows(self) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+        """Return the mean squared difference of all pairs of windows, and a number for the lag of each pair."""
+        distances, lags = [], []
+        for part, (windows, cells) in enumerate(self.quarters):
+            first, second = np.triu_indices(len(windows), 1)
+            distances.append(_square_distances(windows, windows)[first, second])
+            lag = cells[second] - cells[first]
+            lags.append((lag[:, 0] * 4096 + lag[:, 1]) * 4 + part)
+        return np.concatenate(distances), np.concatenate(lags).astype(np.intp)
+
+
+def _square_distances(a: Features, b: Features) -> NDArray[np.float64]:
+    if not a.size or not b.size:
+        return np.zeros((len(a), len(b)))
+    return np.asarray(scipy.spatial.distance.cdist(a, b, "sqeuclidean") / a.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """The tiles of the references, to which those of an output are compared.
+
+    Parameters
+    ----------
+    tiles
+        The tiles of each reference picture.
+    sources
+        Number of tiles of the sample among which a copier can choose.
+    parts
+        Number of parts, along each axis, into which a reference is cut to show how parts of the sample's size differ.
+    from_sample
+        Whether the sample is the only reference.
+    """
+
+    tiles: list[Tiles]
+    sources: float
+    parts: int
+    from_sample: bool
+
+    @cached_property
+    def features(self) -> Features:
+        """Features of all tiles."""
+        return np.concatenate([tiles.features for tiles in self.tiles])
+
+    @cached_property
+    def energy(self) -> float:
+        """Mean squared departure of the tiles from their mean, in CIELAB."""
+        return float(self.features.var(0).mean())
+
+    @property
+    def varies(self) -> bool:
+        """Whether an eye sees that the tiles differ."""
+        return self.energy > (limits.VARIES * limits.JND) ** 2
+
+    @cached_property
+    def _axes(self) -> NDArray[np.float64]:
+        """``(48, k)``: principal axes over their standard deviation, with half a JND added."""
+        values, axes = np.linalg.eigh(np.cov(self.features.T))
+        keep = np.argsort(values)[::-1][:_COMPONENTS]
+        return np.asarray(axes[:, keep] / np.sqrt(np.maximum(values[keep], 0) + (limits.JND / 2) ** 2))
+
+    def project(self, features: Features) -> NDArray[np.float64]:
+        """Return the components of features less their own mean."""
+        return np.asarray((features - features.mean(0)) @ self._axes)
+
+    def _cut(self) -> Iterator[Features]:
+        """Cut the references into parts of about the sample's size and yield the features of each."""
+        for tiles in self.tiles:
+            values, whole = tiles.grid
+            rows, columns = (np.array_split(np.flatnonzero(whole.any(1 - axis)), self.parts) for axis in (0, 1))
+            for i in rows:
+                for j in columns:
+                    part = values[np.ix_(i, j)][whole[np.ix_(i, j)]]
+                    if len(part) >= _LEAST_TILES:
+                        yield part
+
+    def rate_energy(self, features: Features) -> float:
+        """Return the logarithm of the energy of tiles over that of the references, with the least visible one added."""
+        unseen = (limits.VARIES * limits.JND) ** 2
+        return math.log((float(features.var(0).mean()) + unseen) / (self.energy + unseen))
+
+    @cached_property
+    def energy_tolerance(self) -> float:
+        """Largest difference of the logarithm of the energy that chance explains."""
+        spread = float(np.std([self.rate_energy(part) for part in self._cut()] or [0.0]))
+        return max(limits.TOLERANCE, limits.DEVIATIONS * spread / (self.parts if self.from_sample else 1))
+
+    @cached_property
+    def _usual(self) -> tuple[NDArray[np.float64], float]:
+        points = self.project(self.features)[: 2 * _MOST_TILES]
+        return points, _mean_distance(points, points)
+
+    def measure_distance(self, features: Features) -> float:
+        """Return the energy distance between tiles and those of the references, over twice their mean distance.
+
+        It is E|x - y| - (E|x - x'| + E|y - y'|) / 2 over E|x - y| (Székely and Rizzo 2004), about 0 for equal
+        distributions and at most 1.
+        """
+        points, within = self._usual
+        own = self.project(features)
+        between = _mean_distance(own, points)
+        return float(1 - (_mean_distance(own, own) + within) / (2 * max(between, 1e-9)))
+
+    @cached_property
+    def distance_limit(self) -> float:
+        """Largest distance that chance explains: that of parts of the references."""
+        parts = [self.measure_distance(part) for part in self._cut()]
+        return max(limits.LEAST_DISTANCE, limits.OF_DISTANCE * max(parts, default=0.0))
+
+    @cached_property
+    def twins(self) -> tuple[float, float, float]:
+        """Distance below which two windows are twins, the median distance, and the share of twins by chance."""
+        distances = np.concatenate([tiles.compare_windows()[0] for tiles in self.tiles])
+        if not distances.size:
+            return 0.0, 1.0, 0.0
+        limit = max(float(np.quantile(distances, min(limits.TWINS / self.sources, 0.5))), (limits.JND / 3) ** 2)
+        return limit, float(np.median(distances)), float((distances < limit).mean())
+
+    def arrange(self, tiles: Tiles) -> NDArray[np.float64]:
+        """Return the correlations of the first components of tiles at ten lags, ``(10, 3)``; NaN where there is no pair."""
+        values, whole = tiles.grid
+        axes = self._axes[:, :_ARRANGED_COMPONENTS]
+        points = (values - values[whole].mean(0)) @ axes
+        power = (points[whole] ** 2).mean(0) + 0.05
+        found = np.full((len(_LAGS), axes.shape[1]), np.nan)
+        for row, lag in zip(found, _LAGS, strict=True):
+            other, both = shift_plane(points, whole, lag)
+            if both.sum() >= _LEAST_PAIRS:
+                row[:] = (points * other)[both].mean(0) / power
+        return found
+
+    @cached_property
+    def arrangement(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean of the correlations over the references, and the variance of each component's, mean over the lags."""
+        found = np.array([self.arrange(tiles) for tiles in self.tiles])
+        chance = 1 / max(np.mean([len(tiles.features) for tiles in self.tiles]), 1)
+        mean = np.where(np.isfinite(found).all(0), np.nan_to_num(found).mean(0), np.nan)
+        if len(found) == 1:
+            return mean, np.full(mean.shape[1], 2 * chance)
+        spread = (
+            np.nanmean(np.where(np.isfinite(mean), (found - mean) ** 2, np.nan), (0, 1)) * len(found) / (len(found) - 1)
+        )
+        return mean, np.maximum(spread, chance) * (1 + 1 / len(found))
+
+
+def _mean_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Return the mean Euclidean distance of two different points, one of each set."""
+    distances = scipy.spatial.distance.cdist(a, b)
+    pairs = distances.size - (len(a) if a is b else 0)
+    return float(distances.sum() / max(pairs, 1))
+
+
+@lru_cache(maxsize=2)
+def gather_tiles(reference: TextureReference) -> Population:
+    """Return the population of the tiles of a reference."""
+    net = reference.net
+    tiles = [Tiles(CoarsePlane(fine, known, net.samples)) for fine, known in reference.residuals]
+    box = np.abs(net.vectors).sum(0)[::-1]
+    sources = float(np.maximum(reference.sample_shape - box, 1).prod()) / abs(float(np.linalg.det(net.vectors)))
+    side = min(a / b for a, b in zip(net.shape, reference.sample_shape, strict=True))
+    parts = 2 if reference.from_sample else max(round(side), 1)
+    return Population(tiles, max(sources, 1.5), parts, reference.from_sample)
 
 
 @dataclass(frozen=True)
 class Randomness:
-    """Variation of the output's tiles about their mean, its distribution, and its repetition.
+    """Variation, repetition, arrangement and distribution of the output's tiles, beside those of the texture.
 
-    Every whole tile of the output is cut at its displacement, to fractions of a pixel. The tiles of at least four fresh
-    draws of the output's size are cut on the same grid. Effects of the size, such as threads that are longer than a
-    tile or the share 1/n that a mean of n tiles takes, are then equal in both. Edges of the mean tile get less weight,
-    so that displacements within the tolerance do not count as variation.
+    Tiles are cut from the straightened output, and the mean tile of the texture is subtracted. Their residual colors on
+    4 x 4 places are compared with those of the references: fresh draws, or the tiles of the sample. Each of these has a
+    score of 1 as long as chance explains the difference, as it shows in parts of the references as large as the sample:
 
-    ``variation`` is the energy of the tiles' departures from their mean over that of fresh draws; ``variation_color``
-    is the same for the tiles' mean colors. ``repetition`` counts near-exact twins among pairs of windows half a tile
-    and one tile wide, and takes the larger excess; ``repetition_wide`` counts those two tiles wide. The scale is 0 for
-    the share of twins in fresh draws, and 1 for that of the best possible copier, which chooses at random among the M
-    places of the sample that are equal modulo the lattice: one pair in M is a twin. One tile repeated has a repetition
-    of about M. Twins at lags at which most windows return count for more: a crop of the sample that is repeated in rows
-    and columns has few twins, but all at few lags, and a repetition of about the square root of M. ``distance`` is the
-    distance between the distributions of the tiles of output and fresh draws, see
-    :func:`~.residual_tiles.distance.measure_distances`. It includes the detail inside tiles: adding noise does not
-    improve it.
+    - ``variation``, the energy of the residuals over that of the references. Its score is the smaller over the larger.
+    - ``repetition``, from the share t of pairs of windows (a half tile wide) that are twins: nearer than all but a few
+      pairs of the references. 1 / t is the effective number of different windows; the score is its logarithm over that
+      of the number of tiles. Twins that return at one lag count more, since a repeated crop is seen by its period. The
+      column is t times the number of tiles of the sample: 0 as in fresh draws, 1 for a choice at random among them.
+    - ``arrangement``, the largest change of the correlation of tones at ten lags of the lattice: rows, checkerboards and
+      blobs of one tone, and threads that lose theirs.
+    - ``distance``, the energy distance between the distributions of tiles.
+    - ``misplacement_ratio`` of ``regularity``, where the geometry of the texture varies: it may be lost as well.
 
-    ``score`` is the smallest of three numbers, each 1 for a fresh draw and 0 for one tile repeated:
-
-    - the smaller over the larger variation of output and fresh draws, beyond a tolerance of three standard deviations
-      over fresh draws (see :class:`Energies`);
-    - the logarithm of the effective number of different windows, over that of a fresh draw (see
-      :func:`score_repetition`);
-    - 1 less the distance, beyond what chance explains (see :class:`~.residual_tiles.distance.Distance`).
-
-    For a photograph the sample replaces the fresh draws. Energies are then compared in boxes as large as the smaller of
-    sample and output, each about its own mean tile. Randomness is not scored where regularity is lost.
+    ``score`` is the smallest. Where the texture does not visibly vary, only the variation counts. Randomness is not
+    scored where half of the tiles are out of place.
     """
 
-    version: ClassVar[str] = "6"
+    version: ClassVar[str] = "7"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
-        "score": Column(
-            "The worst of variation, repetition and distance: 1 as a fresh draw, 0 one tile repeated.", better="higher"
-        ),
-        "variation": _ratio("Tile-to-tile variation over that of fresh draws."),
-        "variation_color": _ratio("Variation of the tiles' mean colors over that of fresh draws."),
-        "repetition": _excess(
-            "Excess of near-exact twins among windows up to a tile: 0 as in fresh draws, 1 as the best copier."
-        ),
-        "repetition_wide": _excess(
-            "Excess of near-exact twins among windows two tiles wide: 0 as in fresh draws, 1 as the best copier."
-        ),
-        "copied": Column(
-            "Share of windows of half a tile with a near-exact twin in the sample, beyond chance.",
-            range=(-math.inf, 1.0),
-        ),
-        "distance": Column(
-            "Distance between the tiles of output and fresh draws: 0 equal distributions, 1 no tile in common.",
-            range=(-math.inf, 1.0),
+        "score": Column("The worst of the parts: 1 as a fresh draw, 0 one tile repeated.", better="higher"),
+        "variation": _ratio("Tile-to-tile variation over that of the references."),
+        "repetition": Column(
+            "Twins among windows of half a tile: 0 as in fresh draws, 1 as a random choice among the sample's.",
+            range=(-math.inf, math.inf),
             better="lower",
         ),
-        "survival": _ratio("Share of odd (damaged, missing) windows over the expected share."),
+        "returning": Column("Share of the windows that return at one lag.", better="lower"),
+        "arrangement": Column(
+            "Largest change of the correlation of tones at a lag, beyond chance.", range=(0.0, 2.0), better="lower"
+        ),
+        "distance": Column("Distance between the tiles of output and references.", range=(-1.0, 1.0), better="lower"),
+        "copied": Column("Share of windows of half a tile with a twin in the sample.", better="none"),
+        "survival": _ratio("Share of odd (damaged, missing) cells over that of the references."),
     }
 
     def score(self, observation: Observation) -> Score:
@@ -110,237 +286,104 @@ class Randomness:
 
 
 def _score(observation: Observation) -> Score:
-    verdict = examine(observation).verdict
-    if isinstance(verdict, str):
-        return Score.missing(Randomness.columns, verdict)
+    examination = examine(observation)
     try:
-        return score_tiles(observation, verdict)
-    except NoFreshDraw as without:
-        return Score.missing(Randomness.columns, str(without))
+        followed, reference = examination.followed, examination.reference
+        if limits.SLOPE * examination.misplaced >= 1:
+            raise CannotTell("not scored: half of the tiles are out of place")
+        tiles = Tiles(CoarsePlane(*followed.residual, followed.net.samples))
+        population = gather_tiles(reference)
+        if min(len(tiles.features), len(population.features)) < _LEAST_TILES:
+            raise CannotTell(f"undecided: fewer than {_LEAST_TILES} whole tiles to compare")
+    except CannotTell as reason:
+        return Score.missing(Randomness.columns, str(reason))
+    values: dict[str, Value] = dict.fromkeys(Randomness.columns)
+    level = population.rate_energy(tiles.features)
+    values["variation"] = math.exp(level)
+    parts = {"variation": math.exp(-max(abs(level) - population.energy_tolerance, 0.0))}
+    if population.varies:
+        parts["repetition"], values["repetition"], values["returning"] = _rate_repetition(tiles, population)
+        distance = population.measure_distance(tiles.features)
+        values["distance"] = distance
+        parts["distance"] = 1 - max(distance - population.distance_limit, 0.0) / (1 - population.distance_limit)
+        parts["distance"] = max(1 - 4 * (1 - parts["distance"]), 0.0)
+        values["arrangement"] = _rate_arrangement(tiles, population)
+        parts["arrangement"] = max(1 - values["arrangement"], 0.0)
+        values["copied"] = _find_copies(examination, tiles, population)
+    bending = _rate_bending(examination)
+    if bending is not None:
+        parts["misplacement_ratio"] = bending
+    values["survival"] = _rate_survival(examination)
+    values["score"] = min(parts.values())
+    unseen = "not applicable: the texture does not visibly vary from tile to tile"
+    rare = "not scored: the references show no odd cell"
+    reasons = {name: rare if name == "survival" else unseen for name, value in values.items() if value is None}
+    return Score(values, reasons, records={"parts": parts, "sources": population.sources})
 
 
-def score_tiles(observation: Observation, verdict: Verdict) -> Score:
-    """Return the scores of randomness, given the verdict on regularity."""
-    columns = Randomness.columns
-    if verdict.lattice_doubtful:
-        return Score.missing(columns, f"not scored: the lattice may not be the sample's ({verdict.lack_of_power})")
-    if verdict.preserved is False:
-        return Score.missing(columns, f"not scored: regularity is lost ({verdict.faults[0]})")
-    tiles = ComparedTiles.of(observation, verdict)
-    if tiles.fewest < _LEAST_TILES:
-        return Score.missing(columns, f"undecided: fewer than {_LEAST_TILES} whole tiles to compare")
-    energies = Energies.of(tiles)
-    if min(energies.reference, float(verdict.reference.periodic.variance.values.mean())) < _LEAST_VARIANCE:
-        return Score.missing(columns, "not applicable: the texture hardly varies from tile to tile")
+def _rate_repetition(tiles: Tiles, population: Population) -> tuple[float, float, float]:
+    """Return the score of repetition, the share of twins times the sources, and the share that returns at one lag.
 
-    sample, lattice = verdict.reference.straighten(observation.sample)
-    sources = [count_sources(sample, lattice, size) for size in SIZES]
-    twins = find_twins(tiles.output, tiles.reference, tiles.weights, sources, energies.ratio)
-    distances = measure_distances(tiles.output, tiles.fresh, tiles.weights, tiles.mean)
-    elements = observation.truth.elements if observation.truth else {}
-    survival, no_survival, odd_shares = survival_of_odd_windows(tiles, elements)
-    narrow = [one for one in twins if one.size < 2]
-    parts = {
-        "variation": energies.score,
-        "repetition": score_repetition(narrow, len(tiles.output)),
-        "distance": 1 - max(one.excess for one in distances.values()),
-    }
-    if verdict.geometry_score is not None:
-        parts["geometry"] = verdict.geometry_score
-    values: dict[str, Value] = {
-        "score": min(parts.values()),
-        "variation": energies.ratio,
-        "variation_color": energies.color_ratio,
-        "repetition": max((one.score for one in narrow), default=None),
-        "repetition_wide": next((one.score for one in twins if one.size == 2), None),
-        "copied": copied_share(tiles),
-        "distance": max(one.value for one in distances.values()),
-        "survival": survival,
-    }
-    reasons = {
-        "variation_color": "not applicable: the tiles' mean colors hardly vary",
-        "repetition": "undecided: no pairs of windows to compare",
-        "repetition_wide": "undecided: no two windows of two tiles side by side in output and reference",
-        "copied": "undecided: the sample holds too few windows of half a tile",
-        "survival": no_survival,
-    }
-    records: dict[str, Any] = {
-        "parts_of_score": parts,
-        "distances": {name: one.value for name, one in distances.items()},
-        "tolerances_of_distances": {name: one.tolerance for name, one in distances.items()},
-        **odd_shares,
-        "reference": "fresh draws" if tiles.model else "sample",
-        "tiles": len(tiles.output),
-        "sources": twins[0].sources if twins else None,
-        "twins": {f"{one.size:g}": one.own.all for one in twins},
-        "twins_by_lag": {f"{one.size:g}": one.own.by_lag for one in twins},
-        "twins_of_reference": {f"{one.size:g}": one.natural.all for one in twins},
-        "deviation": {name: float(np.sqrt(getattr(energies, name))) for name in ("output", "reference", "sample")},
-        "tolerance_of_variation": energies.tolerance,
-    }
-    return Score(values, {name: reasons[name] for name, value in values.items() if value is None}, records=records)
-
-
-def score_repetition(twins: Iterable[Twins], tiles: int) -> float:
-    """Return the score of repetition in [0, 1]: 1 if no window is repeated, 0 if all windows are equal.
-
-    If a share t of all pairs of windows are twins beyond chance, the output looks as if its windows were drawn from 1/t
-    different ones, its *effective number of windows*. The score is the logarithm of this number over that of the
-    largest number that can be measured: the number of tiles of the output, or five times the number M of places in the
-    sample from which a copier can choose. The best copier thus has ``log M / log(min(tiles, 5 M))``.
-
-    A crop of the sample that is repeated in rows and columns has few twins, but these return at fixed lags. If a share
-    r of all pairs return at their lag, see :meth:`~.residual_tiles.repetition.Pairs.count`, the score is at most 1 - r
-    M, because a share of 1/M returns if the whole sample is repeated.
-
-    Parameters
-    ----------
-    twins
-        The twins among windows of one or more widths; the most repeated width counts.
-    tiles
-        Number of tiles of the output.
+    Where k of n pairs at a lag are twins, max(2 k - n, 0) windows return: none if half of the pairs are twins.
     """
-    score = 1.0
-    for one in twins:
-        largest = max(min(tiles, _RESOLUTION * one.sources), 2.0)
-        chance = min(one.natural.all, 0.5)
-        share = max((one.own.all - chance) / (1 - chance), 1 / largest)
-        returning = max(one.own.by_lag**2 - one.natural.by_lag**2, 0.0) * one.sources
-        score = min(score, math.log(1 / share) / math.log(largest), 1 - returning)
-    return max(score, 0.0)
+    distances, lags = tiles.compare_windows()
+    limit, middle, chance = population.twins
+    if not distances.size:
+        return 1.0, 0.0, 0.0
+    near = distances < limit * np.clip(np.median(distances) / middle, limits.LEAST_SCALE, 1)
+    share = float(near.mean()) - chance
+    _, number = np.unique(lags, return_inverse=True)
+    pairs, twins = np.bincount(number), np.bincount(number, near)
+    often = pairs >= limits.RETURNING
+    returning = float(np.maximum(2 * twins - pairs, 0)[often].sum() / max(pairs[often].sum(), 1))
+    count = max(len(tiles.features), 3)
+    strewn = np.clip(math.log(1 / max(share, 1e-9)) / math.log(count), 0, 1)
+    return (
+        min(float(strewn), max(1 - math.sqrt(returning * population.sources), 0.0)),
+        share * population.sources,
+        returning,
+    )
 
 
-@dataclass(frozen=True)
-class Energies:
-    """Mean squared departures of tiles.
-
-    Parameters
-    ----------
-    output, reference, sample
-        Of all pixels.
-    color, reference_color
-        Of the tiles' mean colors, in output and reference.
-    scatter
-        Standard deviation of the logarithm of the ratio of output to reference, over fresh draws.
-    """
-
-    output: float
-    reference: float
-    sample: float
-    color: float
-    reference_color: float
-    scatter: float = 0.0
-
-    @classmethod
-    def of(cls, tiles: ComparedTiles) -> Energies:
-        """Return the energies over boxes of the extent that output and reference have in common.
-
-        In each box the mean tile of the box is subtracted: n tiles leave n - 1 degrees of freedom. If elements are
-        longer than a tile more energy is lost, and more in a smaller box, so the boxes must be equal.
-        """
-        output, color = _pooled_energy(tiles.blocks[0], tiles.weights)
-        reference, reference_color = _pooled_energy(tiles.blocks[1], tiles.weights)
-        sample, _ = _pooled_energy([tiles.sample], tiles.weights)
-        return cls(output, reference, sample, color, reference_color, _scatter(tiles))
-
-    @property
-    def ratio(self) -> float:
-        """Energy of the output over that of the reference."""
-        return self.output / max(self.reference, 1e-12)
-
-    @property
-    def tolerance(self) -> float:
-        """Tolerance of the logarithm of the ratio: three standard deviations over fresh draws, at least 0.1."""
-        return max(_DEVIATIONS * self.scatter, _LEAST_TOLERANCE)
-
-    @property
-    def score(self) -> float:
-        """The smaller over the larger energy of output and reference, in [0, 1]; 1 within the tolerance."""
-        return float(np.exp(min(self.tolerance - abs(math.log(max(self.ratio, 1e-12))), 0.0)))
-
-    @property
-    def color_ratio(self) -> float | None:
-        """The same for the mean colors; None if they hardly vary."""
-        return None if self.reference_color < _LEAST_COLOR else self.color / self.reference_color
+def _rate_arrangement(tiles: Tiles, population: Population) -> float:
+    """Return the largest change of a correlation at a lag, beyond what chance explains."""
+    usual, variance = population.arrangement
+    gap = np.abs(population.arrange(tiles) - usual)
+    variance = np.maximum(variance, 1 / len(tiles.features))
+    allowed = np.maximum(limits.ARRANGED, limits.ARRANGED_DEVIATIONS * np.sqrt(variance))
+    change = np.maximum(gap - allowed, 0) / np.maximum(1 - allowed, 0.3)
+    return float(np.nan_to_num(change).max(initial=0.0))
 
 
-def _scatter(tiles: ComparedTiles) -> float:
-    """Return the standard deviation of the logarithm of the energy of an output over that of the reference.
-
-    It is measured on the fresh draws, or the halves of the sample, in two ways, of which the larger counts: by the
-    covariances of the tiles of one line (:func:`~.residual_tiles.dependence.sum_variance`), and from image to image.
-    The latter sees what tiles share that do not lie on a line, but is measured on few images.
-    """
-    energies = [_tile_energies(one, tiles.weights) for one in tiles.fresh]
-    mean, size = float(np.mean(np.concatenate(energies))), float(np.mean([len(one) for one in energies]))
-    lines = [
-        sum_variance(one.numbers, own - mean) / len(own) ** 2 for one, own in zip(tiles.fresh, energies, strict=True)
-    ]
-    variance = max(float(np.mean(lines)), float(np.var([one.mean() for one in energies], ddof=1)))
-    images = size / len(tiles.output) + size / sum(map(len, tiles.reference))
-    return math.sqrt(variance * images) / max(mean, 1e-12)
+def _rate_bending(examination: Examination) -> float | None:
+    """Return the score of the bending of the output beside the references'; None where the geometry does not vary."""
+    usual = np.array([picture.bending for picture in examination.reference.pictures])
+    if usual.mean() < limits.AMPLITUDE or examination.reference.from_sample:
+        return None
+    ratio = math.log(max(examination.followed.bending, 1e-3) / float(usual.mean()))
+    allowed = max(limits.AMPLITUDE_TOLERANCE, limits.DEVIATIONS * float(np.log(usual).std(ddof=1)))
+    return math.exp(-max(abs(ratio) - allowed, 0.0))
 
 
-def _tile_energies(tiles: TileSet, weights: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the weighted mean squared departure of each tile, ``(n,)``."""
-    squares = mean_channels(tiles.departures**2).reshape(len(tiles), -1)
-    return np.asarray(squares @ (weights / weights.sum()).ravel(), np.float64)
+def _find_copies(examination: Examination, tiles: Tiles, population: Population) -> float | None:
+    """Return the share of windows of half a tile that have a twin at an equal place of the sample."""
+    try:
+        sample = examination.reference.follow(perceive(examination.observation.sample))
+    except CannotTell:
+        return None
+    sources = Tiles(CoarsePlane(*sample.residual, sample.net.samples))
+    limit = population.twins[0]
+    pairs = [(a, b) for (a, _), (b, _) in zip(tiles.quarters, sources.quarters, strict=True) if len(a) and len(b)]
+    near = [(_square_distances(a, b) < limit).any(1) for a, b in pairs]
+    return float(np.concatenate(near).mean()) if near else None
 
 
-def _pooled_energy(sets: Iterable[TileSet], weights: NDArray[np.float32]) -> tuple[float, float]:
-    """Return the weighted mean squared departure of pixels, and that of the tiles' mean colors."""
-    shares, total, color, freedom = weights / weights.sum(), 0.0, 0.0, 0
-    for tiles in sets:
-        if len(tiles) > 1:
-            left = tiles.departures
-            means = np.tensordot(left, shares, ([1, 2], [0, 1]))
-            total += (len(tiles) - 1) * float(np.tensordot(mean_channels(left**2), shares, 2).mean(dtype=np.float64))
-            color += (len(tiles) - 1) * float((means**2).mean(dtype=np.float64))
-            freedom += len(tiles) - 1
-    return total / max(freedom, 1), color / max(freedom, 1)
-
-
-def survival_of_odd_windows(
-    tiles: ComparedTiles, elements: Mapping[str, NDArray[np.float64]]
-) -> tuple[float | None, str, dict[str, float]]:
-    """Return the share of odd windows in the output over the expected share, or the reason for None; and both shares.
-
-    A window of half a tile is odd if the largest mean squared departure from the texture's mean tile, in any of its
-    3 x 3 spots, is an outlier among the windows of sample and fresh draws: more than 4.5 median absolute deviations
-    above the median, in logarithms. The expected share is that in sample and fresh draws. Without fresh draws it is
-    that in the sample, which scatters much if few windows are odd. If the model knows its elements and none in the
-    sample is damaged, there is nothing to survive.
-
-    Parameters
-    ----------
-    tiles
-        The compared tiles.
-    elements
-        Departures of the sample's elements, see :class:`~nrbench.plugins.forms.Texture`; empty if they are not known.
-    """
-    damage = [rows for name, rows in elements.items() if name.endswith(".damage")]
-    if elements and not any((rows > 0).any() for rows in damage):
-        return None, "not applicable: no element of the sample is damaged or missing", {}
-    own = _log_worst_spots(quarters(tiles.output.tiles), tiles)
-    windows = [tiles.windows, *(quarters(some.tiles) for some in tiles.fresh if tiles.model)]
-    usual = np.concatenate([_log_worst_spots(some, tiles) for some in windows])
+def _rate_survival(examination: Examination) -> float | None:
+    """Return the share of odd cells, whose misfit stands out, over that of the references; None if there is none."""
+    reference, followed = examination.reference, examination.followed
+    usual = np.log(np.concatenate([picture.misfit[picture.valid] for picture in reference.pictures]))
     middle = float(np.median(usual))
-    limit = middle + _OUTLYING * float(np.median(np.abs(usual - middle)))
-    shares = {"odd_windows": float((own > limit).mean()), "odd_expected": float((usual > limit).mean())}
-    if not shares["odd_expected"]:
-        return None, "not applicable: no window of the texture stands out from the rest", shares
-    return shares["odd_windows"] / shares["odd_expected"], "", shares
-
-
-def _log_worst_spots(windows: Iterable[Values], tiles: ComparedTiles) -> NDArray[np.float64]:
-    """Return the logarithm of the worst spot of each window; ``windows`` are given by quarters of the cell."""
-    means = quarters(tiles.mean[np.newaxis])[:, 0]
-    weights = quarters(tiles.weights[np.newaxis, ..., np.newaxis])[:, 0, ..., 0]
-    worst = []
-    for part, mean, weight in zip(windows, means, weights, strict=True):
-        squares = mean_channels((part - mean) ** 2) * weight
-        rows, columns = (part_starts(side, _SPOTS) for side in squares.shape[1:])
-        sums = np.add.reduceat(np.add.reduceat(squares, rows, 1), columns, 2)
-        heights, widths = np.diff([*rows, squares.shape[1]]), np.diff([*columns, squares.shape[2]])
-        worst.append(np.asarray(sums / (heights[:, np.newaxis] * widths), np.float32).max((1, 2)))
-    return np.asarray(np.log(np.concatenate(worst).astype(np.float64) + 1e-8))
+    odd = middle + 4.5 * max(float(np.median(np.abs(usual - middle))), 1e-6)
+    share = float((usual > odd).mean())
+    own = np.log(np.maximum(followed.misfit[followed.valid], 1e-9))
+    return float((own > odd).mean()) / share if share > limits.SURE_SHARE else None

@@ -1,0 +1,78 @@
+"""The examination of one output, which the metrics of the four perils share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from nrbench.plugins.forms import Observation
+
+from ..perception.visible import Lab, perceive
+from ..registration.followed import FollowedPicture
+from .known_lattice import KnownLattice, find_known_lattice
+from .texture_reference import CannotTell, TextureReference, reference_from_draws, reference_from_sample
+
+
+@dataclass(frozen=True)
+class Examination:
+    """An output beside its reference, each part computed when a metric first needs it.
+
+    Parameters
+    ----------
+    observation
+        Sample, output, truth and fresh draws; no other field of an observation is used.
+    """
+
+    observation: Observation
+
+    @cached_property
+    def known_lattice(self) -> KnownLattice:
+        """The lattice of the sample."""
+        return find_known_lattice(self.observation)
+
+    @cached_property
+    def lab(self) -> Lab:
+        """What is seen of the output."""
+        return perceive(self.observation.output)
+
+    @cached_property
+    def reference(self) -> TextureReference:
+        """The reference of the texture; raises :class:`CannotTell` if there is none."""
+        known, seen = self.known_lattice, self.observation
+        if known.lattice is None:
+            raise CannotTell(known.reason)
+        sample = (seen.sample.shape[0], seen.sample.shape[1])
+        if known.origin == "model" and seen.again is not None:
+            return reference_from_draws(seen.again, known.lattice, (seen.output.shape[0], seen.output.shape[1]), sample)
+        return reference_from_sample(seen.sample, known.lattice)
+
+    @cached_property
+    def followed(self) -> FollowedPicture:
+        """The output followed by the lattice; raises :class:`CannotTell` if it is too small."""
+        return self.reference.follow(self.lab)
+
+    @cached_property
+    def misplaced(self) -> float:
+        """Share of the output that is out of place beyond what the references show, in [0, 1]."""
+        bad = self.reference.misplacement(self.followed)[self.followed.valid]
+        usual = self.reference.most_misplaced
+        return max(0.0, float(bad.mean()) - usual) / (1 - usual)
+
+
+def examine(observation: Observation) -> Examination:
+    """Return the examination that all metrics of an observation share.
+
+    Examples
+    --------
+    A metric that needs the followed output::
+
+        try:
+            followed = examine(observation).followed
+        except CannotTell as reason:
+            return Score.missing(self.columns, str(reason))
+    """
+    return observation.shared(_start)
+
+
+def _start(observation: Observation) -> Examination:
+    return Examination(Observation(observation.sample, observation.output, observation.truth, again=observation.again))

@@ -1,0 +1,130 @@
+"""Every number by which the four perils are judged, with its unit and where it comes from.
+
+No other module of the perils holds a constant that decides a score. ``nrbench show limits`` prints :data:`TABLE`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+TABLE: list[Limit] = []
+"""All limits, in the order of their definition."""
+
+
+class Limit(NamedTuple):
+    """One number of the judge.
+
+    Parameters
+    ----------
+    name
+        Name of the constant in this module.
+    value
+        Its value.
+    unit
+        Its unit; ``""`` for shares and ratios.
+    origin
+        Why it has this value: theory, a measurement, or a convention.
+    """
+
+    name: str
+    value: float
+    unit: str
+    origin: str
+
+
+def _limit(name: str, value: float, unit: str, origin: str) -> float:
+    """Enter a number into the table and return it."""
+    TABLE.append(Limit(name, value, unit, origin))
+    return value
+
+
+# What an eye sees
+
+BLUR = _limit(
+    "BLUR",
+    0.75,
+    "px",
+    "central Gaussian of luminance in S-CIELAB (Zhang and Wandell 1997) at 38 px a degree: 96 dpi, 57 cm",
+)
+CHROMA_BLUR = _limit("CHROMA_BLUR", 2.0, "px", "the Gaussians of chroma in S-CIELAB, as one of half their bandwidth")
+JND = _limit(
+    "JND", 2.0, "CIELAB", "a difference of about 2 is just noticeable side by side (Mahy and others 1994: 2.3)"
+)
+
+# Registration
+
+PLACES = int(_limit("PLACES", 8, "places", "convention: samples of a cell along each vector, times 1, 2 or 3"))
+MOST_SAMPLES = int(
+    _limit("MOST_SAMPLES", 24, "samples", "convention: three times PLACES; more cost time and gain nothing")
+)
+SURE = _limit("SURE", 0.12, "s", "windows are widened until those of the references lie this close to their places")
+LEAST_STEP = _limit(
+    "LEAST_STEP", 0.08, "s", "less than half of the smallest fault that labelers called lost half of the time"
+)
+MOST_STEP = _limit("MOST_STEP", 0.25, "s", "a tile that is out of place by this is wholly out of place")
+OF_NOISE = _limit("OF_NOISE", 1.3, "", "margin over the largest departure of the references")
+TORN = _limit("TORN", 1.6, "", "margin over the largest misfit of a cell of the references")
+SLIP = _limit("SLIP", 0.1, "s", "smallest difference between the two sides of a line that counts as a slip")
+OF_SLIP = _limit("OF_SLIP", 1.2, "", "margin over the largest difference between two sides in the references")
+
+# Regularity
+
+SLOPE = _limit(
+    "SLOPE", 2.0, "", "the score reaches 0 when half of the tiles are out of place: no half is the right one"
+)
+PRESERVED = _limit("PRESERVED", 0.85, "", "convention: lost if more than one tile in fourteen is out of place")
+MOST_OWN = _limit("MOST_OWN", 0.35, "", "if more tiles of the references are out of place, nothing can be told")
+DEVIATIONS = _limit("DEVIATIONS", 3.0, "sd", "theory: one normal value in 740 is larger")
+SURE_SHARE = _limit("SURE_SHARE", 0.002, "", "convention: share of a tile in 500 that is overlooked")
+DRIFT = _limit("DRIFT", 0.02, "", "uncertainty of a lattice marked by hand: 3 px over the six tiles of a sample")
+MOST_DRIFT = _limit("MOST_DRIFT", 0.06, "", "convention: three times the uncertainty is another lattice")
+
+# Integrity
+
+FREEDOM = _limit(
+    "FREEDOM", 6.0, "", "degrees of freedom of a heavy-tailed likelihood: single odd places decide nothing"
+)
+WHOLE_SHARES = (0.1, 0.05, 0.03, 0.02, 0.01, 0.005)
+"""Shares of whole elements above the limit that are tried; the one with the largest difference is used."""
+LEAST_POWER = _limit(
+    "LEAST_POWER", 0.3, "", "share of joined elements, beyond whole ones, below which the score is None"
+)
+FEW_CELLS = _limit("FEW_CELLS", 100.0, "cells", "with fewer cells, covariances of neighboring places are pooled")
+
+# Randomness
+
+VARIES = _limit(
+    "VARIES", 0.5, "JND", "root mean square departure of tiles from their mean below which nobody sees them vary"
+)
+TWINS = _limit("TWINS", 0.1, "", "pairs of the references below the limit of twins, over those of an ideal copier")
+RETURNING = _limit("RETURNING", 6.0, "pairs", "lags with fewer pairs are ignored: half of them can be twins by chance")
+LEAST_SCALE = _limit(
+    "LEAST_SCALE", 0.25, "", "least energy of an output, over the references', to which distances are relative"
+)
+TOLERANCE = _limit("TOLERANCE", 0.1, "", "convention: a variation that differs by 10 % is not seen")
+ARRANGED = _limit("ARRANGED", 0.15, "", "convention: a change of a correlation that is not seen")
+ARRANGED_DEVIATIONS = _limit(
+    "ARRANGED_DEVIATIONS", 4.0, "sd", "theory: one of 30 normal values exceeds it once in 500 draws"
+)
+LEAST_DISTANCE = _limit("LEAST_DISTANCE", 0.03, "", "convention: share of the energy distance that is not seen")
+OF_DISTANCE = _limit("OF_DISTANCE", 1.1, "", "margin over the largest distance of 24 parts of the references")
+AMPLITUDE = _limit("AMPLITUDE", 0.06, "s", "displacements of the references below which the geometry does not vary")
+AMPLITUDE_TOLERANCE = _limit(
+    "AMPLITUDE_TOLERANCE", 0.35, "", "convention: displacements that differ by 40 % are not seen"
+)
+
+# Appearance: floors in units of the features, 20 ln of an amplitude for bands
+
+COLOR_FLOOR = _limit("COLOR_FLOOR", 2.0, "CIELAB", "one JND of the mean")
+GRAIN_FLOOR = _limit("GRAIN_FLOOR", 4.0, "20 ln", "a fifth of the amplitude of grain")
+FINE_FLOOR = _limit("FINE_FLOOR", 5.0, "20 ln", "a fourth of the amplitude of the finest band")
+BAND_FLOOR = _limit("BAND_FLOOR", 4.0, "20 ln", "a fifth of the amplitude of a band")
+LOSS = _limit("LOSS", 0.5, "", "lost fine detail counts half: a blur of .6 px is not seen, noise of as much energy is")
+GRAIN_OFFSET = _limit("GRAIN_OFFSET", 1.5, "CIELAB", "grain of this amplitude is not seen")
+BAND_OFFSET = _limit("BAND_OFFSET", 0.5, "CIELAB", "detail of this amplitude is not seen")
+LEAST_LOCAL = _limit("LEAST_LOCAL", 3.5, "sd", "theory: the norm of eight normal values exceeds it once in 30 windows")
+LEAST_WHOLE = _limit("LEAST_WHOLE", 2.0, "sd", "convention: half of what was seen in all edits")
+OF_LOOKS = _limit("OF_LOOKS", 1.15, "", "margin over the largest distance of the references")
+OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for means of quarters and of the whole, of which the references show few")
+OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.25, "", "the same for parts of one sample")
+LOOKS_SLOPE = _limit("LOOKS_SLOPE", 2.0, "", "the score reaches 0 at 1.5 times the limit")

@@ -1,0 +1,265 @@
+"""What a texture is, learned from fresh draws of its model, or from the one sample of a photograph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.imaging.convert import Image, quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Again, Shape
+
+from ..perception.visible import Lab, perceive
+from ..registration.followed import CellModel, FollowedPicture, Strips
+from ..registration.lattice_net import LatticeNet, Mask, Values, fold_cells, sample_planes
+from . import limits
+
+FIRST_DRAW = 1 << 16
+"""Number of the first fresh draw of the reference; the oracle and the planted defects use smaller numbers."""
+DRAWS = 6
+"""Number of fresh draws."""
+STRIPS = 4
+"""Number of strips of a sample, each of which is judged by the others."""
+_SIDES = (128, 384)
+"""Smallest and largest side of a fresh draw, px."""
+_LEAST_TILES = 8
+"""Least number of tiles along each side of a fresh draw."""
+_WIDEST = 3
+"""Largest side of the windows that are followed, in cells."""
+_FEWEST_CELLS = 3
+"""Least number of cells along each vector, the incomplete ones included."""
+
+
+class CannotTell(Exception):
+    """There is no reference, or it is too small; the message is the reason, as in the tables."""
+
+
+@dataclass(frozen=True, eq=False)
+class TextureReference:
+    """The pictures that show what a texture is, followed by its lattice.
+
+    Parameters
+    ----------
+    pictures
+        The reference pictures followed by the lattice: fresh draws, or the sample alone.
+    model
+        The model of the cell, learned from all of them.
+    sample_shape
+        Shape of the sample that a method receives.
+    """
+
+    pictures: Sequence[FollowedPicture]
+    model: CellModel
+    sample_shape: Shape
+
+    @property
+    def net(self) -> LatticeNet:
+        """The net of the pictures, which have one shape."""
+        return self.pictures[0].net
+
+    @property
+    def strips(self) -> Strips | None:
+        """The strips of a sample; None for fresh draws."""
+        return self.pictures[0].strips
+
+    @property
+    def from_sample(self) -> bool:
+        """Whether the sample is all that is known of the texture."""
+        return self.strips is not None
+
+    @cached_property
+    def color(self) -> Values:
+        """(3,): mean color."""
+        return np.asarray(np.mean([picture.lab[..., :3].mean((0, 1)) for picture in self.pictures], 0), np.float32)
+
+    @cached_property
+    def usual_misfit(self) -> tuple[float, float]:
+        """Median misfit of the cells of the reference, and the misfit beyond which a cell is torn."""
+        misfits = np.concatenate([picture.misfit[picture.valid & picture.in_place] for picture in self.pictures])
+        top, margin = (0.98, limits.TORN * 1.25) if self.from_sample else (0.999, limits.TORN)
+        return float(np.median(misfits)), margin * float(np.quantile(misfits, top))
+
+    @cached_property
+    def slip_limit(self) -> float:
+        """Difference in s between two sides of a line beyond which they have slipped."""
+        return max(limits.SLIP, limits.OF_SLIP * max(float(picture.slip.max(initial=0)) for picture in self.pictures))
+
+    @cached_property
+    def misplaced(self) -> NDArray[np.float64]:
+        """Share of each picture, or of each strip, that is out of place."""
+        if self.strips is None:
+            return np.array([self.misplacement(picture)[picture.valid].mean() for picture in self.pictures])
+        (picture,) = self.pictures
+        number, bad = self.strips.number(picture.centers), self.misplacement(picture)
+        parts = [bad[picture.valid & (number == k)] for k in range(STRIPS)]
+        return np.array([part.mean() for part in parts if part.size])
+
+    @cached_property
+    def most_misplaced(self) -> float:
+        """Share out of place that chance explains."""
+        spread = float(self.misplaced.std(ddof=1)) if len(self.misplaced) > 1 else 0.0
+        spread /= np.sqrt(len(self.misplaced)) if self.from_sample else 1.0
+        return float(self.misplaced.mean()) + limits.DEVIATIONS * spread + limits.SURE_SHARE
+
+    @cached_property
+    def residuals(self) -> list[tuple[Values, Mask]]:
+        """The straightened pictures less their mean cell, and their known points."""
+        return [picture.residual for picture in self.pictures]
+
+    def split(self, known: Sequence[Mask]) -> list[Mask]:
+        """Return the known points of each picture, or those of each strip of the sample."""
+        if self.strips is None:
+            return list(known)
+        number = self.strips.number(self.net.points)
+        return [known[0] & (number == k) for k in range(STRIPS)]
+
+    def follow(self, lab: Lab) -> FollowedPicture:
+        """Follow the lattice through an output."""
+        net = replace(self.net, shape=(lab.shape[0], lab.shape[1]))
+        picture = self.pictures[0]
+        if (net.cells <= picture.size).any():
+            raise CannotTell("undecided: the output shows fewer than three cells along a lattice vector")
+        offset = np.asarray(self.color - lab[..., :3].mean((0, 1)), np.float32)
+        followed = FollowedPicture(lab, net, (self.model,), picture.limit, picture.size, offset=offset)
+        if not followed.valid.any():
+            raise CannotTell("undecided: no window of whole cells lies inside the output")
+        return followed
+
+    def misplacement(self, picture: FollowedPicture) -> NDArray[np.float64]:
+        """Return how far each node is out of place, ``(R, C)``: 0 in place, 1 wholly out of place.
+
+        It rises from 0 at the limit of the references to 1 at a quarter of s. All nodes beyond a slip, on the smaller
+        side, are out of place by the slip. A cell that shows the pattern nowhere (misfit) is out of place, too; misfits
+        are relative to those of the output, because a change of color or contrast is no fault of the lattice.
+        """
+        bad = np.clip((picture.away - picture.limit) / max(limits.MOST_STEP - picture.limit, 0.05), 0, 1)
+        slipped = picture.slip > self.slip_limit
+        label, count = ndimage.label(picture.valid & ~slipped, np.ones((3, 3)))
+        if slipped.any() and count > 1:
+            main = 1 + np.bincount(label.ravel())[1:].argmax()
+            rows, columns = ndimage.distance_transform_edt(label == 0, return_distances=False, return_indices=True)
+            amount = min(float(np.median(picture.slip[slipped])) / limits.MOST_STEP, 1)
+            bad = np.where(label[rows, columns] != main, np.maximum(bad, amount), bad)
+        median, torn = self.usual_misfit
+        own = float(np.median(picture.misfit[picture.in_place])) if picture.in_place.any() else median
+        return np.where(picture.misfit > torn * max(1.0, own / median), 1.0, bad)
+
+
+@lru_cache(maxsize=2)
+def reference_from_draws(again: Again, lattice: Lattice, output: Shape, sample_shape: Shape) -> TextureReference:
+    """Learn a texture from fresh draws.
+
+    Parameters
+    ----------
+    again
+        Returns fresh draws.
+    lattice
+        The lattice, reduced.
+    output, sample_shape
+        Shapes of the output and of the sample.
+
+    Raises
+    ------
+    CannotTell
+        If the dataset gives no fresh draw.
+    """
+    least = np.maximum(_LEAST_TILES * np.abs(lattice.matrix).max(0)[::-1], _SIDES[0])
+    sides = np.maximum(np.minimum(output, _SIDES[1]), np.ceil(least)).astype(int)
+    shape = (int(sides[0]), int(sides[1]))
+    draws = [again(shape, FIRST_DRAW + k) for k in range(DRAWS)]
+    found = [draw for draw in draws if draw is not None]
+    if len(found) < DRAWS:
+        raise CannotTell(f"not applicable: the texture's dataset gives no fresh draw of {shape[1]}x{shape[0]} px")
+    ideal = found[0].ideal
+    return _learn(
+        [perceive(quantize(draw.image)) for draw in found],
+        lattice,
+        None if ideal is None else perceive(ideal),
+        None,
+        sample_shape,
+    )
+
+
+def reference_from_sample(sample: Image, lattice: Lattice) -> TextureReference:
+    """Learn a texture from its sample. Each of four strips is judged by a model of the cell from the other three.
+
+    Raises
+    ------
+    CannotTell
+        If the sample is too small.
+    """
+    return _reference_of(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, lattice)
+
+
+@lru_cache(maxsize=2)
+def _reference_of(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> TextureReference:
+    """Learn a texture from the pixels of its sample; cached, because many outputs have one sample."""
+    sample = np.frombuffer(pixels, np.float32).reshape(shape)
+    height, width = shape[:2]
+    axis = int(height > width)
+    strips = Strips(axis, np.linspace(0, (width, height)[axis], STRIPS + 1))
+    return _learn([perceive(sample)], lattice, None, strips, (height, width))
+
+
+def _learn(
+    labs: Sequence[Lab], lattice: Lattice, ideal: Lab | None, strips: Strips | None, sample_shape: Shape
+) -> TextureReference:
+    net = LatticeNet((labs[0].shape[0], labs[0].shape[1]), lattice.matrix, np.array(lattice.origin))
+    if net.cells.min() < _FEWEST_CELLS:
+        raise CannotTell("undecided: the sample shows fewer than three cells along a lattice vector")
+    models = (_first_model(labs if ideal is None else [ideal], net),) * (STRIPS if strips else 1)
+    size = 2 if net.cells.min() > _FEWEST_CELLS else 1
+    for _ in range(3 if strips else 2):
+        followed = [FollowedPicture(lab, net, models, _ROUGHLY, size, strips) for lab in labs]
+        planes, known = zip(*(picture.straightened for picture in followed), strict=True)
+        if not all(k.any() for k in known):
+            raise CannotTell("undecided: the lattice cannot be followed through the sample")
+        model = CellModel.fold(planes, known, net, strips is not None)
+        models = _strip_models(planes[0], known[0], net, strips) if strips else (model,)
+    pictures = _choose_windows(labs, net, models, strips)
+    return TextureReference(pictures, model, sample_shape)
+
+
+_ROUGHLY = 0.2
+"""Largest departure in s of a node in place while the texture is learned."""
+
+
+def _first_model(labs: Sequence[Lab], net: LatticeNet) -> CellModel:
+    """Return the mean cell of pictures that are not straightened, with one variance everywhere."""
+    nets = [replace(net, shape=(lab.shape[0], lab.shape[1])) for lab in labs]
+    means = [
+        fold_cells(sample_planes(lab[..., :3], n.points), n.inside, n.samples)
+        for lab, n in zip(labs, nets, strict=True)
+    ]
+    mean = np.asarray(np.mean(means, 0))
+    return CellModel(mean, np.full_like(mean, 100))
+
+
+def _strip_models(plane: Values, known: Mask, net: LatticeNet, strips: Strips) -> tuple[CellModel, ...]:
+    number = strips.number(net.points)
+    return tuple(CellModel.fold([plane], [known & (number != k)], net, True) for k in range(STRIPS))
+
+
+def _choose_windows(
+    labs: Sequence[Lab], net: LatticeNet, models: tuple[CellModel, ...], strips: Strips | None
+) -> list[FollowedPicture]:
+    """Follow the pictures with the smallest windows that lie in their places, to within ``SURE``."""
+    chosen: list[FollowedPicture] = []
+    noise = 0.0
+    for size in range(1, min(_WIDEST, int(net.cells.min()) - 1) + 1):
+        followed = [FollowedPicture(lab, net, models, _ROUGHLY, size, strips) for lab in labs]
+        if not all(picture.valid.any() for picture in followed):
+            break
+        away = np.concatenate([picture.away[picture.valid] for picture in followed])
+        chosen, noise = followed, float(np.quantile(away, 0.98 if strips else 0.999))
+        if noise < limits.SURE:
+            break
+    if not chosen:
+        raise CannotTell("undecided: no window of whole cells lies inside the sample")
+    limit = float(np.clip(limits.OF_NOISE * noise, limits.LEAST_STEP, limits.MOST_STEP))
+    return [replace(picture, limit=limit) for picture in chosen]

@@ -1,1 +1,0 @@
-"""Normalized cross-correlation of windows with a periodic image."""

@@ -1,0 +1,61 @@
+"""What an eye sees of a picture, and of a cell of its texture."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import skimage.color
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from nrbench.imaging.convert import Image
+
+from ..judgment import limits
+
+Lab = NDArray[np.float32]
+"""``(H, W, 4)``: L*, a* and b* as they are seen, and L* before its blur."""
+
+
+def perceive(image: Image) -> Lab:
+    """Return what is seen of an image: CIELAB, in which chroma is blurred more than luminance.
+
+    This is S-CIELAB (Zhang and Wandell, "A spatial extension of CIELAB", 1997) with one Gaussian for each channel, for a
+    screen of 96 dpi seen from 57 cm: 1 px is 1.6 arc minutes. The fourth plane is L* without blur. Only changes of the
+    finest grain are measured on it.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)`` in [0, 1], with 1 or 3 channels.
+    """
+    lab = skimage.color.rgb2lab(np.broadcast_to(image, (*image.shape[:2], 3))).astype(np.float32)
+    sigmas = (limits.BLUR, limits.CHROMA_BLUR, limits.CHROMA_BLUR)
+    seen = [gaussian_filter(lab[..., k], sigma, mode="nearest", truncate=3) for k, sigma in enumerate(sigmas)]
+    return np.stack([*seen, lab[..., 0]], -1)
+
+
+def measure_looks(lab: Lab) -> NDArray[np.float32]:
+    """Return the local features of appearance at each pixel, ``(H, W, 9)``.
+
+    They are the mean L*, a* and b*; the level of the finest grain (the second differences along both axes); the levels
+    of three octaves of L*; and the levels of a* and b* below 6 px. A level is 20 ln of the local amplitude plus the
+    amplitude that is not seen. Its mean over a window weighs dark joints and flat elements alike, so that strong edges
+    do not hide a change of the grain between them.
+    """
+
+    def blur(plane: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+        return np.asarray(gaussian_filter(plane, sigma, mode="reflect", truncate=3))
+
+    def level(band: NDArray[np.float32], sigma: float, unseen: float) -> NDArray[Any]:
+        return 10 * np.log(blur(band * band, sigma) + unseen**2)
+
+    raw = lab[..., 3]
+    grain = np.zeros_like(raw)
+    grain[1:-1, 1:-1] = np.diff(np.diff(raw, 2, 0), 2, 1) / 6
+    octaves = [blur(raw, sigma) for sigma in (1.2, 2.4, 5.0)]
+    bands = [lab[..., 0] - octaves[0], octaves[0] - octaves[1], octaves[1] - octaves[2]]
+    planes = [lab[..., 0], lab[..., 1], lab[..., 2], level(grain, 1.5, limits.GRAIN_OFFSET)]
+    planes += [level(band, sigma, limits.BAND_OFFSET) for band, sigma in zip(bands, (2, 2, 3), strict=True)]
+    planes += [level(lab[..., k] - blur(lab[..., k], 6), 4, 0.7) for k in (1, 2)]
+    return np.asarray(np.stack(planes, -1), np.float32)

@@ -1,0 +1,1 @@
+"""The lattice of a texture, followed through a picture."""

@@ -1,0 +1,70 @@
+"""The straightened residual of a picture on few places of each cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..judgment import limits
+from .lattice_net import Mask, Values, split_cells
+
+
+@dataclass(frozen=True, eq=False)
+class CoarsePlane:
+    """The residual of a straightened picture: what differs from the mean cell.
+
+    Parameters
+    ----------
+    fine, known
+        ``(N1 n1, N2 n2, 3)`` residual in the order of a net, and its known points.
+    samples
+        (n1, n2): samples of a cell.
+    """
+
+    fine: Values
+    known: Mask
+    samples: NDArray[np.intp]
+
+    @cached_property
+    def values(self) -> Values:
+        """``(8 N1, 8 N2, 3)``: means over the places of each cell; 0 where unknown."""
+        return np.where(
+            self.complete[..., np.newaxis], self._mean(np.where(self.known[..., np.newaxis], self.fine, 0)), 0
+        )
+
+    @cached_property
+    def complete(self) -> Mask:
+        """``(8 N1, 8 N2)``: the places all of whose points are known."""
+        return np.asarray(self._mean(self.known.astype(np.float32)) > 0.99)
+
+    def _mean(self, a: Values) -> Values:
+        k1, k2 = self.samples // limits.PLACES
+        return np.asarray(a.reshape(a.shape[0] // k1, k1, a.shape[1] // k2, k2, *a.shape[2:]).mean((1, 3)))
+
+    @property
+    def cells(self) -> Values:
+        """``(N1, N2, 8, 8, 3)``: the values cell by cell."""
+        return split_cells(self.values, (limits.PLACES, limits.PLACES))
+
+    @property
+    def whole(self) -> Mask:
+        """``(N1, N2)``: the cells all of whose places are known."""
+        return np.asarray(split_cells(self.complete, (limits.PLACES, limits.PLACES)).all((2, 3)))
+
+    def restrict(self, known: Mask) -> CoarsePlane:
+        """Return the same residual with fewer known points."""
+        return CoarsePlane(self.fine, known, self.samples)
+
+
+def shift_plane(values: Values, known: Mask, lag: tuple[int, int]) -> tuple[Values, Mask]:
+    """Return a plane moved by a lag in its samples, and the points that are known before and after the move."""
+    moved, both = np.zeros_like(values), np.zeros_like(known)
+    to, source = [], []
+    for side, step in zip(known.shape, lag, strict=True):
+        to.append(slice(max(-step, 0), side + min(-step, 0)))
+        source.append(slice(max(step, 0), side + min(step, 0)))
+    moved[tuple(to)], both[tuple(to)] = values[tuple(source)], known[tuple(source)]
+    return moved, both & known

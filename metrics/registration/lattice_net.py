@@ -1,0 +1,129 @@
+"""The points of a picture in the order of its lattice, and its values on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from nrbench.lattice.geometry import Points
+from nrbench.plugins.forms import Shape
+
+from ..judgment import limits
+
+Values = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LatticeNet:
+    """A net of points that holds n1 x n2 samples of each cell, so that a cell is a rectangle of an array.
+
+    Parameters
+    ----------
+    shape
+        Shape of the picture.
+    vectors
+        ``(2, 2)``: the generating vectors, reduced, as rows (x, y) px.
+    origin
+        (x, y) px of a lattice point.
+    """
+
+    shape: Shape
+    vectors: Points
+    origin: Points
+
+    @cached_property
+    def s(self) -> float:
+        """Length of the shortest lattice vector, px."""
+        return float(np.linalg.norm(self.vectors, axis=1).min())
+
+    @cached_property
+    def samples(self) -> NDArray[np.intp]:
+        """(n1, n2): samples of a cell along each vector, a multiple of the number of places."""
+        most = limits.MOST_SAMPLES // limits.PLACES
+        multiples = np.clip(np.rint(np.linalg.norm(self.vectors, axis=1) / limits.PLACES), 1, most)
+        return np.asarray(limits.PLACES * multiples, np.intp)
+
+    @cached_property
+    def _range(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        height, width = self.shape
+        corners = np.array([(0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1)]) - self.origin
+        numbers = corners @ np.linalg.inv(self.vectors)
+        return np.floor(numbers.min(0)).astype(np.intp), np.ceil(numbers.max(0)).astype(np.intp)
+
+    @property
+    def first(self) -> NDArray[np.intp]:
+        """Cell coordinates of the first point."""
+        return self._range[0]
+
+    @cached_property
+    def cells(self) -> NDArray[np.intp]:
+        """(N1, N2): number of cells along each vector, those outside the picture included."""
+        return np.asarray(self._range[1] - self._range[0])
+
+    @cached_property
+    def points(self) -> Points:
+        """``(N1 n1, N2 n2, 2)``: (x, y) px of all points."""
+        steps = [
+            first + np.arange(cells * n) / n
+            for first, cells, n in zip(self.first, self.cells, self.samples, strict=True)
+        ]
+        return np.asarray(np.stack(np.meshgrid(*steps, indexing="ij"), -1) @ self.vectors + self.origin)
+
+    @cached_property
+    def inside(self) -> Mask:
+        """``(N1 n1, N2 n2)``: the points inside the picture."""
+        return find_inside(self.points, self.shape)
+
+    def tile(self, cell: Values) -> Values:
+        """Repeat a cell ``(n1, n2, ...)`` over the whole net."""
+        return np.tile(cell, (*self.cells, *(1,) * (cell.ndim - 2)))
+
+    def half_cells(self, planes: NDArray[Any], known: Mask) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the means of planes over half cells, where a point is unknown as 0, and the known share of each."""
+        half = self.samples // 2
+
+        def mean(a: NDArray[Any]) -> NDArray[np.float64]:
+            parts = a.reshape(a.shape[0] // half[0], half[0], a.shape[1] // half[1], half[1], *a.shape[2:])
+            return np.asarray(parts.mean((1, 3), dtype=np.float64))
+
+        return mean(np.where(known[..., np.newaxis], planes, 0)), mean(known)
+
+
+def find_inside(points: Points, shape: Shape) -> Mask:
+    """Return which points lie inside a picture of ``shape``."""
+    return np.asarray(((points >= 0) & (points <= np.array(shape[1::-1]) - 1)).all(-1))
+
+
+def sample_planes(planes: Values, points: Points) -> Values:
+    """Return the values of planes ``(H, W, C)`` at points (x, y), interpolated linearly."""
+    places = [points[..., 1], points[..., 0]]
+    values = [
+        map_coordinates(plane, places, order=1, mode="nearest", output=np.float32)
+        for plane in np.moveaxis(planes, -1, 0)
+    ]
+    return np.stack(values, -1)
+
+
+def split_cells(a: NDArray[Any], samples: NDArray[np.intp] | tuple[int, int]) -> NDArray[Any]:
+    """Return an array in the order of a net, ``(N1 n1, N2 n2, ...)``, cell by cell: ``(N1, N2, n1, n2, ...)``."""
+    n1, n2 = samples
+    return a.reshape(a.shape[0] // n1, n1, a.shape[1] // n2, n2, *a.shape[2:]).swapaxes(1, 2)
+
+
+def fold_cells(planes: Values, known: Mask, samples: NDArray[np.intp]) -> Values:
+    """Return the mean of all cells, ``(n1, n2, C)``, over the known points."""
+    cells, weights = split_cells(planes, samples), split_cells(known, samples)[..., np.newaxis]
+    total = np.where(weights, cells, 0).sum((0, 1), dtype=np.float64)
+    return np.asarray(total / np.maximum(weights.sum((0, 1)), 1), np.float32)
+
+
+def sum_boxes(a: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+    """Return the sums of ``size`` x ``size`` neighbors along the first two axes."""
+    sums = np.pad(a, ((1, 0), (1, 0)) + ((0, 0),) * (a.ndim - 2)).cumsum(0).cumsum(1)
+    return np.asarray(sums[size:, size:] - sums[:-size, size:] - sums[size:, :-size] + sums[:-size, :-size])

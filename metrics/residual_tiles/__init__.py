@@ -1,1 +1,0 @@
-"""Tiles of output, sample and fresh draws, cut on one grid, and repetition among them."""

@@ -1,1 +1,0 @@
-"""Windows around elements, and the discriminant of whole and composite tiles."""
