@@ -13,6 +13,7 @@ from nrbench.jit import (
     Int64x1,
     UInt8x1,
     UInt64x1,
+    inlined_kernel,
     kernel,
     step_kernel,
 )
@@ -191,7 +192,7 @@ def touch_trees(residual: Float64x2, offset: Int64x1, nodes: Nodes, queue: Int64
         current = -1
 
 
-@step_kernel
+@inlined_kernel
 def send_flow(
     residual: Float64x2,
     terminal: Float64x1,
@@ -254,7 +255,7 @@ def send_flow(
     return count
 
 
-@step_kernel
+@inlined_kernel
 def reattach_orphans(
     residual: Float64x2,
     offset: Int64x1,
