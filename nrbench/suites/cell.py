@@ -24,6 +24,7 @@ RESULTS_VERSION = 10
 DetectorIdentity = tuple[str, str, Mapping[str, Any]]
 """Name, full version and parameters of a detector: all that decides its results."""
 
+
 @dataclass(frozen=True)
 class Recipe:
     """All that is needed to draw a texture: dataset, parameters and the entropy of its random streams.
