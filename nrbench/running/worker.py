@@ -134,7 +134,7 @@ class Request:
 
 
 def perform(request: Request, send: Callable[[Message], None]) -> None:
-    """Run one phase in this process, sending messages."""
+    """Run one phase in this process, sending messages; an error that ends it is the last one."""
     before = guard.peak_bytes()
 
     def send_with_memory(message: Message) -> None:
@@ -145,7 +145,10 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
 
     module, _, name = request.phase.rpartition(".")
     phase = getattr(importlib.import_module(module or phases.__name__), name)
-    phase(Path(request.folder), send_with_memory, *request.metrics)
+    try:
+        phase(Path(request.folder), send_with_memory, *request.metrics)
+    except phases.FAULTS as error:
+        phases.send_error(error, send_with_memory)
 
 
 def warm(compiling: Callable[[], None]) -> None:
