@@ -59,7 +59,7 @@ class Recipe:
         ValueError
             If it is not such a mapping.
         """
-        recipe: Recipe = reader_of(cls).validate_python(mapping)
+        recipe: Recipe = reader_of(cls).validate_python(mapping)  # type: ignore[arg-type]
         return recipe
 
     def plugin(self) -> Any:
@@ -198,7 +198,7 @@ class Cell:
         ValueError
             If it is not such a mapping.
         """
-        cell: Cell = reader_of(cls).validate_python(mapping)
+        cell: Cell = reader_of(cls).validate_python(mapping)  # type: ignore[arg-type]
         return cell
 
 
