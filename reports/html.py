@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from base64 import b64encode
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +24,6 @@ from .latex import bibliography, latex_text
 from .page import gallery
 from .page.environment import make_environment
 from .page.forest_plot import forest_axes
-from .page.inline_svg import inline_svg
 from .page.pictures import CROP, PictureStore
 from .plots.comparison_plots import plot_cost, plot_heat_map, plot_ranks, timed_methods
 from .plots.perils_plane import plot_perils_plane
@@ -101,15 +101,15 @@ class HtmlReport:
             "more_rows": other_score_rows(run, comparison.summaries),
             "axes": forest_axes(comparison.summary_rows),
             "points": points,
-            "plane": inline_svg(plot_perils_plane("svg", points), "plane") if points else "",
-            "ranks": inline_svg(plot_ranks("svg", comparison), "ranks") if comparison.tests else "",
-            "heat_map": inline_svg(plot_heat_map("svg", comparison), "heat") if comparison.has_ranking else "",
-            "cost_plane": inline_svg(plot_cost("svg", timed), "cost") if timed else "",
+            "plane": plot_perils_plane("svg", points) if points else b"",
+            "ranks": plot_ranks("svg", comparison) if comparison.tests else b"",
+            "heat_map": plot_heat_map("svg", comparison) if comparison.has_ranking else b"",
+            "cost_plane": plot_cost("svg", timed) if timed else b"",
             "summary_csv": csv_text(summary_table(comparison)),
             "summary_latex": latex_text(run, comparison) if comparison.scored and comparison.rows else "",
             "bibliography": bibliography(run),
             "panels": panels,
-            "level_plot": inline_svg(plot_levels("svg", panels, _LEVELS_WIDTH), "levels") if panels else "",
+            "level_plot": plot_levels("svg", panels, _LEVELS_WIDTH) if panels else b"",
             "broken": BROKEN,
             "disagreements": {
                 name: [
@@ -131,7 +131,7 @@ class HtmlReport:
             "failed_scores": _failed_scores(run.cells),
             "columns": describe_scores(run),
             "claims": claims,
-            "claim_plots": [inline_svg(plot_claim("svg", one), f"claim{i}") for i, one in enumerate(claims)],
+            "claim_plots": [plot_claim("svg", one) for one in claims],
             "published": compare_with_published(run, comparison),
             "single_file": self.single_file,
             "detectors": compare_detectors(run),
@@ -146,7 +146,7 @@ class HtmlReport:
 def _fill_template(content: Mapping[str, Any], pictures: PictureStore) -> str:
     """Return the page; its content policy names style and script by hash, so that nothing else on it can run."""
     environment = make_environment(
-        {"score_shade": gallery.score_shade, "strip_control": strip_control}, autoescape=True
+        {"score_shade": gallery.score_shade, "strip_control": strip_control, "as_image": _as_image}, autoescape=True
     )
     embed = pictures.embeds()
     address = cache(lambda picture: pictures.address(picture, embed))
@@ -157,6 +157,11 @@ def _fill_template(content: Mapping[str, Any], pictures: PictureStore) -> str:
         **{"style": style, "style_hash": content_hash(style), "script": script, "script_hash": content_hash(script)},
         **{"address": address, "embedded": embed},
     )
+
+
+def _as_image(svg: bytes) -> Markup:
+    """Return a plot as an element of the page, without an alternative text: its figure has one."""
+    return Markup(f'<img class="plot" src="data:image/svg+xml;base64,{b64encode(svg).decode()}" alt="">')
 
 
 def _unfinished_cells(cells: Sequence[CellRecord]) -> list[CellRecord]:

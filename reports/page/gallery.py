@@ -232,7 +232,7 @@ def _output_figure(record: CellRecord, titles: Sequence[str], pictures: PictureS
     for index, title in enumerate(titles if output else (), 1):
         layer = record.pictures.get(title)
         source = title == SOURCE_MAP
-        laid = pictures.source_map(path, record.folder / "source.npz") if source else pictures.overlay(path, layer)
+        laid = pictures.source_map(record.folder / "source.npz") if source else pictures.overlay(path, layer)
         if laid:
             layers.append((index, title, laid))
         elif inset := pictures.load(layer):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ ANSWER_COLUMNS = (
 KINDS = ("exact", "supercell", "subcell", "wrong", "none", "failed")
 """The kinds of answer on textures that have a lattice."""
 STOCHASTIC = "stochastic"
+_KEYS = ("detector", "family", "departure", "level")
 BINS = 10
 """Number of bins of :func:`calibrate`."""
 
@@ -111,32 +113,42 @@ class DetectorSummary:
 
 @dataclass(frozen=True)
 class AnswerGroup:
-    """The answers on textures of one family, departure and level, by detector.
+    """The answers of one detector on a group of textures.
 
     Parameters
     ----------
-    family, departure, level
-        The textures; ``level`` is None for all levels together.
-    rates
-        Share of right answers, by detector.
-    errors
-        Median vector error of the right answers, px, by detector; None if there are none.
+    n, found
+        Number of answers, and of lattices found.
+    right
+        Share of right answers.
+    vector_error
+        Median vector error of the right answers, px; None if there are none.
+    seconds
+        Median wall time of a detection, s; None if no detection ended.
     """
 
-    family: str
-    departure: str
-    level: float | None
-    rates: Mapping[str, Estimate]
-    errors: Mapping[str, float | None]
+    n: int
+    found: int
+    right: Estimate
+    vector_error: float | None
+    seconds: float | None
 
 
 @dataclass(frozen=True)
 class DetectorComparison:
-    """The summary of each detector, and the answers by family and departure, without and with levels."""
+    """The summary of each detector, and its answers by groups of textures.
+
+    Parameters
+    ----------
+    summaries
+        One for each detector.
+    groups, levels
+        The answers of each detector by (family, departure), and by (family, departure, level).
+    """
 
     summaries: Sequence[DetectorSummary]
-    groups: Sequence[AnswerGroup]
-    levels: Sequence[AnswerGroup]
+    groups: Mapping[tuple[Any, ...], Mapping[str, AnswerGroup]]
+    levels: Mapping[tuple[Any, ...], Mapping[str, AnswerGroup]]
 
 
 def tabulate_answers(run: Run) -> pd.DataFrame:
@@ -201,8 +213,8 @@ def compare_detectors(run: Run) -> DetectorComparison | None:
     names = list(dict.fromkeys(answers["detector"]))
     return DetectorComparison(
         summaries=[_summarize_detector(name, answers[answers["detector"] == name]) for name in names],
-        groups=_group_answers(answers, ["family", "departure"]),
-        levels=_group_answers(answers[answers["level"].notna()], ["family", "departure", "level"]),
+        groups=_by_detector(_group_answers(answers, _KEYS[:3])),
+        levels=_by_detector(_group_answers(answers[answers["level"].notna()], _KEYS)),
     )
 
 
@@ -224,20 +236,26 @@ def _summarize_detector(name: str, answers: pd.DataFrame) -> DetectorSummary:
     )
 
 
-def _group_answers(answers: pd.DataFrame, keys: list[str]) -> list[AnswerGroup]:
-    groups = []
-    for key, part in answers.groupby(keys, sort=False):
-        family, departure, *level = cast(tuple[Any, ...], key)
-        own = {str(name): _detector_row(rows) for name, rows in part.groupby("detector", sort=False)}
-        rates = {name: right for name, (right, _) in own.items()}
-        errors = {name: error for name, (_, error) in own.items()}
-        groups.append(AnswerGroup(str(family), str(departure), float(level[0]) if level else None, rates, errors))
-    return groups
+def _group_answers(answers: pd.DataFrame, keys: Sequence[str]) -> dict[tuple[Any, ...], AnswerGroup]:
+    """Return the answers by the values of some columns."""
+    return {
+        cast(tuple[Any, ...], group): AnswerGroup(
+            n=len(part),
+            found=int(part["found"].sum()),
+            right=estimate_proportion(part["right"]),
+            vector_error=median_of_known(part[part["right"]]["vector_error"]),
+            seconds=median_of_known(part["seconds"]),
+        )
+        for group, part in answers.groupby(list(keys), sort=False)
+    }
 
 
-def _detector_row(answers: pd.DataFrame) -> tuple[Estimate, float | None]:
-    """Return the share of right answers, and their median vector error, px."""
-    return estimate_proportion(answers["right"]), median_of_known(answers[answers["right"]]["vector_error"])
+def _by_detector(groups: Mapping[tuple[Any, ...], AnswerGroup]) -> dict[tuple[Any, ...], dict[str, AnswerGroup]]:
+    """Return groups whose first key is the detector by the other keys, then by detector."""
+    found: dict[tuple[Any, ...], dict[str, AnswerGroup]] = {}
+    for (detector, *textures), group in groups.items():
+        found.setdefault(tuple(textures), {})[detector] = group
+    return found
 
 
 def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
@@ -248,22 +266,17 @@ def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
     answers
         The table of :func:`tabulate_answers`.
     """
-    keys = ["detector", "family", "departure", "level"]
-    leveled = answers[answers["level"].notna()]
-    tables = [answers[answers["departure"] != STOCHASTIC], answers, answers, leveled]
-    rows = []
-    for depth, table in enumerate(tables, 1):
-        for group, part in table.groupby(keys[:depth], sort=False):
-            right, error = _detector_row(part)
-            rows.append({
-                **dict.fromkeys(keys),
-                **dict(zip(keys, cast(tuple[Any, ...], group), strict=False)),
-                **{"n": len(part), "right": int(part["right"].sum()), "found": int(part["found"].sum())},
-                **right.columns("share_right", "share_right_", ("low", "high")),
-                "median_vector_error": error,
-                "median_seconds": median_of_known(part["seconds"]),
-            })  # fmt: skip
-    return pd.DataFrame(rows)
+    tables = [answers[answers["departure"] != STOCHASTIC], answers, answers, answers[answers["level"].notna()]]
+    return pd.DataFrame(
+        {
+            **dict(itertools.zip_longest(_KEYS, key)),
+            **{"n": group.n, "right": round(group.n * (group.right.value or 0)), "found": group.found},
+            **group.right.columns("share_right", "share_right_", ("low", "high")),
+            **{"median_vector_error": group.vector_error, "median_seconds": group.seconds},
+        }
+        for depth, table in enumerate(tables, 1)
+        for key, group in _group_answers(table, _KEYS[:depth]).items()
+    )
 
 
 def median_of_known(values: Iterable[float | None]) -> float | None:

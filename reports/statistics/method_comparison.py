@@ -18,7 +18,6 @@ from .significance import (
     BaselineDifference,
     PairedDifference,
     RankTests,
-    TextureDraws,
     compare_with,
     find_leading_group,
     list_differences,
@@ -214,22 +213,21 @@ def compare_methods(run: Run, tests: bool = True, baseline: str = "") -> Compari
 def _build_comparison(run: Run, tests: bool, baseline: str) -> Comparison:
     cells = keep_common_textures(tabulate_cells(run))
     summaries = summarize_methods(run, cells)
-    draws = TextureDraws.of(run, cells)
     other = _find_method([one.method for one in summaries], baseline)
     rule, ranks, against = "", None, []
     ranked = rank_methods(summaries)
     best = next((one.method for one in ranked if one.rank == 1), None)
     fit = [one.method for one in ranked if one.rank]
     if tests and best is not None:
-        leading, rule = find_leading_group(draws, best, fit)
-        ranks = rank_by_texture(draws, fit)
+        leading, rule = find_leading_group(cells, best, fit)
+        ranks = rank_by_texture(cells, fit)
         places = dict(zip([one.label for one in fit], ranks.ranks, strict=True)) if ranks else {}
         ranked = [
             replace(one, leading=one.method.label in leading, average_rank=places.get(one.method.label))
             for one in ranked
         ]
         other = other or best
-        against = compare_with(draws, other, [one.method for one in ranked if one.method != other])
+        against = compare_with(cells, other, [one.method for one in ranked if one.method != other])
     methods = [one.method for one in ranked]
     score = QUALITY if has_quality(run) else SCORE
     notes = list(dict.fromkeys(record.note for record in run.cells if record.note))
@@ -244,7 +242,7 @@ def _build_comparison(run: Run, tests: bool, baseline: str) -> Comparison:
         summary_rows=summary_rows(run, ranked),
         notes=notes,
         summaries=ranked,
-        differences=list_differences(run, methods, draws),
+        differences=list_differences(run, methods, cells),
         counts=counts,
         baseline=other if against else None,
         against=against,

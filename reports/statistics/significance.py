@@ -6,7 +6,7 @@ The unit is the texture: each value is a mean over the replicates of one texture
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from scipy.stats import friedmanchisquare, rankdata, wilcoxon
 
 from nrbench.runs.records import Run
 
-from .estimates import Estimate, estimate_means, mean_of_known
+from .estimates import Estimate, estimate_means
 from .summaries import Method, headline_columns
 from .verdicts import RANKING
 
@@ -215,16 +215,17 @@ class BaselineDifference:
     p: float | None
 
 
-def find_leading_group(draws: TextureDraws, best: Method, ranked: Sequence[Method]) -> tuple[set[str], str]:
+def find_leading_group(cells: pd.DataFrame, best: Method, ranked: Sequence[Method]) -> tuple[set[str], str]:
     """Return the labels of the leading group, and what the group is.
 
     A method that shares fewer than half of the best method's textures with it is not in the group: their difference is
     not known.
     """
-    gaps = {one.label: draws.differences(best, one)[draws.ranking] for one in ranked if one != best}
-    near = {label: gap for label, gap in gaps.items() if 2 * np.isfinite(gap).sum() >= draws.count(best)}
+    behind = -_differences(cells, RANKING, best)
+    gaps = {one.label: behind[one.label].dropna().to_numpy() for one in ranked if one != best}
+    near = {label: gap for label, gap in gaps.items() if 2 * len(gap) >= behind[best.label].count()}
     what = "leading group: the method of the highest mean quality, and the methods"
-    if near and all(np.isfinite(gap).sum() >= FEWEST for gap in near.values()):
+    if near and all(len(gap) >= FEWEST for gap in near.values()):
         p = adjust_holm(np.array([_signed_rank_p(gap) for gap in near.values()]))
         tied = (p >= ALPHA).tolist()
         rule = f"{what} that do not differ from it over textures (Wilcoxon's test with Holm's correction, 5 %)"
@@ -234,95 +235,44 @@ def find_leading_group(draws: TextureDraws, best: Method, ranked: Sequence[Metho
     return {best.label, *itertools.compress(near, tied)}, rule
 
 
+def _differences(cells: pd.DataFrame, score: str, other: Method) -> pd.DataFrame:
+    """Return a score of every method minus that of ``other``, by texture and label: means over paired replicates."""
+    scores = cells.pivot(index=["texture", "replicate"], columns="label", values=score)
+    return scores.sub(scores[other.label], axis=0).groupby(level="texture").mean()
+
+
 def _signed_rank_p(differences: Floats) -> float:
-    known = differences[np.isfinite(differences)]
-    return float(signed_rank_p_values(known[:, None])[0]) if len(known) else 1.0
+    return float(signed_rank_p_values(differences[:, None])[0])
 
 
-def rank_by_texture(draws: TextureDraws, ranked: Sequence[Method]) -> RankTests | None:
+def rank_by_texture(cells: pd.DataFrame, ranked: Sequence[Method]) -> RankTests | None:
     """Return the tests over the textures on which every ranked method has a quality; None with too few."""
-    values = np.stack([draws.means(one)[draws.ranking] for one in ranked], axis=1)
-    complete = values[np.isfinite(values).all(1)]
-    return compare_ranks(complete) if len(complete) >= FEWEST and len(ranked) > 1 else None
+    qualities = cells.pivot_table(RANKING, "texture", "label")[[one.label for one in ranked]].dropna()
+    return compare_ranks(qualities.to_numpy()) if len(qualities) >= FEWEST and len(ranked) > 1 else None
 
 
-def compare_with(draws: TextureDraws, other: Method, methods: Sequence[Method]) -> list[BaselineDifference]:
+def compare_with(cells: pd.DataFrame, other: Method, methods: Sequence[Method]) -> list[BaselineDifference]:
     """Return the difference of each method to ``other`` in quality; methods without common textures are left out."""
-    gaps = [(one, -draws.differences(other, one)[draws.ranking]) for one in methods]
-    known = [(one, gap) for one, gap in gaps if np.isfinite(gap).any()]
-    estimates = estimate_means([gap for _, gap in known])
-    many = [_signed_rank_p(gap) for _, gap in known if np.isfinite(gap).sum() >= FEWEST]
+    gaps = _differences(cells, RANKING, other)
+    known = [one for one in methods if gaps[one.label].notna().any()]
+    estimates = estimate_means([gaps[one.label].to_numpy() for one in known])
+    clean = [gaps[one.label].dropna().to_numpy() for one in known]
+    many = [_signed_rank_p(gap) for gap in clean if len(gap) >= FEWEST]
     adjusted = iter(adjust_holm(np.array(many)).tolist())
     return [
         BaselineDifference(one, estimate, rank_biserial(gap), next(adjusted) if estimate.n >= FEWEST else None)
-        for (one, gap), estimate in zip(known, estimates, strict=True)
+        for one, gap, estimate in zip(known, clean, estimates, strict=True)
     ]
 
 
-@dataclass(frozen=True)
-class TextureDraws:
-    """The headline scores of every method, by texture and replicate.
-
-    Parameters
-    ----------
-    names
-        The scores.
-    values
-        ``(scores, textures, replicates)`` for each label; NaN is no value.
-    present
-        ``(textures, replicates)`` for each label: whether the run has the cell.
-    """
-
-    names: Sequence[str]
-    values: Mapping[str, Floats]
-    present: Mapping[str, NDArray[np.bool_]]
-
-    @classmethod
-    def of(cls, run: Run, cells: pd.DataFrame) -> TextureDraws:
-        """Collect the scores of a run."""
-        names = list(headline_columns(run))
-        textures, row = np.unique(cells["texture"].to_numpy(object).astype(str), return_inverse=True)
-        replicates, column = np.unique(cells["replicate"].to_numpy(np.int64), return_inverse=True)
-        scores = cells[names].to_numpy(np.float64)
-        values: dict[str, Floats] = {}
-        present: dict[str, NDArray[np.bool_]] = {}
-        for name, where in cells.groupby("label", sort=False).indices.items():
-            label = str(name)
-            values[label] = np.full((len(names), len(textures), len(replicates)), np.nan)
-            values[label][:, row[where], column[where]] = scores[where].T
-            present[label] = np.zeros((len(textures), len(replicates)), bool)
-            present[label][row[where], column[where]] = True
-        return cls(names, values, present)
-
-    @property
-    def ranking(self) -> int:
-        """The index of the quality that ranks."""
-        return self.names.index(RANKING)
-
-    def means(self, method: Method) -> Floats:
-        """Return the mean over replicates of each score on each texture, ``(scores, textures)``."""
-        return mean_of_known(self.values[method.label], -1)
-
-    def count(self, method: Method) -> int:
-        """Return the number of textures on which a method has the quality that ranks."""
-        return int(np.isfinite(self.means(method)[self.ranking]).sum())
-
-    def differences(self, first: Method, second: Method) -> Floats:
-        """Return the mean over replicates of first minus second on each texture, ``(scores, textures)``."""
-        return mean_of_known(self.values[first.label] - self.values[second.label], -1)
-
-    def common(self, first: Method, second: Method) -> int:
-        """Return the number of textures that both methods ran on."""
-        return int((self.present[first.label] & self.present[second.label]).any(1).sum())
-
-
-def list_differences(run: Run, methods: Sequence[Method], draws: TextureDraws) -> list[PairedDifference]:
+def list_differences(run: Run, methods: Sequence[Method], cells: pd.DataFrame) -> list[PairedDifference]:
     """Return the differences of all pairs whose first method is no reference, in every headline."""
     pairs = [(a, b) for a, b in itertools.combinations(methods, 2) if not a.reference]
-    gaps = [draws.differences(a, b) for a, b in pairs]
-    common = [draws.common(a, b) for a, b in pairs]
+    textures = {str(label): set(names) for label, names in cells.groupby("label")["texture"]}
+    common = [len(textures[a.label] & textures[b.label]) for a, b in pairs]
     found = []
-    for index, name in enumerate(draws.names):
-        estimates = estimate_means([gap[index] for gap in gaps], common)
+    for name in headline_columns(run):
+        gaps = {a.label: -_differences(cells, name, a) for a in methods if not a.reference}
+        estimates = estimate_means([gaps[a.label][b.label].to_numpy() for a, b in pairs], common)
         found += [PairedDifference(name, a, b, one) for (a, b), one in zip(pairs, estimates, strict=True)]
     return found

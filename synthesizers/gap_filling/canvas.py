@@ -13,10 +13,10 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 
 from ..sampling.patches import Patches, Source
-from ..seams.minimum_cut import Links, Mask, cut_overlap
-from ..seams.seam_kernels import link_costs
+from ..seams.seam_kernels import cut_overlap, link_costs, record_seams
 from .blocks import OWN, Block, BlockGrid, Box, Sides, box_slices
 
+Mask = NDArray[np.bool_]
 SeamMethod = Literal["blend", "graphcut"]
 Places = NDArray[np.float64]
 """``float64 (rows, columns, 2)``: the real-valued (x, y) in the sample of every block's first pixel."""
@@ -59,8 +59,8 @@ class BlockCanvas:
         self.image: Image = np.zeros((height, width, patches.sample.shape[2]), np.float32)
         self.source: Source = np.ones((height, width, 3), np.float32)
         self.known: Mask = np.zeros((height, width), np.bool_)
-        # What the seams of the image cost, for graph cuts.
-        self._seams = Links(np.zeros((height, width - 1), np.float32), np.zeros((height - 1, width), np.float32))
+        self._seams = np.zeros((2, height, width), np.float32)
+        """Costs of the seams of the image to the right and downward, for graph cuts."""
 
     def output(self) -> tuple[Image, Source]:
         """Return the output and its source map: the (x, y) that has the largest weight, and that weight."""
@@ -147,7 +147,7 @@ class BlockCanvas:
     def _cut(self, gap: Block, box: Box, patch: tuple[Image, Source]) -> None:
         window = gap.window(box)
         overlap = PatchOverlap(self.image[window], patch[0], self.known[window], box, gap.border.hole, gap.sides)
-        new = cut_graph(overlap, _links_inside(self._seams, window))
+        new = cut_graph(overlap, self._seams[:, *window])
         np.copyto(self.image[window], patch[0], where=new[..., np.newaxis])
         np.copyto(self.source[window], patch[1], where=new[..., np.newaxis])
 
@@ -156,24 +156,16 @@ class BlockCanvas:
         half = self.grid.size // 2
         beside = np.concatenate([layers[0][:, :half], layers[2][:, half:]], 1)
         above = np.concatenate([layers[1][:half], layers[3][half:]], 0)
-        costs = visible_links(beside, above)
-        owners, seams = gap.border.owners, _links_inside(self._seams, gap.window())
-        seams.across[...] = _costs_between_neighbors(owners[:, 1:], owners[:, :-1], costs.across)
-        seams.down[...] = _costs_between_neighbors(owners[1:], owners[:-1], costs.down)
+        costs, owners, seams = link_costs(beside, above, True), gap.border.owners, self._seams[:, *gap.window()]
+        seams[0, :, :-1] = _costs_between_neighbors(owners[:, 1:], owners[:, :-1], costs[0, :, :-1])
+        seams[1, :-1] = _costs_between_neighbors(owners[1:], owners[:-1], costs[1, :-1])
 
 
 def _costs_between_neighbors(
-    one: NDArray[np.int64], other: NDArray[np.int64], cost: NDArray[np.float64]
+    owner: NDArray[np.int64], other: NDArray[np.int64], cost: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the cost where one owner is to the left or right and the other one above or below, else 0."""
-    return np.where((one != other) & (one % 2 != other % 2) & (one != OWN) & (other != OWN), cost, 0.0)
-
-
-def _links_inside(links: Links, window: tuple[slice, slice]) -> Links:
-    """Return the links inside a window of pixels, as views."""
-    rows, columns = window
-    across = links.across[rows, columns.start : columns.stop - 1]
-    return Links(across, links.down[rows.start : rows.stop - 1, columns])
+    return np.where((owner % 2 != other % 2) & (owner != OWN) & (other != OWN), cost, 0.0)
 
 
 def compose(patches: Patches, grid: BlockGrid, places: Places) -> tuple[Image, Source]:
@@ -259,32 +251,26 @@ def _widen(start: int, stop: int, first: int, last: int) -> tuple[int, int]:
     return (start, stop) if stop - start >= 2 else (max(start - 1, first), min(stop + 1, last))
 
 
-def cut_graph(overlap: PatchOverlap, seams: Links) -> Mask:
+def cut_graph(overlap: PatchOverlap, seams: NDArray[np.float32]) -> Mask:
     """Return where the new picture is shown if the seam is the least visible closed one around the hole.
+
+    With plain differences (Kwatra et al. 2003, equation 1) the shortest seam often crosses bricks of nearly one color
+    and leaves them two-toned. Divided by gradients, it follows their outlines; squared, it avoids large differences.
 
     Parameters
     ----------
     overlap
         The patch and the picture.
     seams
-        The costs of the old picture's seams over the box. They are changed in place to those of the joined picture.
+        ``(2, h, w)``: the costs of the old picture's seams over the box, to the right and downward. They are changed in
+        place to those of the joined picture.
     """
-    links = visible_links(np.where(overlap.known[..., np.newaxis], overlap.old, overlap.new), overlap.new)
-    highest = max(float(cost.max(initial=0)) for cost in links)
-    np.copyto(links.across, highest, where=~(overlap.known[:, 1:] & overlap.known[:, :-1]))
-    np.copyto(links.down, highest, where=~(overlap.known[1:] & overlap.known[:-1]))
-    new = cut_overlap(links, overlap.fixed_old(), overlap.fixed_new(), seams)
-    ends = ((new[:, 1:], new[:, :-1]), (new[1:], new[:-1]))
-    for seam, cost, (one, other) in zip(seams, links, ends, strict=True):
-        np.copyto(seam, np.where(one != other, cost, 0), where=one | other)
+    known = overlap.known
+    old = np.where(known[..., np.newaxis], overlap.old, overlap.new)
+    costs = link_costs(old, np.ascontiguousarray(overlap.new), True)
+    highest = costs.max(initial=0)
+    np.copyto(costs[0, :, :-1], highest, where=~(known[:, 1:] & known[:, :-1]))
+    np.copyto(costs[1, :-1], highest, where=~(known[1:] & known[:-1]))
+    new = cut_overlap(costs, seams, overlap.fixed_old(), overlap.fixed_new())
+    record_seams(seams, np.ones(new.shape, np.uint8), new, costs)
     return new
-
-
-def visible_links(old: Image, new: Image) -> Links:
-    """Compute how visible a seam is between adjacent pixels of two pictures ``(H, W, C)``.
-
-    With plain differences (equation 1) the shortest seam often crosses bricks of nearly one color and leaves them
-    two-toned. Divided by gradients, it follows their outlines; squared, it avoids large differences.
-    """
-    first, second = (np.ascontiguousarray(picture, np.float32) for picture in (old, new))
-    return Links(*link_costs(first, second, True))

@@ -17,10 +17,10 @@ from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
 
 from ..sampling.patches import Source
-from ..seams.minimum_cut import Mask
+from ..seams.seam_kernels import cut_links
 from .feather_kernels import feather_seams
-from .patchwork_kernels import UNIT, cut_links, link_choices, show_patch
-from .translations import Features, Translations, draw_translation
+from .patchwork_kernels import UNIT, link_choices, show_patch
+from .translations import Features, Mask, Translations, draw_translation
 
 Window = tuple[int, int, int, int]
 """(y0, y1, x0, x1), half-open: rows and columns of the output."""

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.box_sums import Table, box_sums, box_sums_from, integral_image
 from nrbench.imaging.convert import Image
 
-from ..seams.minimum_cut import Mask
-
+Mask = NDArray[np.bool_]
 Features = NDArray[np.int32]
 """``int32 (H, W, F)``: the values of the pixels that are compared. They are integers, so that sums are exact."""
 Costs = NDArray[np.float64]

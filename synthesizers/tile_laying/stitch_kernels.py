@@ -5,26 +5,25 @@ from __future__ import annotations
 import numpy as np
 
 from nrbench.jit import (
-    Float32View3,
     Float32x2,
     Float32x3,
     Float64x1,
     Float64x2,
+    Float64x3,
     Int64x1,
     Int64x2,
     Int64x3,
-    UInt8View2,
     UInt8x1,
     UInt8x2,
     UInt8x3,
     kernel,
 )
 
-from ..seams.seam_kernels import SOURCE, grow_trees, link_costs
+from ..seams.seam_kernels import cut_overlap, link_costs, record_seams
 
-_OUTSIDE, _EMPTY, _KEPT, _FREE = 0, 1, 2, 3
-"""States of a pixel of the tile's box: outside the tile; not filled; filled under the tile's outermost pixels, so that
-it is kept; free to choose."""
+_KEPT, _EMPTY, _FREE = 0, 1, 2
+"""States of a pixel of the tile's box: kept, because it is outside the tile or filled under its outermost pixels; not
+filled; free to choose."""
 FEATHER = 3.0
 """px; width of the ramp where the two seams of dynamic programming conflict (the paper gives no width)."""
 
@@ -179,7 +178,7 @@ def cut_tile(
     canvas, filled, source, first, pixels, left, top
         As in :func:`paste`. The tile's outermost pixels are not shown where the canvas is filled.
     seams
-        ``(H, W, 2)``: costs of the canvas's seams between each pixel and the next to its right, and below; changed to
+        ``(2, H, W)``: costs of the canvas's seams between each pixel and the next to its right, and below; changed to
         those with the tile. They count for pixels that stay, so that it pays to cover them.
     weights
         Table and numbers of :class:`~nrbench.synthesizers.tile_laying.tile_shape.ElementWeights`, for the canvas.
@@ -217,35 +216,34 @@ def cut_tile(
         for k in range(pixels.shape[0]):
             shown[k] = state[pixels[k, 1] - box[0, 1], pixels[k, 0] - box[0, 0]] == _EMPTY
         return shown
-    across, down = link_costs(old, new, False)
-    weigh_links(weights[0], weights[1], x0, y0, across, down)
-    double_border(state, across, down)
-    residual, terminal = link_graph(state, across, down, seams[y0 : y0 + height, x0 : x0 + width])
-    tree = grow_trees(residual, terminal, width + 2)
-    mask = np.zeros((height, width), np.uint8)
+    costs = link_costs(old, new, False)
+    weigh_links(state, weights[0], weights[1], x0, y0, costs)
+    seams_inside, filled_inside = seams[:, y0 : y0 + height, x0 : x0 + width], filled[y0 : y0 + height, x0 : x0 + width]
+    mask = cut_overlap(costs, seams_inside, state == _KEPT, state == _EMPTY)
     for k in range(pixels.shape[0]):
-        x, y = pixels[k, 0] - box[0, 0], pixels[k, 1] - box[0, 1]
-        mask[y, x] = shown[k] = tree[(y + 1) * (width + 2) + x + 1] == SOURCE
-    record_seams(
-        seams[y0 : y0 + height, x0 : x0 + width], filled[y0 : y0 + height, x0 : x0 + width], mask, across, down
-    )
+        shown[k] = mask[pixels[k, 1] - box[0, 1], pixels[k, 0] - box[0, 0]]
+    record_seams(seams_inside, filled_inside, mask, costs)
     return shown
 
 
 @kernel
-def weigh_links(table: Float32x2, to_cell: Float64x2, x0: int, y0: int, across: Float64x2, down: Float64x2) -> None:
+def weigh_links(state: UInt8x2, table: Float32x2, to_cell: Float64x2, x0: int, y0: int, costs: Float64x3) -> None:
     """Multiply the costs of links by the mean weight of their two pixels, read from a table over the cell.
+
+    Costs of links to where nothing is filled are doubled: the unknown half counts as much as the known one.
 
     Parameters
     ----------
+    state
+        ``(h, w)``: the state of each pixel of the box.
     table, to_cell
         As ``weights`` in :func:`cut_tile`.
     x0, y0
         The first pixel of the box in the canvas.
-    across, down
-        Costs of the links to the right ``(h, w - 1)`` and downward ``(h - 1, w)``; changed.
+    costs
+        ``(2, h, w)``: costs of the links to the right and downward; changed.
     """
-    height, width = across.shape[0], down.shape[1]
+    height, width = state.shape
     rows, columns = table.shape
     weights = np.empty((height, width))
     for y in range(height):
@@ -254,65 +252,9 @@ def weigh_links(table: Float32x2, to_cell: Float64x2, x0: int, y0: int, across: 
             v = to_cell[1, 0] * (x0 + x) + to_cell[1, 1] * (y0 + y) + to_cell[1, 2]
             column, row = int((u - np.floor(u)) * columns + 0.5), int((v - np.floor(v)) * rows + 0.5)
             weights[y, x] = table[row % rows, column % columns]
-    for y in range(height):
-        for x in range(width):
-            if x < width - 1:
-                across[y, x] *= (weights[y, x] + weights[y, x + 1]) / 2
-            if y < height - 1:
-                down[y, x] *= (weights[y, x] + weights[y + 1, x]) / 2
-
-
-@kernel
-def double_border(state: UInt8x2, across: Float64x2, down: Float64x2) -> None:
-    """Double the costs of links to where nothing is filled: the unknown half counts as much as the known one."""
-    for y in range(state.shape[0]):
-        for x in range(state.shape[1]):
-            if x < state.shape[1] - 1 and (state[y, x] == _EMPTY) != (state[y, x + 1] == _EMPTY):
-                across[y, x] *= 2
-            if y < state.shape[0] - 1 and (state[y, x] == _EMPTY) != (state[y + 1, x] == _EMPTY):
-                down[y, x] *= 2
-
-
-@kernel
-def link_graph(state: UInt8x2, across: Float64x2, down: Float64x2, seams: Float32View3) -> tuple[Float64x2, Float64x1]:
-    """Return the capacities and terminals of a box, see :func:`~nrbench.synthesizers.seams.seam_kernels.grow_trees`.
-
-    Old seams count as in :func:`~nrbench.synthesizers.seams.minimum_cut.cut_overlap`.
-    """
-    height, width = state.shape
-    stride = width + 2
-    residual, terminal = np.zeros((4, (height + 2) * stride)), np.zeros((height + 2) * stride)
-    for y in range(height):
-        for x in range(width):
-            node = (y + 1) * stride + x + 1
-            if state[y, x] == _EMPTY:
-                terminal[node] = np.inf
-            elif state[y, x] != _FREE:
-                terminal[node] = -np.inf
-            if x < width - 1:
-                half = min(seams[y, x, 0] / 2, across[y, x])
-                residual[0, node] = residual[1, node + 1] = across[y, x] - half
-                terminal[node] += half
-                terminal[node + 1] += half
-            if y < height - 1:
-                half = min(seams[y, x, 1] / 2, down[y, x])
-                residual[2, node] = residual[3, node + stride] = down[y, x] - half
-                terminal[node] += half
-                terminal[node + stride] += half
-    return residual, terminal
-
-
-@kernel
-def record_seams(seams: Float32View3, filled: UInt8View2, mask: UInt8x2, across: Float64x2, down: Float64x2) -> None:
-    """Change the seams of a box to those with the tile: new ones along its cut, none inside it."""
-    height, width = mask.shape
-    for y in range(height):
-        for x in range(width):
-            here = mask[y, x]
-            for axis in range(2):
-                v, u = (y, x + 1) if axis == 0 else (y + 1, x)
-                if v == height or u == width or not (here or mask[v, u]):
-                    continue
-                both_filled = (here or filled[y, x] != 0) and (mask[v, u] or filled[v, u] != 0)
-                cost = across[y, x] if axis == 0 else down[y, x]
-                seams[y, x, axis] = cost if both_filled and here != mask[v, u] else 0.0
+    for axis in range(2):
+        for y in range(height - axis):
+            for x in range(width - 1 + axis):
+                costs[axis, y, x] *= (weights[y, x] + weights[y + axis, x + 1 - axis]) / 2
+                if (state[y, x] == _EMPTY) != (state[y + axis, x + 1 - axis] == _EMPTY):
+                    costs[axis, y, x] *= 2

@@ -32,7 +32,7 @@ class TileCanvas:
     values, filled, origins
         ``uint8 (H, W, C)``, the canvas with its margin; ``uint8 (H, W)``, 1 where it is filled; and its source map.
     seams
-        ``(H, W, 2)``: costs of the seams between each pixel and the next to its right, and below, for minimum cuts.
+        ``(2, H, W)``: costs of the seams between each pixel and the next to its right, and below, for minimum cuts.
     margin
         Width of the margin along x and y, px.
     """
@@ -46,7 +46,7 @@ class TileCanvas:
         self.values = np.zeros((*size, channels), np.uint8)
         self.filled = np.zeros(size, np.uint8)
         self.origins = np.zeros((*size, 3), np.float32)
-        self.seams = np.zeros((*((0, 0) if weights is None else size), 2), np.float32)
+        self.seams = np.zeros((2, *((0, 0) if weights is None else size)), np.float32)
         x, y, row, column, border = tile.pixels.T
         self.pixels = np.ascontiguousarray(np.column_stack([x, y, (y * width + x) * channels, row, column, border]))
         x, y = np.moveaxis(tile.cells, -1, 0)
