@@ -210,7 +210,7 @@ def _compile(declared: Kernel[P, R]) -> Callable[P, R]:
         return function
     linked = _link_kernels(function)
     if declared.inlined:  # compiled with its callers
-        inlined: Callable[P, R] = numba.njit(linked, inline="always")
+        inlined: Callable[P, R] = numba.njit(inline="always")(linked)
         return inlined
     folder = cache_folder(function, numba.__version__)
     return _njit(numba, linked, find_signature(function), folder, declared.allocates)

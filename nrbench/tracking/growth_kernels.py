@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import heapq
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench.jit import (
     Boolx2,
@@ -40,7 +42,7 @@ def shows_window(state: Float64x1, reach: Float64x1, height: int, width: int) ->
     across = abs(state[2]) * reach[0] + abs(state[3]) * reach[1]
     down = abs(state[4]) * reach[0] + abs(state[5]) * reach[1]
     inside_x = state[0] - across >= 0 and state[0] + across <= width - 1
-    return inside_x and state[1] - down >= 0 and state[1] + down <= height - 1
+    return bool(inside_x and state[1] - down >= 0 and state[1] + down <= height - 1)
 
 
 @inlined_kernel
@@ -194,7 +196,7 @@ def add_prior(
 
 
 @inlined_kernel
-def move_state(state: Float64x1, move: Float64x1) -> None:
+def move_state(state: Float64x1, move: NDArray[np.floating[Any]]) -> None:
     """Add a step on the plane of the template to the state: M @ move, for the place and for both columns of the map."""
     xx, xy, yx, yy = state[2], state[3], state[4], state[5]
     state[0] += xx * move[0] + xy * move[1]
@@ -339,7 +341,7 @@ def is_near(state: Float64x1, predicted: Float64x1, farthest: float) -> bool:
     off_x, off_y = state[0] - predicted[0], state[1] - predicted[1]
     across = (predicted[5] * off_x - predicted[3] * off_y) / determinant
     down = (predicted[2] * off_y - predicted[4] * off_x) / determinant
-    return across * across + down * down <= farthest * farthest
+    return bool(across * across + down * down <= farthest * farthest)
 
 
 @inlined_kernel
