@@ -270,7 +270,7 @@ _TABLES: dict[str, type[BaseModel]] = {
 
 
 def _first(error: ValidationError) -> str:
-    first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+    first = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
     place = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         tables = [part for part in first["loc"][:-1] if part in _TABLES]
