@@ -108,7 +108,7 @@ def detect(folder: Path, send: Send) -> None:
     cell = read_json(where.cell_file) or {}
     detector = plugins.build("detectors", cell["detector"], cell["parameters"])
     detection = timed_detection(detector, freeze(read_image(where.sample)))
-    send(cast("Message", {"status": "ok", "message": detection.reason, **detection.as_dict()}))
+    send(cast("Message", {"status": "ok", "message": detection.reason, **dataclasses.asdict(detection)}))
 
 
 def synthesize_cell(folder: Path, send: Send) -> None:
