@@ -16,7 +16,7 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from nrbench.storage import write_bytes
+from nrbench.storage import read_arrays, write_bytes
 
 from ..plots.marks import find_marks, worst_place
 
@@ -128,8 +128,7 @@ class PictureStore:
         return self._once(self._source_map, source)
 
     def _source_map(self, source: Path) -> PagePicture:
-        with np.load(source, allow_pickle=False) as arrays:
-            colors = _place_colors(np.asarray(arrays["source"][..., :2], np.float32))
+        colors = _place_colors(np.asarray(read_arrays(source)["source"][..., :2], np.float32))
         return PagePicture(_webp(colors, _MAP_QUALITY), colors.shape[1], colors.shape[0])
 
     def worst_crop(self, output: Path, layers: Sequence[Path]) -> PagePicture | None:
