@@ -16,7 +16,7 @@ from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
-from nrbench.reports.plots.perils_plane import caption_text
+from nrbench.reports.plots.method_plots import caption_text
 from nrbench.reports.statistics import verdicts
 from nrbench.reports.statistics.levels import (
     LevelPanel,
