@@ -354,7 +354,7 @@ def plot_claim(result: ClaimResult) -> Figure:
     return figure
 
 
-LINE = 8.6
+_CAPTION_LINE = 8.6
 """Height of a line of a caption, pt."""
 MOST_NAMES = 20
 """Most points of a plot that have names; names of more would be too small to read."""
@@ -393,13 +393,13 @@ def draw_captions(axes: Axes, anchors: Floats, texts: Sequence[str], slanted: Se
         Whether a caption is italic.
     """
     frame, back = axes.get_window_extent(), axes.transAxes.inverted()
-    heights = np.array([(text.count("\n") + 1) * LINE + 3.0 for text in texts])
-    shrink = min(1.0, (frame.height + 2 * LINE) / heights.sum())
+    heights = np.array([(text.count("\n") + 1) * _CAPTION_LINE + 3.0 for text in texts])
+    shrink = min(1.0, (frame.height + 2 * _CAPTION_LINE) / heights.sum())
     points = axes.transData.transform(anchors)
     order = np.lexsort((points[:, 0], -points[:, 1]))
     sorted_heights = heights[order] * shrink
     gaps = (sorted_heights[:-1] + sorted_heights[1:]) / 2
-    places = spread(points[order, 1], gaps, (frame.y0 - LINE, frame.y1 + LINE))
+    places = spread(points[order, 1], gaps, (frame.y0 - _CAPTION_LINE, frame.y1 + _CAPTION_LINE))
     for index, place in zip(order, places, strict=True):
         x, y = points[index]
         line = back.transform([(x, y), (frame.x1 + 3, y), (frame.x1 + _GUTTER - 2, place)])
