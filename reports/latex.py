@@ -92,7 +92,7 @@ def latex_text(run: Run, comparison: Comparison, scores: Sequence[str] = ()) -> 
 
 def bibliography(run: Run) -> str:
     """Return the BibTeX entries of the papers of a run's methods, each once, in the order of the run."""
-    papers = [getattr(cls, "paper", "") for cls in method_classes(run).values()]
+    papers = [getattr(cls, "paper", "") for cls in method_classes(run.cells).values()]
     return "".join(f"{strip_control(paper).strip()}\n\n" for paper in dict.fromkeys(papers) if paper).rstrip("\n")
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 
 from nrbench import plugins
 from nrbench.plugins.forms import Column
-from nrbench.runs.records import Run
+from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
 from .estimates import Estimate, estimate_means, success_rate
@@ -86,9 +86,9 @@ class Method:
         return method_label(self.name, self.lattice_source)
 
 
-def method_classes(run: Run) -> dict[str, type]:
-    """Return the class of each installed method of a run by its name, in the order of the run."""
-    names = dict.fromkeys(record.cell.method for record in run.cells)
+def method_classes(cells: Iterable[CellRecord]) -> dict[str, type]:
+    """Return the class of each installed method of some cells by its name, in the order of the cells."""
+    names = dict.fromkeys(record.cell.method for record in cells)
     installed = set(plugins.names("synthesizers"))
     return {name: plugins.find("synthesizers", name).cls for name in names if name in installed}
 
@@ -101,8 +101,7 @@ def list_patch_terms(run: Run) -> list[tuple[str, ...]]:
     list of tuple
         The name of the method, what a patch is, how its place is chosen, and how it is joined to the others.
     """
-    references = {record.cell.method for record in run.cells if record.cell.reference}
-    classes = {name: cls for name, cls in method_classes(run).items() if name not in references}
+    classes = method_classes(record for record in run.cells if not record.cell.reference)
     rows = [(name, *(getattr(cls, term, "") for term in plugins.PATCH_TERMS)) for name, cls in classes.items()]
     return [row for row in rows if all(row)]
 
