@@ -27,6 +27,7 @@ from nrbench.jit import (
     UInt8x2,
     UInt8x3,
     UInt64x1,
+    inlined_kernel,
     kernel,
     step_kernel,
 )
@@ -208,7 +209,7 @@ def touch_trees(residual: Float64x2, offset: Int64x1, nodes: Nodes, queue: Int64
         current = -1
 
 
-@step_kernel
+@inlined_kernel
 def send_flow(
     residual: Float64x2,
     terminal: Float64x1,
@@ -271,7 +272,7 @@ def send_flow(
     return count
 
 
-@step_kernel
+@inlined_kernel
 def reattach_orphans(
     residual: Float64x2,
     offset: Int64x1,
