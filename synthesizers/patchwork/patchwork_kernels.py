@@ -1,19 +1,15 @@
-"""The compiled loops of a patchwork: the costs of a window's links, the cut, and the patch that it shows."""
+"""The compiled loops of a patchwork: the costs of a window's links, the patch that it shows, and feathered seams."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Boolx2, Float64x2, Int32x3, Int64x1, Int64x3, Int64x4, kernel
+from nrbench.jit import Boolx2, Float32x3, Float64x2, Float64x4, Int32x3, Int64x1, Int64x3, kernel
 
-from ..seams.seam_kernels import SOURCE, grow_trees
+from ..seams.seam_kernels import FIRST, SECOND, STAY
 
 UNIT = 16.0
 """Costs are integers, in units of 1 / UNIT gray levels, so that flows are exact."""
-STAY, SECOND, FIRST = 0, 1, 2
-"""Cases of a link: both pixels stay; only the second becomes new; only the first becomes new. If both become new, the
-link costs nothing."""
-
 
 SeamRule = tuple[Int32x3, Int32x3, bool, int]
 """How a seam is rated: the sample's ``features``, their gradients ``(2, H, W)``, and the parameters ``normalized`` and
@@ -82,7 +78,7 @@ def measure_pixels(
 
 
 @kernel
-def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int) -> Int64x4:
+def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int) -> Float64x4:
     """Return the cost of each link of a window for each case of replaced pixels.
 
     Parameters
@@ -104,7 +100,7 @@ def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int)
         The time is O(h w F).
     """
     height, width = known.shape
-    costs, apart = np.zeros((2, 3, height, width), np.int64), np.zeros((height, width))
+    costs, apart = np.zeros((2, 3, height, width)), np.zeros((height, width))
     busy = np.zeros((2, height, width), np.int64)
     measure_pixels(rule, source, known, x, y, apart, busy)
     for axis in range(2):
@@ -130,53 +126,8 @@ def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int)
 
 
 @kernel
-def cut_links(choices: Int64x4, fixed_old: Boolx2, fixed_new: Boolx2) -> Boolx2:
-    """Return the pixels of a window that become new, so that the total cost of its links is least.
-
-    Parameters
-    ----------
-    choices
-        Costs from :func:`link_choices`.
-    fixed_old, fixed_new
-        ``bool (h, w)``: pixels that must stay, and pixels that must become new; none is both.
-
-    Notes
-    -----
-    Let a link cost c if both its pixels s and t stay, b if only s becomes new, a if only t becomes new, and 0 if both
-    do. Up to a constant, this is a link of cost (a + b - c) / 2 between s and t, plus (b - a - c) / 2 if s becomes new,
-    plus (a - b - c) / 2 if t becomes new. If c exceeds a + b, which no metric allows, c is replaced by a + b. All costs
-    are doubled, so that they stay integers.
-    """
-    height, width = fixed_old.shape
-    stride = width + 2
-    residual, terminal = np.zeros((4, (height + 2) * stride)), np.zeros((height + 2) * stride)
-    for j in range(height):
-        for i in range(width):
-            node = (j + 1) * stride + i + 1
-            for axis in range(2):
-                if (i if axis == 0 else j) == (width if axis == 0 else height) - 1:
-                    continue
-                ahead = node + (1 if axis == 0 else stride)
-                first, second = choices[axis, FIRST, j, i], choices[axis, SECOND, j, i]
-                stay = min(choices[axis, STAY, j, i], first + second)
-                residual[2 * axis, node] = residual[2 * axis + 1, ahead] = first + second - stay
-                terminal[node] -= first - second - stay
-                terminal[ahead] -= second - first - stay
-            if fixed_new[j, i]:
-                terminal[node] = np.inf
-            elif fixed_old[j, i]:
-                terminal[node] = -np.inf
-    tree = grow_trees(residual, terminal, stride)
-    new = np.empty((height, width), np.bool_)
-    for j in range(height):
-        for i in range(width):
-            new[j, i] = tree[(j + 1) * stride + i + 1] == SOURCE
-    return new
-
-
-@kernel
 def show_patch(
-    choices: Int64x4,
+    choices: Float64x4,
     new: Boolx2,
     ring: Boolx2,
     rows: Int64x1,
@@ -219,3 +170,70 @@ def show_patch(
                 origin[rows[j], columns[i], 0], origin[rows[j], columns[i], 1] = i + x, j + y
                 known[rows[j], columns[i]] = True
     return count
+
+
+@kernel
+def feather_seams(
+    sample: Float32x3, origin: Int64x3, image: Float32x3, weights: Float64x2
+) -> tuple[Float32x3, Float32x3]:
+    """Return an output whose patches are blended near their seams, and its source map.
+
+    Each pixel is the weighted mean of the values that the patches around it have there. The weight of a patch is the
+    sum of ``weights`` over the neighbors that show it. A patch that ends before the pixel has no weight.
+
+    Parameters
+    ----------
+    sample
+        ``(h, w, C)``.
+    origin
+        ``(H, W, 2)``: the (x, y) in the sample of each pixel.
+    image
+        ``(H, W, C)``: the output before blending.
+    weights
+        ``(2 r + 1, 2 r + 1)``: the weight of each neighbor, by its distance; the middle one is the largest.
+
+    Returns
+    -------
+    blended
+        ``(H, W, C)``. Pixels around which all neighbors show one patch are copies.
+    source
+        ``(H, W, 3)``: the (x, y) in the sample of the patch of the largest weight, and its share of the weights. The
+        time is O(H W r^2).
+    """
+    height, width, channels = image.shape
+    rows, columns = sample.shape[:2]
+    reach = weights.shape[0] // 2
+    blended, source = image.copy(), np.ones((height, width, 3), np.float32)
+    places, shares = np.empty((weights.size, 2), np.int64), np.empty(weights.size)
+    for y in range(height):
+        for x in range(width):
+            places[0, 0], places[0, 1], shares[0] = origin[y, x, 0], origin[y, x, 1], 0.0
+            count = 1
+            for j in range(max(y - reach, 0), min(y + reach + 1, height)):
+                for i in range(max(x - reach, 0), min(x + reach + 1, width)):
+                    u, v = origin[j, i, 0] + x - i, origin[j, i, 1] + y - j
+                    if u < 0 or v < 0 or u >= columns or v >= rows:
+                        continue
+                    k = 0
+                    while k < count and (places[k, 0] != u or places[k, 1] != v):
+                        k += 1
+                    if k == count:
+                        places[k, 0], places[k, 1], shares[k] = u, v, 0.0
+                        count += 1
+                    shares[k] += weights[j - y + reach, i - x + reach]
+            source[y, x, 0], source[y, x, 1] = places[0, 0], places[0, 1]
+            if count == 1:
+                continue
+            total, best = 0.0, 0
+            for k in range(count):
+                total += shares[k]
+                if shares[k] > shares[best]:
+                    best = k
+            for c in range(channels):
+                value = 0.0
+                for k in range(count):
+                    value += shares[k] * sample[places[k, 1], places[k, 0], c]
+                blended[y, x, c] = min(max(value / total, 0.0), 1.0)
+            source[y, x, 0], source[y, x, 1] = places[best, 0], places[best, 1]
+            source[y, x, 2] = min(shares[best] / total, np.float64(np.float32(1) - np.float32(2**-24)))
+    return blended, source

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .minimum_cut import Mask
-from .overlap_seam_kernels import cut_corner, squared_differences
-from .seam_kernels import cheapest_path
+from .seam_kernels import cheapest_path, cut_corner, squared_differences
+
+Mask = NDArray[np.bool_]
 
 
 def cut_sides(old: NDArray[np.uint8], new: NDArray[np.uint8], overlap: int, left: bool, top: bool) -> Mask:

@@ -37,7 +37,7 @@ def test_a_new_plugin_conforms(kind: str, tmp_path: Path) -> None:
         plugins.registry._files.pop(file.resolve(), None)
     assert [finding for finding in findings if finding.verdict == "fail"] == []
     skipped = {finding.clause for finding in findings if finding.verdict == "skip"}
-    assert skipped <= {"paper", "processes", "progress", "recomposition", "terminal"}
+    assert skipped <= {"paper", "processes", "progress", "terminal"}
 
 
 def test_a_package_installs_and_runs(tmp_path: Path) -> None:

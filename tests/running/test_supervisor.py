@@ -164,10 +164,10 @@ def test_an_error_is_sent_where_the_log_has_no_room(monkeypatch: pytest.MonkeyPa
     """An error of a full disk arrives as such, although its traceback cannot be written."""
     full, messages = OSError(errno.ENOSPC, "No space left on device"), []
 
-    def fail() -> None:
-        raise full
+    def fail(error: BaseException) -> None:
+        raise error
 
-    monkeypatch.setattr("traceback.print_exc", fail)
+    monkeypatch.setattr("traceback.print_exception", fail)
     phases.send_error(full, messages.append)
     assert messages == [{"status": "storage", "message": "No space left on device"}]
 

@@ -10,16 +10,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, quantize, to_bytes
-from nrbench.synthesizers.gap_filling.blocks import OWN, BlockGrid, Box, Sides, gap_border
-from nrbench.synthesizers.gap_filling.canvas import (
+from nrbench.synthesizers.gap_filling.block_canvas import (
+    OWN,
     BlockCanvas,
+    BlockGrid,
+    Box,
     PatchOverlap,
     SeamMethod,
+    Sides,
     cut_graph,
+    gap_border,
 )
 from nrbench.synthesizers.gap_filling.matching import FrameMatcher, Match, align_patch
 from nrbench.synthesizers.sampling.patches import Patches
-from nrbench.synthesizers.seams.minimum_cut import Links
 
 ALL: Sides = (True, True, True, True)
 sides = st.tuples(*[st.booleans()] * 4)
@@ -117,9 +120,9 @@ def joint(old: Image, new: Image, sides: tuple[bool, bool, bool, bool] = ALL, de
     return PatchOverlap(old, new, known, box, hole, sides)
 
 
-def nothing(shape: tuple[int, ...]) -> Links:
+def nothing(shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Return the seams of a picture that has none."""
-    return Links(np.zeros((shape[0], shape[1] - 1)), np.zeros((shape[0] - 1, shape[1])))
+    return np.zeros((2, *shape[:2]), np.float32)
 
 
 SIDES = [ALL, (False, True, True, False), (True, False, False, False), (False, False, True, True)]
@@ -130,10 +133,10 @@ def test_the_hole_is_new_and_the_edge_beside_a_neighbor_old(sides: tuple[bool, b
     """Everything unknown becomes new, and a graph cut leaves the box's edge beside a neighbor old."""
     height, width = 24 + 8 * (sides[1] + sides[3]), 24 + 8 * (sides[0] + sides[2])
     old, new = np.random.default_rng(0).random((2, height, width, 3)).astype(np.float32)
-    one = joint(old, new, sides)
-    mask = cut_graph(one, nothing(old.shape))
-    assert mask[~one.known].all()
-    assert not mask[one.fixed_old()].any()
+    overlap = joint(old, new, sides)
+    mask = cut_graph(overlap, nothing(old.shape))
+    assert mask[~overlap.known].all()
+    assert not mask[overlap.fixed_old()].any()
     assert not mask.all()
 
 
@@ -153,8 +156,7 @@ def test_a_graph_cut_runs_around_bricks() -> None:
     rng = np.random.default_rng(3)
     for _ in range(5):
         old, new = bricks(rng), bricks(rng)
-        one = joint(old, new)
-        mask = cut_graph(one, nothing(old.shape))
+        mask = cut_graph(joint(old, new), nothing(old.shape))
         y, x = np.indices((40, 40))
         row = y // 8
         brick = row * 10 + (x + 6 * (row % 2)) // 12
@@ -166,15 +168,14 @@ def test_a_graph_cut_runs_around_bricks() -> None:
 def test_recorded_seams_follow_the_cut() -> None:
     """After a cut the recorded seams are those of the joined picture."""
     old, new = np.random.default_rng(1).random((2, 40, 40, 3)).astype(np.float32)
-    one, seams = joint(old, new), nothing(old.shape)
-    seams.across[20, 19] = 5.0
-    seams.across[1, 1] = 3.0
-    mask = cut_graph(one, seams)
+    seams = nothing(old.shape)
+    seams[0, 20, 19], seams[0, 1, 1] = 5.0, 3.0
+    mask = cut_graph(joint(old, new), seams)
     changes = mask[:, 1:] != mask[:, :-1]
-    assert seams.across[20, 19] == 0
-    assert (seams.across[changes] > 0).all()
-    rest = seams.across[~changes]
-    assert rest.sum() in (0.0, 3.0)
+    across = seams[0, :, :-1]
+    assert across[20, 19] == 0
+    assert (across[changes] > 0).all()
+    assert across[~changes].sum() in (0.0, 3.0)
 
 
 SIZE = 9

@@ -12,15 +12,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
 from nrbench.imaging.convert import Image
-from nrbench.synthesizers.seams.minimum_cut import (
-    Links,
-    Mask,
-    Weights,
-    cut_overlap,
-    minimum_cut,
-)
-from nrbench.synthesizers.seams.overlap_seam import cut_sides, l_shaped_seam
-from nrbench.synthesizers.seams.seam_kernels import cheapest_path, link_costs
+from nrbench.synthesizers.seams.overlap_seam import Mask, cut_sides, l_shaped_seam
+from nrbench.synthesizers.seams.seam_kernels import SOURCE, cheapest_path, cut_overlap, grow_trees, link_costs
 
 sizes = st.tuples(st.integers(1, 5), st.integers(1, 5))
 seeds = st.integers(0, 10_000)
@@ -63,7 +56,9 @@ def test_forbidden_pixels_are_avoided() -> None:
     assert cheapest_path(error)[4] == 5
 
 
-Problem = tuple[Links, Weights, Weights]
+Weights = NDArray[np.float64]
+Problem = tuple[Weights, Weights, Weights]
+"""Capacities of the links to the right and downward ``(2, h, w)``, to the source, and to the sink ``(h, w)``."""
 BOUND = 1 << 20
 """Stands for infinity where capacities must be whole numbers."""
 
@@ -71,31 +66,37 @@ BOUND = 1 << 20
 def problem(shape: tuple[int, int], seed: int, largest: int = 20, dense: float = 0.5, hard: float = 0.0) -> Problem:
     """Return a random problem of whole numbers; some pixels are tied to a side."""
     rng = np.random.default_rng(seed)
-    height, width = shape
-
-    def weights(*shape: int) -> Weights:
-        return (rng.integers(0, largest, shape) * (rng.random(shape) < dense)).astype(np.float64)
-
-    source, sink = weights(height, width), weights(height, width)
+    weights = rng.integers(0, largest, (4, *shape)) * (rng.random((4, *shape)) < dense).astype(float)
+    links, source, sink = weights[:2], weights[2], weights[3]
+    links[0, :, -1] = links[1, -1] = 0
     tied = rng.random(shape)
     source[tied < hard], sink[tied > 1 - hard] = np.inf, np.inf
-    return Links(weights(height, width - 1), weights(height - 1, width)), source, sink
+    return links, source, sink
 
 
-def cut_value(mask: Mask, links: Links, source: Weights, sink: Weights) -> float:
+def minimum_cut(links: Weights, source: Weights, sink: Weights) -> Mask:
+    """Return the pixels that the maximum flow leaves in the tree of the source."""
+    padded = np.pad(links, ((0, 0), (1, 1), (1, 1)))
+    residual = np.stack([padded[0], np.roll(padded[0], 1, 1), padded[1], np.roll(padded[1], 1, 0)])
+    terminal = np.pad(source - sink, 1)
+    tree = grow_trees(residual.reshape(4, -1), terminal.ravel(), terminal.shape[1])
+    return tree.reshape(terminal.shape)[1:-1, 1:-1] == SOURCE
+
+
+def cut_value(mask: Mask, links: Weights, source: Weights, sink: Weights) -> float:
     """Return the cost of a labeling."""
     across, down = mask[:, 1:] != mask[:, :-1], mask[1:] != mask[:-1]
     terminals = float(source[~mask].sum() + sink[mask].sum())
-    return terminals + float(links.across[across].sum() + links.down[down].sum())
+    return terminals + float(links[0, :, :-1][across].sum() + links[1, :-1][down].sum())
 
 
-def flow(links: Links, source: Weights, sink: Weights) -> int:
+def flow(links: Weights, source: Weights, sink: Weights) -> int:
     """Compute the maximum flow with scipy."""
     shape, count = source.shape, source.size
     index = np.arange(count).reshape(shape)
     first = [index[:, :-1], index[:, 1:], index[:-1], index[1:], np.full(shape, count), index]
     last = [index[:, 1:], index[:, :-1], index[1:], index[:-1], index, np.full(shape, count + 1)]
-    held = [links.across, links.across, links.down, links.down, source, sink]
+    held = [links[0, :, :-1], links[0, :, :-1], links[1, :-1], links[1, :-1], source, sink]
     data = np.concatenate([np.minimum(part, BOUND).ravel() for part in held]).astype(np.int32)
     where = tuple(np.concatenate([part.ravel() for part in parts]) for parts in (first, last))
     graph = coo_array((data, where), shape=(count + 2, count + 2)).tocsr()
@@ -133,17 +134,16 @@ def test_no_labeling_costs_less(shape: tuple[int, int], seed: int) -> None:
     """No labeling of a small grid costs less, and of the best ones the smallest is returned."""
     made = problem(shape, seed, 5, hard=0.1)
     labelings = [np.array(bits).reshape(shape) for bits in itertools.product([False, True], repeat=shape[0] * shape[1])]
-    least = min(cut_value(one, *made) for one in labelings)
-    best = [one for one in labelings if cut_value(one, *made) == least]
+    least = min(cut_value(mask, *made) for mask in labelings)
     found = minimum_cut(*made)
     assert cut_value(found, *made) == least
-    assert found.sum() == min(one.sum() for one in best)
+    assert found.sum() == min(mask.sum() for mask in labelings if cut_value(mask, *made) == least)
 
 
 def graphcut_seam(old: Image, new: Image, fixed_old: Mask, fixed_new: Mask, squared: bool = False) -> Mask:
     """Return where the least visible seam shows the new picture."""
-    links = Links(*link_costs(old, new, squared))
-    return cut_overlap(links, fixed_old, fixed_new, Links(0 * links.across, 0 * links.down))
+    costs = link_costs(old, new, squared)
+    return cut_overlap(costs, np.zeros(costs.shape, np.float32), fixed_old, fixed_new)
 
 
 def pictures(shape: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray, Mask, Mask]:  # type: ignore[type-arg]
@@ -164,7 +164,7 @@ def test_a_seam_is_the_least_visible_of_all(squared: bool, seed: int) -> None:
     def link(s: tuple[int, int], t: tuple[int, int]) -> float:
         cost = sum(float(np.linalg.norm(old[p].astype(float) - new[p])) for p in (s, t))
         axis = 0 if s[1] == t[1] else 1
-        busy = sum(float(np.linalg.norm(one[axis][p])) for one in gradients for p in (s, t))
+        busy = sum(float(np.linalg.norm(slopes[axis][p])) for slopes in gradients for p in (s, t))
         return (cost**2 if squared else cost) / (busy + 1 / 255)
 
     def cost(mask: Mask) -> float:
@@ -201,23 +201,20 @@ def test_pictures_that_agree_keep_the_old() -> None:
 def test_old_seams_are_covered_where_that_is_worth_it(seed: int) -> None:
     """No labeling costs less if old seams count where both their pixels stay."""
     old, new, fixed_old, fixed_new = pictures((3, 4), seed)
-    rng = np.random.default_rng(seed)
-    links = Links(*link_costs(old, new, False))
-    seams = Links(rng.random((3, 3)) * 2 * links.across, rng.random((2, 4)) * 2 * links.down)
+    links = link_costs(old, new, False)
+    seams = (np.random.default_rng(seed).random((2, 3, 4)) * 2 * links).astype(np.float32)
 
     def cost(mask: Mask) -> float:
         total = 0.0
-        for kept, link, one, other in (
-            (seams.across, links.across, mask[:, 1:], mask[:, :-1]),
-            (seams.down, links.down, mask[1:], mask[:-1]),
-        ):
-            total += float(link[one != other].sum() + kept[~one & ~other].sum())
+        for axis, (here, there) in enumerate(((mask[:, :-1], mask[:, 1:]), (mask[:-1], mask[1:]))):
+            link, seam = (part[axis, : here.shape[0], : here.shape[1]] for part in (links, seams))
+            total += float(link[here != there].sum() + seam[~here & ~there].sum())
         return total
 
     masks = (np.array(bits).reshape(3, 2) for bits in itertools.product([False, True], repeat=6))
     edges = np.zeros((3, 1), bool), np.ones((3, 1), bool)
     least = min(cost(np.hstack([edges[0], middle, edges[1]])) for middle in masks)
-    assert cost(cut_overlap(links, fixed_old, fixed_new, seams)) == pytest.approx(least, abs=1e-9)
+    assert cost(cut_overlap(links, seams, fixed_old, fixed_new)) == pytest.approx(least, abs=1e-6)
 
 
 fewer_examples = settings(max_examples=40)

@@ -16,8 +16,8 @@ from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Task
+from nrbench.synthesizers.tile_laying.tile_canvas import TilePlaces
 from nrbench.synthesizers.tile_laying.tile_shape import ElementWeights, element_costs, tile_shape
-from nrbench.synthesizers.tile_laying.tile_stock import TilePlaces
 from nrbench.synthesizers.tile_set import LEAST_SIDE, TileLaying, TileSet
 
 TILES = ["auto", "upright", "lattice", "rectangle", "cell"]
@@ -313,9 +313,9 @@ def test_seams_are_recorded_only_where_tiles_meet() -> None:
     offsets = canvas.origins[window][..., :2] - np.stack(np.indices((90, 90))[::-1], -1)
     across = (offsets[:, 1:] != offsets[:, :-1]).any(-1)
     down = (offsets[1:] != offsets[:-1]).any(-1)
-    seams = canvas.seams[window]
-    assert (seams[:, :-1, 0][~across] > 0).mean() < 0.02 and (seams[:-1, :, 1][~down] > 0).mean() < 0.02
-    assert (seams[:, :-1, 0][across] > 0).mean() > 0.95 and (seams[:-1, :, 1][down] > 0).mean() > 0.95
+    for seams, meet in ((canvas.seams[0][window][:, :-1], across), (canvas.seams[1][window][:-1], down)):
+        assert (seams[~meet] > 0).mean() < 0.02
+        assert (seams[meet] > 0).mean() > 0.95
 
 
 @pytest.mark.parametrize(("s", "cells"), [(6.3, 3), (10.7, 2), (15.9, 2), (16.0, 1), (40.0, 1)])

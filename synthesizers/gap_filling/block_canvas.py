@@ -1,28 +1,234 @@
-"""Compose an output of blocks: place patches side by side, and join gap patches by blending or along seams."""
+"""Divide an output into square blocks like a chess-board, and join the patches of the blocks.
+
+Every other block is *placed* first; the others are *gaps*. The patch of a placed block reaches beyond its square and
+shows a border in the gaps beside it. Where two borders meet in a corner of a gap, the diagonal divides them, so that
+each has the shape of a wedge. The patch of a gap is joined to the borders by blending or along seams.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from functools import lru_cache
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
+from nrbench.plugins.forms import Refused
 
+from ..sampling.equal_places import SearchShape, search_shape
 from ..sampling.patches import Patches, Source
-from ..seams.minimum_cut import Links, Mask, cut_overlap
-from ..seams.seam_kernels import link_costs
-from .blocks import OWN, Block, BlockGrid, Box, Sides, box_slices
+from ..seams.seam_kernels import cut_overlap, link_costs, record_seams
 
+Box = tuple[int, int, int, int]
+"""(y0, y1, x0, x1), half-open, px."""
+Sides = tuple[bool, bool, bool, bool]
+"""Which neighbors a block has: left, top, right, bottom."""
+_STEPS: Final = ((-1, 0), (0, -1), (1, 0), (0, 1))
+"""(x, y) from a block to each neighbor, in blocks."""
+OWN: Final = 4
+"""The layer of a gap's own patch; 0 to 3 are the neighbors'."""
+Mask = NDArray[np.bool_]
 SeamMethod = Literal["blend", "graphcut"]
 Places = NDArray[np.float64]
 """``float64 (rows, columns, 2)``: the real-valued (x, y) in the sample of every block's first pixel."""
 Layers = tuple[Image, Source]
 """``(5, block, block, C)`` and ``(5, block, block, 3)``: what the patch of each neighbor shows in a gap, 0 where it
 does not reach. The last layer is the gap's own patch."""
+
+
+def check_border(block: int, border: int) -> None:
+    """Raise :class:`BadInput` unless ``border`` is from 1 px to half a block."""
+    if not 1 <= border <= block // 2:
+        raise BadInput(f"border {border} with block {block}; choose a border from 1 to half a block")
+
+
+def box_slices(box: Box, top: int = 0, left: int = 0) -> tuple[slice, slice]:
+    """Return the rows and columns of a box whose (0, 0) lies at row ``top`` and column ``left``."""
+    y0, y1, x0, x1 = box
+    return slice(top + y0, top + y1), slice(left + x0, left + x1)
+
+
+@dataclass(frozen=True)
+class BlockGrid:
+    """The blocks of an output. Those at the right and at the bottom may reach beyond it.
+
+    Parameters
+    ----------
+    shape
+        Height and width of the output in px.
+    size
+        Side of a block in px.
+    border
+        Width in px of what the patch of a placed block shows beyond its square, at most half a block.
+    """
+
+    shape: tuple[int, int]
+    size: int
+    border: int
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Rows and columns of blocks."""
+        height, width = self.shape
+        return -(-height // self.size), -(-width // self.size)
+
+    def placed(self) -> Iterator[Block]:
+        """Yield the placed blocks, row by row."""
+        return self._alternate(0)
+
+    def gaps(self) -> Iterator[Block]:
+        """Yield the gaps, row by row."""
+        return self._alternate(1)
+
+    def _alternate(self, parity: int) -> Iterator[Block]:
+        rows, columns = self.counts
+        return (Block(self, i, j) for i in range(rows) for j in range(columns) if (i + j) % 2 == parity)
+
+    def search_shape(self, sample_shape: tuple[int, ...]) -> SearchShape:
+        """Return the rows and columns of places at which a block and its borders lie inside a sample.
+
+        Raises
+        ------
+        Refused
+            If there are none.
+        """
+        height, width = sample_shape[:2]
+        side = self.size + 2 * self.border
+        if side > min(height, width):
+            raise Refused(
+                f"the sample is {width}x{height} px, a block with its borders {side}x{side} px; "
+                f"choose block + 2 border <= {min(height, width)}"
+            )
+        return search_shape(side, (height, width))
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of a grid: where it lies in the output, and what surrounds it.
+
+    Parameters
+    ----------
+    grid
+        The grid.
+    row, column
+        The place of the block in the grid.
+    """
+
+    grid: BlockGrid
+    row: int
+    column: int
+
+    @property
+    def corner(self) -> Points:
+        """(x, y) px of the first pixel."""
+        return np.array([self.column, self.row], np.float64) * self.grid.size
+
+    @property
+    def box(self) -> Box:
+        """The block itself, px from its first pixel."""
+        return 0, self.grid.size, 0, self.grid.size
+
+    def window(self, box: Box | None = None) -> tuple[slice, slice]:
+        """Return the rows and columns of the output under the block, or under a box, px from its first pixel."""
+        size = self.grid.size
+        return box_slices(box or self.box, self.row * size, self.column * size)
+
+    @property
+    def sides(self) -> Sides:
+        """Which neighbors the block has."""
+        rows, columns = self.grid.counts
+        return self.column > 0, self.row > 0, self.column < columns - 1, self.row < rows - 1
+
+    def neighbors(self) -> Iterator[tuple[int, Block, Box]]:
+        """Yield each side that has a neighbor, the neighbor, and the strip of this gap that its patch shows."""
+        size, border = self.grid.size, self.grid.border
+        far = size - border
+        strips = ((0, size, 0, border), (0, border, 0, size), (0, size, far, size), (far, size, 0, size))
+        for side, (there, (dx, dy), strip) in enumerate(zip(self.sides, _STEPS, strips, strict=True)):
+            if there:
+                yield side, Block(self.grid, self.row + dy, self.column + dx), strip
+
+    @property
+    def border(self) -> GapBorder:
+        """The border inside the block, which is a gap."""
+        return gap_border(self.grid.size, self.grid.border, self.sides)
+
+
+@dataclass(frozen=True, eq=False)
+class GapBorder:
+    """The border inside a gap: its n pixels are less than ``border`` px from a neighbor.
+
+    Parameters
+    ----------
+    pixels
+        ``(n, 2)``: (x, y) in the gap.
+    owner
+        ``(n,)``: the side in whose wedge the pixel lies, which is the nearest one.
+    layers
+        ``(3, n)``: the layers blended at the pixel: the gap's own patch, the neighbor to the left or right, and the one
+        above or below.
+    weights
+        ``float32 (3, n)``: weights of these layers; they sum to 1.
+    hole
+        The rest of the gap.
+    owners
+        ``(block, block)``: the owner of every pixel of the gap, :data:`OWN` in the hole.
+    """
+
+    pixels: NDArray[np.int64]
+    owner: NDArray[np.int64]
+    layers: NDArray[np.int64]
+    weights: NDArray[np.float32]
+    hole: Box
+    owners: NDArray[np.int64]
+
+
+@lru_cache(maxsize=256)
+def gap_border(block: int, border: int, sides: Sides) -> GapBorder:
+    """Return the border of a gap that has neighbors at ``sides``.
+
+    The gap's own patch fades in linearly from the gap's edge to the border's inner edge. The rest of the weight goes to
+    the neighbor in whose wedge the pixel lies, with a smooth passage across the diagonal between two wedges. At the
+    gap's edge the neighbor has all the weight, so that the squares of placed blocks stay as they are.
+    """
+    depths = _depths(block, border, sides)
+    rows, columns = np.nonzero(depths.min(0) < 1)
+    depth = depths[:, rows, columns]
+    beside, above = np.where(depth[0] < depth[2], 0, 2), np.where(depth[1] < depth[3], 1, 3)
+    p, q = depth[[0, 2]].min(0), depth[[1, 3]].min(0)
+    layers, weights = np.stack([np.full_like(beside, OWN), beside, above]), _weights(p, q)
+    owners = np.full((block, block), OWN)
+    owners[rows, columns] = np.where(p <= q, beside, above)
+    left, top, right, bottom = (border if side else 0 for side in sides)
+    return GapBorder(
+        pixels=np.stack([columns, rows], -1),
+        owner=owners[rows, columns],
+        layers=np.where(weights > 0, layers, OWN),
+        weights=weights,
+        hole=(top, block - bottom, left, block - right),
+        owners=owners,
+    )
+
+
+def _depths(block: int, border: int, sides: Sides) -> NDArray[np.float64]:
+    """Return the distance of each pixel from each side over the border's width, at most 1: ``(4, block, block)``."""
+    depth = np.minimum((np.arange(block) + 0.5) / border, 1)
+    across, down = np.broadcast_to(depth, (block, block)), np.broadcast_to(depth[:, np.newaxis], (block, block))
+    depths = np.stack([across, down, across[:, ::-1], down[::-1]])
+    return np.where(np.array(sides)[:, np.newaxis, np.newaxis], depths, 1)
+
+
+def _weights(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float32]:
+    own = np.minimum(p, q)
+    beside, above = 1 / p - 1, 1 / q - 1
+    share = beside / (beside + above)
+    return np.stack([own, (1 - own) * share, (1 - own) * (1 - share)]).astype(np.float32)
 
 
 class BlockCanvas:
@@ -59,8 +265,8 @@ class BlockCanvas:
         self.image: Image = np.zeros((height, width, patches.sample.shape[2]), np.float32)
         self.source: Source = np.ones((height, width, 3), np.float32)
         self.known: Mask = np.zeros((height, width), np.bool_)
-        # What the seams of the image cost, for graph cuts.
-        self._seams = Links(np.zeros((height, width - 1), np.float32), np.zeros((height - 1, width), np.float32))
+        self._seams = np.zeros((2, height, width), np.float32)
+        """Costs of the seams of the image to the right and downward, for graph cuts."""
 
     def output(self) -> tuple[Image, Source]:
         """Return the output and its source map: the (x, y) that has the largest weight, and that weight."""
@@ -147,7 +353,7 @@ class BlockCanvas:
     def _cut(self, gap: Block, box: Box, patch: tuple[Image, Source]) -> None:
         window = gap.window(box)
         overlap = PatchOverlap(self.image[window], patch[0], self.known[window], box, gap.border.hole, gap.sides)
-        new = cut_graph(overlap, _links_inside(self._seams, window))
+        new = cut_graph(overlap, self._seams[:, *window])
         np.copyto(self.image[window], patch[0], where=new[..., np.newaxis])
         np.copyto(self.source[window], patch[1], where=new[..., np.newaxis])
 
@@ -156,24 +362,16 @@ class BlockCanvas:
         half = self.grid.size // 2
         beside = np.concatenate([layers[0][:, :half], layers[2][:, half:]], 1)
         above = np.concatenate([layers[1][:half], layers[3][half:]], 0)
-        costs = visible_links(beside, above)
-        owners, seams = gap.border.owners, _links_inside(self._seams, gap.window())
-        seams.across[...] = _costs_between_neighbors(owners[:, 1:], owners[:, :-1], costs.across)
-        seams.down[...] = _costs_between_neighbors(owners[1:], owners[:-1], costs.down)
+        costs, owners, seams = link_costs(beside, above, True), gap.border.owners, self._seams[:, *gap.window()]
+        seams[0, :, :-1] = _costs_between_neighbors(owners[:, 1:], owners[:, :-1], costs[0, :, :-1])
+        seams[1, :-1] = _costs_between_neighbors(owners[1:], owners[:-1], costs[1, :-1])
 
 
 def _costs_between_neighbors(
-    one: NDArray[np.int64], other: NDArray[np.int64], cost: NDArray[np.float64]
+    owner: NDArray[np.int64], other: NDArray[np.int64], cost: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the cost where one owner is to the left or right and the other one above or below, else 0."""
-    return np.where((one != other) & (one % 2 != other % 2) & (one != OWN) & (other != OWN), cost, 0.0)
-
-
-def _links_inside(links: Links, window: tuple[slice, slice]) -> Links:
-    """Return the links inside a window of pixels, as views."""
-    rows, columns = window
-    across = links.across[rows, columns.start : columns.stop - 1]
-    return Links(across, links.down[rows.start : rows.stop - 1, columns])
+    return np.where((owner % 2 != other % 2) & (owner != OWN) & (other != OWN), cost, 0.0)
 
 
 def compose(patches: Patches, grid: BlockGrid, places: Places) -> tuple[Image, Source]:
@@ -259,32 +457,26 @@ def _widen(start: int, stop: int, first: int, last: int) -> tuple[int, int]:
     return (start, stop) if stop - start >= 2 else (max(start - 1, first), min(stop + 1, last))
 
 
-def cut_graph(overlap: PatchOverlap, seams: Links) -> Mask:
+def cut_graph(overlap: PatchOverlap, seams: NDArray[np.float32]) -> Mask:
     """Return where the new picture is shown if the seam is the least visible closed one around the hole.
+
+    With plain differences (Kwatra et al. 2003, equation 1) the shortest seam often crosses bricks of nearly one color
+    and leaves them two-toned. Divided by gradients, it follows their outlines; squared, it avoids large differences.
 
     Parameters
     ----------
     overlap
         The patch and the picture.
     seams
-        The costs of the old picture's seams over the box. They are changed in place to those of the joined picture.
+        ``(2, h, w)``: the costs of the old picture's seams over the box, to the right and downward. They are changed in
+        place to those of the joined picture.
     """
-    links = visible_links(np.where(overlap.known[..., np.newaxis], overlap.old, overlap.new), overlap.new)
-    highest = max(float(cost.max(initial=0)) for cost in links)
-    np.copyto(links.across, highest, where=~(overlap.known[:, 1:] & overlap.known[:, :-1]))
-    np.copyto(links.down, highest, where=~(overlap.known[1:] & overlap.known[:-1]))
-    new = cut_overlap(links, overlap.fixed_old(), overlap.fixed_new(), seams)
-    ends = ((new[:, 1:], new[:, :-1]), (new[1:], new[:-1]))
-    for seam, cost, (one, other) in zip(seams, links, ends, strict=True):
-        np.copyto(seam, np.where(one != other, cost, 0), where=one | other)
+    known = overlap.known
+    old = np.where(known[..., np.newaxis], overlap.old, overlap.new)
+    costs = link_costs(old, np.ascontiguousarray(overlap.new), True)
+    highest = costs.max(initial=0)
+    np.copyto(costs[0, :, :-1], highest, where=~(known[:, 1:] & known[:, :-1]))
+    np.copyto(costs[1, :-1], highest, where=~(known[1:] & known[:-1]))
+    new = cut_overlap(costs, seams, overlap.fixed_old(), overlap.fixed_new())
+    record_seams(seams, np.ones(new.shape, np.uint8), new, costs)
     return new
-
-
-def visible_links(old: Image, new: Image) -> Links:
-    """Compute how visible a seam is between adjacent pixels of two pictures ``(H, W, C)``.
-
-    With plain differences (equation 1) the shortest seam often crosses bricks of nearly one color and leaves them
-    two-toned. Divided by gradients, it follows their outlines; squared, it avoids large differences.
-    """
-    first, second = (np.ascontiguousarray(picture, np.float32) for picture in (old, new))
-    return Links(*link_costs(first, second, True))
