@@ -290,7 +290,11 @@ def plot_levels(panels: Sequence[LevelPanel], width: float = 5.5) -> Figure:
     figure.legend(
         handles=[Line2D([], [], **_LINE, **style) for style in styles],
         title=f"Below the gray line at {BROKEN:g} a method breaks. References are gray.",
-        **{"loc": "outside lower center", "ncols": across, "frameon": False, "fontsize": 7, "title_fontsize": 7},
+        loc="outside lower center",
+        ncols=across,
+        frameon=False,
+        fontsize=7,
+        title_fontsize=7,
     )
     return figure
 
