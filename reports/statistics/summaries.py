@@ -86,7 +86,7 @@ class Method:
         return method_label(self.name, self.lattice_source)
 
 
-def method_classes(cells: Iterable[CellRecord]) -> dict[str, type]:
+def method_classes(cells: Iterable[CellRecord]) -> dict[str, type | None]:
     """Return the class of each installed method of some cells by its name, in the order of the cells."""
     names = dict.fromkeys(record.cell.method for record in cells)
     installed = set(plugins.names("synthesizers"))
