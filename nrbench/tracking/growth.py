@@ -248,6 +248,11 @@ class Window:
         )
 
     @property
+    def _points(self) -> tuple[Points, NDArray[np.float64], NDArray[np.float64]]:
+        """The offsets, the weights and the largest offset along x and y."""
+        return self.offsets, self.weights, np.abs(self.offsets).max(0)
+
+    @property
     def _prior(self) -> NDArray[np.float64]:
         """Costs of a squared departure from the prediction: of the place, per px^2, and of the map."""
         return np.array([_NOISE / (self.spread * self.s) ** 2, _NOISE / self.spread**2])
@@ -256,13 +261,8 @@ class Window:
         """Fit a place and an affine map in place, and return the correlation, see :func:`~.growth_kernels.register`."""
         return register(
             np.ascontiguousarray(image, np.float32),
-            self.templates[phase],
-            self.rows[phase],
-            self.normals[phase],
-            self.sums[phase],
-            self.offsets,
-            self.weights,
-            np.abs(self.offsets).max(0),
+            (self.templates[phase], self.rows[phase], self.normals[phase], self.sums[phase]),
+            self._points,
             state,
             state.copy(),
             self._prior,
@@ -284,13 +284,9 @@ class Window:
         """Find the places of knots, see :func:`~.growth_kernels.grow_knots`."""
         grow_knots(
             np.ascontiguousarray(image, np.float32),
-            self.templates,
-            self.rows,
-            self.normals,
-            self.sums,
+            (self.templates, self.rows, self.normals, self.sums),
             np.ascontiguousarray(phases, np.int64),
-            self.offsets,
-            self.weights,
+            self._points,
             np.ascontiguousarray(points, np.float64),
             states,
             correlation,

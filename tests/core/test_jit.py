@@ -21,9 +21,15 @@ def squared(x: float) -> float:
     return x * x
 
 
+@jit.inlined_kernel
+def added(x: float, y: float) -> float:
+    """Return the sum."""
+    return x + y
+
+
 def sum_of_squares(x: float, y: float) -> float:
     """Return what two calls of a kernel give together."""
-    return squared(x) + squared(y)
+    return added(squared(x), squared(y))
 
 
 @pytest.fixture
@@ -79,7 +85,7 @@ def test_numbas_own_cache_setting_is_left_alone() -> None:
 
 @pytest.mark.usefixtures("undeclared")
 def test_a_kernel_may_call_a_kernel(tmp_path: Path) -> None:
-    """A kernel that calls another is compiled with it, is read back from the cache, and gives what Python gives."""
+    """A kernel is compiled with those it calls, inlined or not, is read from the cache, and gives what Python gives."""
     for _ in range(2):
         compiled = jit.kernel(sum_of_squares).load()
         assert compiled(3.0, 4.0) == 25.0

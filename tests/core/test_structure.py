@@ -166,7 +166,7 @@ CLASHES = {
     "functions": {"follow_lattice", "score", "track_lattice"},
 }
 """Names that still have two meanings. A name that is mended leaves this list."""
-LONG = {"register", "grow_knots", "sum_products"}
+LONG = {"sum_products"}
 """Functions that still have more than :data:`LONGEST` lines."""
 # fmt: on
 LONGEST = 100
