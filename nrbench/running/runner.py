@@ -281,7 +281,7 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
     why = result["message"] or "no reason given"
     if result["status"] != "ok":
         return dataclasses.replace(cell, fault=f"{cell.lattice_source}: failed: {why}", fault_status="error")
-    detected = reader_of(FoundLattice).validate_python({"lattice": None, **result})  # type: ignore[arg-type]
+    detected = reader_of(FoundLattice).validate_python({"lattice": None, **result})
     cell = dataclasses.replace(cell, detected=detected, lattice_given=detected.lattice)
     needed = getattr(plugins.find("synthesizers", cell.method).cls, "needs_lattice", True)
     if detected.lattice is not None or not needed:
