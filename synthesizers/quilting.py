@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Synthesis, Task
 
-from .gap_filling.blocks import Box
+from .gap_filling.block_canvas import Box
 from .gap_filling.matching import FrameMatcher
 from .patch_laying.raster_canvas import (
     LARGEST_SHARE,

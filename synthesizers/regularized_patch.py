@@ -22,9 +22,7 @@ from .sampling.equal_places import pixel_grid
 from .sampling.patches import Patches, round_places
 from .sampling.two_periods import require_two_periods
 from .texel_pasting.quiet_borders import TexelKind, parallelogram, quiet_texels
-from .texel_pasting.texel_mosaic import TexelMosaic
-from .texel_pasting.texel_shape import TexelShape
-from .texel_pasting.texel_stock import TexelStock
+from .texel_pasting.texel_mosaic import TexelMosaic, TexelShape, TexelStock
 
 ZONE: Final = (3.0, 8.0)
 """px: the least and the greatest default breadth of the zone; between them it is a sixth of s."""

@@ -19,8 +19,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Refused, Synthesis, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .gap_filling.blocks import Block, BlockGrid, check_border
-from .gap_filling.canvas import BlockCanvas, SeamMethod
+from .gap_filling.block_canvas import Block, BlockCanvas, BlockGrid, SeamMethod, check_border
 from .gap_filling.matching import FrameMatcher, Match, align_patch
 from .geometry.straightening import Geometry, straighten_first
 from .sampling.equal_places import EqualPlaces, Pixels, SearchShape, nearby_pixels, nearest_pixels

@@ -17,10 +17,9 @@ from nrbench.plugins.registry import NamedDetector
 
 from .geometry.straightening import Geometry, straighten_first
 from .sampling.two_periods import require_two_periods
-from .tile_laying.stitch_kernels import FEATHER
-from .tile_laying.tile_canvas import TileCanvas
+from .tile_laying.tile_canvas import OverlapMeasure, ShiftedImages, TileCanvas, TilePlaces, TileStock
+from .tile_laying.tile_kernels import FEATHER
 from .tile_laying.tile_shape import AnchorKind, ElementWeights, TileKind, TileShape, anchor_lattice, tile_shape
-from .tile_laying.tile_stock import OverlapMeasure, ShiftedImages, TilePlaces, TileStock
 
 FINE_PARTS: Final = 4
 """Default parts of a pixel at which tiles are placed if whole pixels are too coarse."""

@@ -14,7 +14,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
-from ..gap_filling.blocks import Box
+from ..gap_filling.block_canvas import Box
 from ..sampling.patches import Source
 from ..seams.overlap_seam import cut_sides
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .overlap_seam_kernels import cut_corner, squared_differences
-from .seam_kernels import cheapest_path
+from .seam_kernels import cheapest_path, cut_corner, squared_differences
 
 Mask = NDArray[np.bool_]
 

@@ -9,9 +9,8 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Refused, Task, Texture
 from nrbench.running.output_checks import checked_synthesis
-from nrbench.synthesizers.graph_cuts import GraphCuts
+from nrbench.synthesizers.graph_cuts import GraphCuts, WholePatches
 from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat, Window
-from nrbench.synthesizers.patchwork.whole_patches import WholePatches
 
 
 def smooth(height: int, width: int, seed: int = 0) -> Image:

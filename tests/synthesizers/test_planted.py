@@ -9,8 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Refused, Shape, Texture
-from nrbench.synthesizers.defects.plant import read_displaced
-from nrbench.synthesizers.planted import DEFECTS, Planted
+from nrbench.synthesizers.planted import DEFECTS, Planted, read_displaced
 
 
 @pytest.mark.parametrize("kind", DEFECTS)

@@ -21,9 +21,7 @@ from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.regularized_patch import RegularizedPatch
 from nrbench.synthesizers.sampling.patches import Patches
 from nrbench.synthesizers.texel_pasting.quiet_borders import parallelogram, quiet_texels
-from nrbench.synthesizers.texel_pasting.texel_mosaic import TexelMosaic, growth_order
-from nrbench.synthesizers.texel_pasting.texel_shape import NEIGHBORS, TexelShape
-from nrbench.synthesizers.texel_pasting.texel_stock import TexelStock
+from nrbench.synthesizers.texel_pasting.texel_mosaic import NEIGHBORS, TexelMosaic, TexelShape, TexelStock, growth_order
 
 
 def bent(bend: float, model: str = "brick", seed: int = 0, **departures: float) -> Texture:
