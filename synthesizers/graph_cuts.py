@@ -29,7 +29,7 @@ from .patchwork.patchwork import (
 )
 from .sampling.fourier_products import FourierProducts, Spectra
 
-Refine = Literal["worst", "random", "minima", "extremes", "none"]
+Refine = Literal["worst", "random", "minima", "extremes"]
 
 LEAST_REGION = 3
 """px: least side of a region that a patch covers."""
@@ -94,9 +94,8 @@ class GraphCuts:
         Which region is covered again. ``"worst"``: the one whose seams cost most; the cost counts half for each earlier
         try. ``"random"``, ``"minima"``, ``"extremes"``: a random one of all regions, of those at local minima of the
         cost of their seams, or of those at local minima and maxima (figure 46 of Lin, Hays, Wu, Kwatra, Liu 2004).
-        ``"none"``: the output is only filled.
     passes
-        The most passes of refinement, 0 or more.
+        The most passes of refinement, 0 or more. 0: the output is only filled.
     normalized
         Whether the cost of a seam is divided by the gradients along it (section 5), so that seams prefer places where
         the texture varies strongly.
@@ -164,12 +163,11 @@ class GraphCuts:
         """
         work, patches = self.prepare(task)
         regions = math.prod(task.shape) / math.prod(patches.size)
-        filled = 1 / (1 + self.passes * (self.refine != "none"))
+        filled = 1 / (1 + self.passes)
         while (region := patches.find_unknown()) is not None:
             patches.cover_region(region)
             task.progress(filled * region[0] / task.shape[0])
-        if self.refine != "none":
-            self._refine(work, patches, task, math.ceil(regions), filled)
+        self._refine(work, patches, task, math.ceil(regions), filled)
         image, source = work.feathered(self.feather)
         task.progress(1.0)
         return Synthesis(image, source=source)
