@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require, require_ranges
 from nrbench.imaging.box_sums import box_sums
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
@@ -142,16 +142,10 @@ class GraphCuts:
 }"""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.randomness <= MOST_RANDOM:
-            raise BadInput(
-                f"randomness {self.randomness}; choose 0 (always a translation of least cost) to {MOST_RANDOM:g}"
-            )
-        if not 0 < self.region <= 0.8:
-            raise BadInput(f"region {self.region}; choose a share of the sample above 0, at most 0.8")
-        if self.passes < 0:
-            raise BadInput(f"passes {self.passes}; choose 0 or more")
-        if self.feather != 0 and not LEAST_FEATHER <= self.feather <= 8:
-            raise BadInput(f"feather {self.feather}; choose 0 (copies only), or {LEAST_FEATHER:g} to 8 px")
+        require_ranges(self, randomness=(0, MOST_RANDOM), passes=(0, math.inf), feather=(0, 8))
+        require(0 < self.region <= 0.8, f"region {self.region}; choose a share of the sample above 0, at most 0.8")
+        soft = self.feather == 0 or self.feather >= LEAST_FEATHER
+        require(soft, f"feather {self.feather}; choose 0 (copies only), or {LEAST_FEATHER:g} to 8 px")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`GraphCuts`.

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, require_lattice
@@ -18,9 +18,8 @@ from nrbench.plugins.registry import NamedDetector
 
 from .geometry.straightening import Bend, StraightSample, trace_points
 from .geometry.vertex_field import Deform
-from .sampling.equal_places import pixel_grid
+from .sampling.equal_places import pixel_grid, require_two_periods
 from .sampling.patches import Patches, round_places
-from .sampling.two_periods import require_two_periods
 from .texel_pasting.quiet_borders import TexelKind, parallelogram, quiet_texels
 from .texel_pasting.texel_mosaic import TexelMosaic, TexelShape, TexelStock
 
@@ -102,10 +101,7 @@ class RegularizedPatch:
 }"""
 
     def __post_init__(self) -> None:
-        if self.zone is not None and not 0 <= self.zone < np.inf:
-            raise BadInput(f"zone {self.zone}; choose 0 px or more, or leave it out")
-        if not 0 <= self.tolerance <= 1000:
-            raise BadInput(f"tolerance {self.tolerance}; choose from 0 to 1000")
+        require_ranges(self, zone=(0, np.inf), tolerance=(0, 1000))
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`RegularizedPatch`.
