@@ -25,7 +25,7 @@ from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
 from nrbench.storage import write_json
-from nrbench.suites.cell import Cell
+from nrbench.suites.cell import Cell, reader_of
 from nrbench.suites.plan import Plan, PlannedSample
 from nrbench.suites.suite import Suite
 
@@ -281,7 +281,7 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
     why = result["message"] or "no reason given"
     if result["status"] != "ok":
         return dataclasses.replace(cell, fault=f"{cell.lattice_source}: failed: {why}", fault_status="error")
-    detected = FoundLattice.from_dict(result)
+    detected = reader_of(FoundLattice).validate_python({"lattice": None, **result})
     cell = dataclasses.replace(cell, detected=detected, lattice_given=detected.lattice)
     needed = getattr(plugins.find("synthesizers", cell.method).cls, "needs_lattice", True)
     if detected.lattice is not None or not needed:

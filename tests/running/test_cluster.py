@@ -14,12 +14,12 @@ from typing import Any
 
 import psutil
 import pytest
+from commands import call
 from faults import registered_faults
 from machines import Machines, machines
 from suites import wall_suite
 
 from nrbench.api import run
-from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.running import cluster
 from nrbench.running.pace import Step
@@ -120,9 +120,7 @@ def test_a_cluster_that_dies_ends_the_run(
     )
     with machines(tmp_path) as made:
         words = ["run", str(suite), "--out", "run", "--no-report", "--scheduler", made.address]
-        with pytest.raises(SystemExit) as left:
-            main([*words, "--worker-wait", "2"])
-        assert left.value.code == 1
+        assert call(*words, "--worker-wait", "2") == 1
         seen = capfd.readouterr()
         assert "has no worker; waiting for one up to 2 s" in seen.err
         assert "had no worker for 2 s; run the same command again to resume" in seen.err
@@ -131,17 +129,13 @@ def test_a_cluster_that_dies_ends_the_run(
         assert "3 missing" in seen.out
         threading.Thread(target=kill_once_connected, args=(made, tmp_path / "run"), daemon=True).start()
         start = time.monotonic()
-        with pytest.raises(SystemExit) as left:
-            main(words)
-        assert left.value.code == 1
+        assert call(*words) == 1
         assert time.monotonic() - start < 20
         seen = capfd.readouterr()
         assert "has ended or cannot be reached any more; run the same command again" in seen.err
         assert len(seen.err.splitlines()) <= 3
-        with pytest.raises(SystemExit) as left:
-            monkeypatch.setattr(cluster, "CONNECT", 1.0)
-            main(words)
-        assert left.value.code == 2
+        monkeypatch.setattr(cluster, "CONNECT", 1.0)
+        assert call(*words) == 2
         assert "cannot be reached" in capfd.readouterr().err
 
 
@@ -177,7 +171,5 @@ def test_a_run_that_is_stopped_takes_its_jobs_back(tmp_path: Path) -> None:
         assert len(children) >= 3
         assert not psutil.wait_procs(children, timeout=10)[1]
         (tmp_path / "awake").touch()
-        with pytest.raises(SystemExit) as left:
-            main(words)
-        assert not left.value.code
+        assert call(*words) == 0
         assert [record.status for record in Run(tmp_path / "run").cells] == ["ok"] * 3
