@@ -17,7 +17,7 @@ from nrbench.tracking.growth import Knots, Start, grow_from, grow_on
 from nrbench.tracking.renumbering import renumber, similarity
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
-__all__ = ["follow_lattice", "follow_on", "merit", "probe", "score", "straighten_pixels"]
+__all__ = ["find_knots", "follow_on", "merit", "probe", "rate_knots", "straighten_pixels"]
 
 _FINEST: Final = 14.0
 """px; an image is shrunk as far as its s stays above this. Time then does not grow with s."""
@@ -48,7 +48,7 @@ _GAIN = 0.01
 """Gain of the score below which they are not found again."""
 
 
-def follow_lattice(image: Image, lattice: Lattice, near: Points | None = None) -> Knots | None:
+def find_knots(image: Image, lattice: Lattice, near: Points | None = None) -> Knots | None:
     """Return where the points of a lattice lie in an image, however it is bent; None if they are not found.
 
     The mean tile is at first that of a track by :func:`~nrbench.tracking.tracker.track_lattice`, or that of a few
@@ -71,7 +71,7 @@ def follow_lattice(image: Image, lattice: Lattice, near: Points | None = None) -
     at = None if near is None else (near - (factor - 1) / 2) / factor
     for start in _starts(small, shrunk) if at is None else (_local_start(small, shrunk, at),):
         knots = grow_from(small, start, (_FIRST_LEVEL,), fine=False)
-        worth = score(knots, small)
+        worth = rate_knots(knots, small)
         if worth > highest:
             best, highest = knots, worth
         if highest > _GOOD:
@@ -85,8 +85,8 @@ def follow_lattice(image: Image, lattice: Lattice, near: Points | None = None) -
         start = _restart(small, best, best.mean_lattice())
         median = float(np.median(best.correlation[best.known]))
         levels = _LEVELS if number else (_FIRST_SHARE,)
-        found = grow_from(small, start, tuple(one * median for one in levels), fine=number > 0)
-        worth = score(found, small)
+        found = grow_from(small, start, tuple(level * median for level in levels), fine=number > 0)
+        worth = rate_knots(found, small)
         if number > 1 and worth < highest + _GAIN:
             best = found if worth > highest else best
             break
@@ -100,13 +100,13 @@ def probe(image: Image, lattice: Lattice, near: Points) -> float:
     Parameters
     ----------
     image, lattice, near
-        As for :func:`follow_lattice`.
+        As for :func:`find_knots`.
     """
     lattice = Lattice.from_basis(lattice.reduced().matrix)
     factor = _factor(lattice)
     small, shrunk = _shrink(image, lattice, factor)
     start = _local_start(small, shrunk, (near - (factor - 1) / 2) / factor)
-    return score(grow_from(small, start, (_FIRST_LEVEL,), fine=False), small)
+    return rate_knots(grow_from(small, start, (_FIRST_LEVEL,), fine=False), small)
 
 
 def follow_on(image: Image, knots: Knots, basis: Points) -> Knots | None:
@@ -130,11 +130,11 @@ def follow_on(image: Image, knots: Knots, basis: Points) -> Knots | None:
     change = lattice.matrix @ np.linalg.inv(mean.matrix)
     start = _restart(small, first, first.mean_lattice(), change)
     median = float(np.median(knots.correlation[knots.known]))
-    found = grow_from(small, start, tuple(one * median for one in _LEVELS))
+    found = grow_from(small, start, tuple(level * median for level in _LEVELS))
     return _renumbered(small, found).resized(factor) if _are_enough(found) else None
 
 
-def score(knots: Knots, image: Values) -> float:
+def rate_knots(knots: Knots, image: Values) -> float:
     """Return the share of an image that knots cover, times their mean correlation."""
     height, width = image.shape[:2]
     return float(min(knots.area / (height * width), 1.0) * knots.quality)
@@ -253,8 +253,8 @@ def _renumbered(image: Values, knots: Knots) -> Knots:
             break
         tile = _restart(image, parts, parts.mean_lattice()).tile
         median = float(np.median(parts.correlation[parts.known]))
-        found = grow_on(image, tile, parts, tuple(one * median for one in _LEVELS))
-        before, after = (similarity(one, image.shape[:2]) for one in (knots, found))
+        found = grow_on(image, tile, parts, tuple(level * median for level in _LEVELS))
+        before, after = (similarity(each, image.shape[:2]) for each in (knots, found))
         parts = renumber(found)
         if after <= before * (_KEPT if parts is None else 1):
             break

@@ -114,9 +114,9 @@ class Nodes:
         cell = cell_covariance(lattice)
         covariance = width**2 * cell
         spread, box = np.sqrt(np.diag(covariance))[::-1], np.sqrt(12 * np.diag(cell))[::-1]
-        padded = [scipy.fft.next_fast_len(math.ceil(n + _REACH * one)) for n, one in zip(shape, spread, strict=True)]
+        padded = [scipy.fft.next_fast_len(math.ceil(n + _REACH * sd)) for n, sd in zip(shape, spread, strict=True)]
         step = np.minimum(box / _NODES_PER_TILE, np.array(shape) / 3)
-        rows, columns = (scipy.fft.next_fast_len(math.ceil(n / one)) for n, one in zip(padded, step, strict=True))
+        rows, columns = (scipy.fft.next_fast_len(math.ceil(n / px)) for n, px in zip(padded, step, strict=True))
         return cls(shape, covariance, (rows, columns), (padded[0], padded[1]), width)
 
     def narrowed(self, width: float) -> Nodes:

@@ -11,8 +11,8 @@ from scipy.ndimage import gaussian_filter
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.detectors.autocorrelation.pair_kernels import best_pair
 from nrbench.detectors.autocorrelation.peak_kernels import highest_ridge
+from nrbench.detectors.autocorrelation.vector_pair_kernels import best_pair
 from nrbench.detectors.gncc import Gncc, find_ridge, remove_stripes
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.correlation import half_autocorrelation
