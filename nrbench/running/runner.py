@@ -18,7 +18,7 @@ from nrbench.imaging.files import write_image
 from nrbench.plugins.forms import FoundLattice
 from nrbench.running.executors import Executor, executor
 from nrbench.running.output_checks import InvalidOutput
-from nrbench.running.pace import Pace, Progress, Step
+from nrbench.running.pace import Pace, Progress
 from nrbench.running.phases import read_output
 from nrbench.running.supervisor import print_notice
 from nrbench.running.worker import Request
@@ -79,10 +79,6 @@ class Options:
     stop: threading.Event = field(default_factory=threading.Event)
 
 
-def _no_progress(step: Step) -> None:
-    """Ignore progress."""
-
-
 def is_cached(directory: RunDirectory, cell: Cell, metrics: Iterable[str], retry_failed: bool = False) -> bool:
     """Return whether a cell's result and all of its scores are on disk."""
     where = directory.cell(cell.key)
@@ -113,7 +109,7 @@ def find_metrics(names: Iterable[str]) -> list[str]:
     return [plugins.find("metrics", name).name for name in dict.fromkeys(names)] or working_metrics()
 
 
-def execute(plan: Plan, root: Path, options: Options | None = None, progress: Progress = _no_progress) -> Run:
+def execute(plan: Plan, root: Path, options: Options | None = None, progress: Progress = lambda step: None) -> Run:
     """Run every cell that has no result yet, and return the run.
 
     Parameters
