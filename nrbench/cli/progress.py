@@ -84,7 +84,7 @@ def waiting(what: str) -> Iterator[Callable[[float], None]]:
             print(f"{begin}{what}: {state}", end=end, file=sys.stderr, flush=True)
             if ended.wait(pause):
                 break
-        print(begin, end="", file=sys.stderr, flush=True)  # a terminal forgets the last line
+        print(begin, end="", file=sys.stderr, flush=True)  # removes the last line from a terminal
 
     ticker = threading.Thread(target=tick, daemon=True)
     ticker.start()
