@@ -45,10 +45,10 @@ _LEAST_TILE_SIDE = 4
 class LooksModel:
     r"""How windows of a texture look.
 
-    The distance of features f from the mean is the root of (f - mean)' (C + F)^{-1} (f - mean), with the covariance C of
-    the references and the squared floors F of what is not seen. Windows of one and two cells hold each place of the cell
-    equally often, wherever they lie, so they differ only as the texture varies. Quarters of the picture show uneven
-    light. The whole is compared with parts as large as the sample: no method knows the mean better than its sample does.
+    The distance of features f from the mean is the root of (f - mean)' (C + F)^{-1} (f - mean), with the covariance C
+    of the references and the squared floors F of what is not seen. Windows of one and two cells hold each place of the
+    cell equally often, wherever they lie, so they differ only as the texture varies. Quarters of the picture show
+    uneven light. The whole is compared with parts as large as the sample, from which a method knows the mean.
 
     Parameters
     ----------
@@ -129,14 +129,14 @@ def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_
         learned.append(_learn_kind(groups, limits.LEAST_LOCAL))
     quarters = [_quarter_means(look) - own for look, own in zip(looks, means, strict=True)]
     if from_sample:
-        crops = np.array([part.mean((0, 1), dtype=np.float64) for part in _cut(looks[0], _CROPS)])
-        whole = _invert(2 * np.cov(crops.T) / _CROPS**2)
-        uneven = _invert(8 * np.cov(crops.T) / _CROPS**2)
+        parts = [part.mean((0, 1), dtype=np.float64) for part in _cut(looks[0], _CROPS)]
+        spread = np.cov(np.array(parts).T) / _CROPS**2
+        whole, uneven = _invert(2 * spread), _invert(8 * spread)
         learned.append((uneven, max(_measure(quarters[0], uneven).max(), limits.LEAST_WHOLE)))
         learned.append((whole, limits.LEAST_WHOLE))
     else:
-        parts = min(max(round(a / b), 1) for a, b in zip(net.shape, sample_shape, strict=True))
-        crops = [part.mean((0, 1), dtype=np.float64) - mean for look in looks for part in _cut(look, parts)]
+        side = min(max(round(a / b), 1) for a, b in zip(net.shape, sample_shape, strict=True))
+        crops = [part.mean((0, 1), dtype=np.float64) - mean for look in looks for part in _cut(look, side)]
         learned.append(_learn_kind(quarters, limits.LEAST_WHOLE))
         learned.append(_learn_kind([crop[np.newaxis] for crop in crops], limits.LEAST_WHOLE))
     margin = limits.OF_SAMPLE_LOOKS if from_sample else limits.OF_LOOKS
@@ -254,8 +254,8 @@ def _score(observation: Observation) -> Score:
         reasons |= dict.fromkeys(("score", "local", "local_wide", "quarters", "whole"), str(reason))
     values["seam"], values["seam_step"], line = _seam(observation)
     if line is None:
-        reason = f"undecided: the images are smaller than {_LEAST_SEAM_SIDE} px, too small to compare lines"
-        reasons |= dict.fromkeys(("seam", "seam_step"), reason)
+        small = f"undecided: the images are smaller than {_LEAST_SEAM_SIDE} px, too small to compare lines"
+        reasons |= dict.fromkeys(("seam", "seam_step"), small)
     tile = _claimed_tile(observation.output, observation.extras)
     if isinstance(tile, str):
         reasons |= dict.fromkeys(("tileable", "tile_bytes"), tile)
@@ -264,6 +264,15 @@ def _score(observation: Observation) -> Score:
     pictures = {} if line is None else {"seam": draw_line(observation.output, line)}
     records = {"reference": "sample" if observation.again is None else "fresh draws"}
     return Score(values, reasons, pictures, records)
+
+
+def fresh_images(observation: Observation, number: int) -> list[Image]:
+    """Return up to ``number`` fresh draws of the output's shape; none of a photograph."""
+    if observation.again is None:
+        return []
+    shape = (observation.output.shape[0], observation.output.shape[1])
+    draws = [observation.again(shape, FIRST_DRAW + k) for k in range(number)]
+    return [draw.image for draw in draws if draw is not None]
 
 
 # Seams, and the border of a tile that claims to be seamless.

@@ -142,8 +142,8 @@ def _learn_pair(planes: Sequence[CoarsePlane], lag: Lag) -> PairModel:
     joint, first, second = sums / np.maximum(count, 1)[..., np.newaxis, np.newaxis]
     whole, unrelated = joint + floor, first + second + floor
     constant = np.linalg.slogdet(unrelated)[1] - np.linalg.slogdet(whole)[1]
-    inverses = (np.linalg.inv(m).astype(np.float32) for m in (whole, unrelated))
-    return PairModel(lag, *inverses, constant.astype(np.float32))
+    inverses = [np.linalg.inv(matrices).astype(np.float32) for matrices in (whole, unrelated)]
+    return PairModel(lag, inverses[0], inverses[1], constant.astype(np.float32))
 
 
 @lru_cache(maxsize=2)
@@ -194,7 +194,7 @@ def _weigh_composites(
 ) -> NDArray[np.float64]:
     """Return the evidence of cells through whose middle a straight cut joins two distant parts of a picture."""
     size, found = limits.PLACES, []
-    numbers = np.stack(np.indices(plane.complete.shape), -1) / size @ net.vectors
+    numbers = np.moveaxis(np.indices(plane.complete.shape), 0, -1) / size @ net.vectors
     cells = np.array(plane.complete.shape) // size
     for _ in range(_COMPOSITES):
         shift = tuple(size * rng.integers(1, np.maximum(cells, 2)))
@@ -212,18 +212,18 @@ def _weigh_composites(
 class Integrity:
     """The share of the output's elements that are whole.
 
-    A method that copies patches may join the left half of one brick to the right half of another, or change the color of
-    a thread. The mean cell cannot show this, because both parts lie in their places. Their tones do: in a whole element
-    the tones of its parts go together (:class:`ElementModel`).
+    A method that copies patches may join the left half of one brick to the right half of another, or change the color
+    of a thread. The mean cell cannot show this, because both parts lie in their places. Their tones do: in a whole
+    element the tones of its parts go together (:class:`ElementModel`).
 
-    Let p be the share of joined elements of the references above the limit of the evidence, q the largest share of whole
-    ones that chance explains, and c the share of the output's cells. The score is 1 - (c - q) / (p - q), in [0, 1]: the
-    share of whole elements, corrected for those that the test misses and for those that it counts wrongly. The limit is
-    the one with the largest p - q, which is ``detection_power``. Below a power of 0.3 the elements of the texture do not
-    have tones that tell joined ones from whole ones, and the score is None.
+    Let p be the share of joined elements of the references above the limit of the evidence, q the largest share of
+    whole ones that chance explains, and c the share of the output's cells. The score is 1 - (c - q) / (p - q), in [0,
+    1]: the share of whole elements, corrected for those that the test misses and for those that it counts wrongly. The
+    limit is the one with the largest p - q, which is ``detection_power``. Below a power of 0.3 the elements of the
+    texture do not have tones that tell joined ones from whole ones, and the score is None.
 
-    The references are fresh draws of the model, or strips of the sample, each weighed by a model of the others. Elements
-    out of place are left out; they count for regularity.
+    The references are fresh draws of the model, or strips of the sample, each weighed by a model of the others.
+    Elements out of place are left out; they count for regularity.
     """
 
     version: ClassVar[str] = "10"

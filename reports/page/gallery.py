@@ -190,7 +190,7 @@ def _failings(method: Method, cells: Sequence[Sequence[CellRecord]], pictures: P
 
 def _worst_crop(record: CellRecord, pictures: PictureStore) -> PagePicture | None:
     layers = [record.pictures[name] for name in DEFECTS if name in record.pictures]
-    return pictures.worst_crop(record.folder / "output.png", layers)
+    return pictures.worst_crop(record.folder / "output.png", *layers)
 
 
 def load_disagreement(

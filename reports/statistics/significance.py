@@ -221,7 +221,7 @@ def find_leading_group(cells: pd.DataFrame, best: Method, ranked: Sequence[Metho
     A method that shares fewer than half of the best method's textures with it is not in the group: their difference is
     not known.
     """
-    behind = -_differences(cells, RANKING, best)
+    behind = _differences(cells, RANKING, best)
     gaps = {one.label: behind[one.label].dropna().to_numpy() for one in ranked if one != best}
     near = {label: gap for label, gap in gaps.items() if 2 * len(gap) >= behind[best.label].count()}
     what = "leading group: the method of the highest mean quality, and the methods"
@@ -235,10 +235,10 @@ def find_leading_group(cells: pd.DataFrame, best: Method, ranked: Sequence[Metho
     return {best.label, *itertools.compress(near, tied)}, rule
 
 
-def _differences(cells: pd.DataFrame, score: str, other: Method) -> pd.DataFrame:
-    """Return a score of every method minus that of ``other``, by texture and label: means over paired replicates."""
+def _differences(cells: pd.DataFrame, score: str, first: Method) -> pd.DataFrame:
+    """Return a score of ``first`` minus that of every method, by texture and label: means over paired replicates."""
     scores = cells.pivot(index=["texture", "replicate"], columns="label", values=score)
-    return scores.sub(scores[other.label], axis=0).groupby(level="texture").mean()
+    return scores.rsub(scores[first.label], axis=0).groupby(level="texture").mean()
 
 
 def _signed_rank_p(differences: Floats) -> float:
@@ -253,7 +253,7 @@ def rank_by_texture(cells: pd.DataFrame, ranked: Sequence[Method]) -> RankTests 
 
 def compare_with(cells: pd.DataFrame, other: Method, methods: Sequence[Method]) -> list[BaselineDifference]:
     """Return the difference of each method to ``other`` in quality; methods without common textures are left out."""
-    gaps = _differences(cells, RANKING, other)
+    gaps = -_differences(cells, RANKING, other)
     known = [one for one in methods if gaps[one.label].notna().any()]
     estimates = estimate_means([gaps[one.label].to_numpy() for one in known])
     clean = [gaps[one.label].dropna().to_numpy() for one in known]
@@ -272,7 +272,7 @@ def list_differences(run: Run, methods: Sequence[Method], cells: pd.DataFrame) -
     common = [len(textures[a.label] & textures[b.label]) for a, b in pairs]
     found = []
     for name in headline_columns(run):
-        gaps = {a.label: -_differences(cells, name, a) for a in methods if not a.reference}
+        gaps = {a.label: _differences(cells, name, a) for a in methods if not a.reference}
         estimates = estimate_means([gaps[a.label][b.label].to_numpy() for a, b in pairs], common)
         found += [PairedDifference(name, a, b, one) for (a, b), one in zip(pairs, estimates, strict=True)]
     return found

@@ -13,7 +13,7 @@ import pandas as pd
 
 from nrbench import plugins
 from nrbench.plugins.forms import Column
-from nrbench.runs.records import Run
+from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
 from .estimates import Estimate, estimate_means, success_rate
@@ -86,31 +86,24 @@ class Method:
         return method_label(self.name, self.lattice_source)
 
 
-@dataclass(frozen=True)
-class PatchTerms:
-    """How a method that copies patches works: a row of the table of patches (Lin et al. 2004, table 1).
-
-    Parameters
-    ----------
-    method
-        The name of the plugin.
-    shape, placement, stitching
-        What a patch is, how its place is chosen, and how it is joined to the others, as the plugin says.
-    """
-
-    method: str
-    shape: str
-    placement: str
-    stitching: str
-
-
-def list_patch_terms(run: Run) -> list[PatchTerms]:
-    """Return the terms of each installed patch-copying method of a run, in the order of the run."""
-    names = dict.fromkeys(record.cell.method for record in run.cells if not record.cell.reference)
+def method_classes(cells: Iterable[CellRecord]) -> dict[str, type | None]:
+    """Return the class of each installed method of some cells by its name, in the order of the cells."""
+    names = dict.fromkeys(record.cell.method for record in cells)
     installed = set(plugins.names("synthesizers"))
-    classes = {name: plugins.find("synthesizers", name).cls for name in names if name in installed}
-    said = {name: [getattr(cls, term, "") for term in plugins.PATCH_TERMS] for name, cls in classes.items()}
-    return [PatchTerms(name, *terms) for name, terms in said.items() if all(terms)]
+    return {name: plugins.find("synthesizers", name).cls for name in names if name in installed}
+
+
+def list_patch_terms(run: Run) -> list[tuple[str, ...]]:
+    """Return the rows of the table of patches (Lin et al. 2004, table 1), as the methods that copy patches declare.
+
+    Returns
+    -------
+    list of tuple
+        The name of the method, what a patch is, how its place is chosen, and how it is joined to the others.
+    """
+    classes = method_classes(record for record in run.cells if not record.cell.reference)
+    rows = [(name, *(getattr(cls, term, "") for term in plugins.PATCH_TERMS)) for name, cls in classes.items()]
+    return [row for row in rows if all(row)]
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ import pytest
 from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
-from nrbench.reports.changes import Changes
-from nrbench.reports.statistics.run_changes import RunChanges, compare_runs
+from nrbench.reports.changes import Changes, RunChanges, compare_runs
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 

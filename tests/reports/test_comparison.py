@@ -16,7 +16,7 @@ from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
-from nrbench.reports.plots.perils_plane import caption_text
+from nrbench.reports.plots.method_plots import caption_text
 from nrbench.reports.statistics import verdicts
 from nrbench.reports.statistics.levels import (
     LevelPanel,
@@ -55,14 +55,14 @@ def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run
     methods = ("tile-set", "ann-pixel", "nowhere", "rsgf")
     run = make_run([make_cell(texture, method) for texture in "ab" for method in methods])
     terms = list_patch_terms(run)
-    assert [one.method for one in terms] == ["tile-set", "rsgf"]
-    assert terms[0].shape == "tile shape/size from translational symmetry analysis"
-    assert (terms[0].placement, terms[0].stitching) == (TileSet.patch_placement, TileSet.patch_stitching)
+    assert [row[0] for row in terms] == ["tile-set", "rsgf"]
+    shape = "tile shape/size from translational symmetry analysis"
+    assert terms[0][1:] == (shape, TileSet.patch_placement, TileSet.patch_stitching)
     tables = LatexTables().write(run, tmp_path)
     latex = next(path for path in tables if path.name == "patches.tex").read_text("utf-8")
     for text in (MarkdownTables().render(run), HtmlReport().render(run, tmp_path), latex):
-        for one in terms:
-            assert one.shape.replace("-", "{-}" if text is latex else "-") in text and one.placement.split()[0] in text
+        for _, shape, placement, _ in terms:
+            assert shape.replace("-", "{-}" if text is latex else "-") in text and placement.split()[0] in text
     assert "translational symmetry" not in MarkdownTables().render(make_run([make_cell("a", "ann-pixel")]))
 
 
@@ -268,13 +268,6 @@ def test_table_holds_numbers(every_ending: Run) -> None:
     assert set(table["regularity.preserved"].dropna()) == {0.0, 1.0}
     assert table.loc[table["status"] == "ok", "seconds"].notna().all()
     assert math.isnan(table.loc[table["status"] == "timeout", "seconds"].iloc[0])
-
-
-def test_table_of_an_empty_run_has_its_columns(make_run: Make) -> None:
-    """A run without cells gives a table without rows."""
-    table = verdicts.tabulate_cells(make_run([]))
-    assert len(table) == 0
-    assert {"texture", "verdict", "regularity.score"} <= set(table)
 
 
 @pytest.fixture(scope="module")

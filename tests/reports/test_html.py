@@ -141,14 +141,6 @@ def test_hostile_names_stay_text(page: Page) -> None:
     assert "\x1b" not in page.text
 
 
-def test_it_has_what_a_reader_needs(page: Page) -> None:
-    """Suite, hash, success rate, provenance and glossary are on the page."""
-    for words in ("tiny", "abc123", "A tiny suite.", "preserved", "lattice: given", "reference", "numpy 2.0"):
-        assert words in page.text
-    for words in ("undecided: too little power", "a note of its own", "Whether the lattice is preserved.", "block=40"):
-        assert words in page.text
-
-
 def test_screen_readers_read_verdicts(page: Page) -> None:
     """Screen readers read the verdict's word instead of its mark; each picture has an alternative text."""
     marks = [one for one in page.all("span") if one.get("class", "").startswith("mark")]

@@ -18,10 +18,20 @@ from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures
 from nrbench.reports.page.forest_plot import forest_axes
 from nrbench.reports.page.pictures import PictureStore
 from nrbench.reports.perils import PerilsPlane
-from nrbench.reports.plots.captions import MOST_NAMES, choose_named, describe_unnamed, spread
-from nrbench.reports.plots.comparison_plots import hardest_first, plot_cost, plot_heat_map, plot_ranks, timed_methods
 from nrbench.reports.plots.marks import find_marks, worst_place
-from nrbench.reports.plots.perils_plane import caption_text, plot_perils_plane
+from nrbench.reports.plots.method_plots import (
+    MOST_NAMES,
+    caption_text,
+    choose_named,
+    describe_unnamed,
+    hardest_first,
+    plot_cost,
+    plot_heat_map,
+    plot_perils_plane,
+    plot_ranks,
+    spread,
+    timed_methods,
+)
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.reports.statistics.summaries import PerilsPoint, perils_points
 from nrbench.runs.records import Run

@@ -10,12 +10,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, quantize, to_bytes
-from nrbench.synthesizers.gap_filling.blocks import OWN, BlockGrid, Box, Sides, gap_border
-from nrbench.synthesizers.gap_filling.canvas import (
+from nrbench.synthesizers.gap_filling.block_canvas import (
+    OWN,
     BlockCanvas,
+    BlockGrid,
+    Box,
     PatchOverlap,
     SeamMethod,
+    Sides,
     cut_graph,
+    gap_border,
 )
 from nrbench.synthesizers.gap_filling.matching import FrameMatcher, Match, align_patch
 from nrbench.synthesizers.sampling.patches import Patches

@@ -11,9 +11,9 @@ from synthesis_cases import noise, places, synthesize
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.forms import Refused
 from nrbench.synthesizers import patch_based
-from nrbench.synthesizers.gap_filling.blocks import box_slices
+from nrbench.synthesizers.gap_filling.block_canvas import box_slices
 from nrbench.synthesizers.gap_filling.matching import FrameMatcher, frame_mask
-from nrbench.synthesizers.patch_based import PatchBased, Search
+from nrbench.synthesizers.patch_based import PatchBased, Search, ZoneTree
 from nrbench.synthesizers.patch_laying.raster_canvas import (
     RasterCanvas,
     RasterGrid,
@@ -22,7 +22,6 @@ from nrbench.synthesizers.patch_laying.raster_canvas import (
     draw_within,
     feather_weights,
 )
-from nrbench.synthesizers.patch_laying.zone_tree import ZoneTree
 from nrbench.synthesizers.quilting import Quilting
 
 

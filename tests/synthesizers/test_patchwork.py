@@ -11,10 +11,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import quantize
-from nrbench.synthesizers.patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, Window, scan_windows
+from nrbench.synthesizers.fftm_patch import PatchPlacer, scan_windows
+from nrbench.synthesizers.graph_cuts import EntirePatch, Placement, WholePatches
+from nrbench.synthesizers.patchwork.patchwork import (
+    Features,
+    Patchwork,
+    SeamHeat,
+    Translations,
+    Window,
+    draw_translation,
+)
 from nrbench.synthesizers.patchwork.patchwork_kernels import UNIT
-from nrbench.synthesizers.patchwork.translations import EntirePatch, Features, Translations, draw_translation
-from nrbench.synthesizers.patchwork.whole_patches import Placement, WholePatches
 
 
 def patchwork(

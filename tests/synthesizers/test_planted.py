@@ -9,8 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Refused, Shape, Texture
-from nrbench.synthesizers.defects.plant import read_displaced
-from nrbench.synthesizers.planted import DEFECTS, Planted
+from nrbench.synthesizers.planted import DEFECTS, Planted, read_displaced
 
 
 @pytest.mark.parametrize("kind", DEFECTS)
@@ -239,7 +238,7 @@ def test_wrong_parameters_say_what_to_do() -> None:
     """An unknown kind and a size out of range are bad input."""
     with pytest.raises(BadInput, match=r"kind 'dropped-rows' is unknown \(did you mean 'dropped-row'\?\)"):
         Planted("dropped-rows")
-    with pytest.raises(BadInput, match=r"size 1.5 is outside \[0, 1\]"):
+    with pytest.raises(BadInput, match=r"size 1\.5; choose from 0 to 1"):
         Planted("phase-step", 1.5)
 
 

@@ -16,7 +16,7 @@ from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation, Refused, Task
-from nrbench.synthesizers.gap_filling.canvas import Places, SeamMethod
+from nrbench.synthesizers.gap_filling.block_canvas import Places, SeamMethod
 from nrbench.synthesizers.rsgf import REMEMBERED, GapFiller, PlaceSampler, Rsgf, best_places
 from nrbench.synthesizers.sampling.patches import PLACE_STEP
 
