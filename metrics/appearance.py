@@ -25,6 +25,10 @@ from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 
 Looks = NDArray[np.float64]
 """``(n, 9)``: features of windows, see :func:`~.perception.visible.measure_looks`."""
+_FLOORS = np.array(
+    [limits.COLOR_FLOOR] * 3 + [limits.GRAIN_FLOOR, limits.FINE_FLOOR] + [limits.BAND_FLOOR] * 4, np.float64
+)
+_GAINS = np.array([1, 1, 1, limits.LOSS, limits.LOSS, 0.6, 1, 1, 1])
 _SIZES = (1, 2)
 """Sides of the windows, in cells."""
 _LEAST_WINDOWS = 6
@@ -84,14 +88,12 @@ class LooksModel:
 
 def _measure(departures: Looks, inverse: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distances of departures. A loss of fine detail is weighed less than a gain."""
-    gains = np.array([1, 1, 1, limits.LOSS, limits.LOSS, 0.6, 1, 1, 1])
-    seen = np.where(departures < 0, departures * gains, departures)
+    seen = np.where(departures < 0, departures * _GAINS, departures)
     return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", seen, inverse, seen)))
 
 
 def _invert(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    floors = [limits.COLOR_FLOOR] * 3 + [limits.GRAIN_FLOOR, limits.FINE_FLOOR] + [limits.BAND_FLOOR] * 4
-    return np.asarray(np.linalg.inv(covariance + np.diag(np.square(floors))))
+    return np.asarray(np.linalg.inv(covariance + np.diag(_FLOORS**2)))
 
 
 def _window_means(
