@@ -125,10 +125,11 @@ def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_
     mean = np.mean(means, 0)
     learned = []
     for size in _SIZES:
-        groups = [group - mean for group in _group_windows(planes, net, size, from_sample)]
-        if sum(map(len, groups)) < _LEAST_WINDOWS or len(groups) < 2:
+        sets = [[group - mean for group in groups] for groups in _group_windows(planes, net, size, from_sample)]
+        if any(sum(map(len, groups)) < _LEAST_WINDOWS or len(groups) < 2 for groups in sets):
             break
-        learned.append(_learn_kind(groups, limits.LEAST_LOCAL))
+        found = [_learn_kind(groups, limits.LEAST_LOCAL) for groups in sets]
+        learned.append(max(found, key=lambda kind: kind[1]))
     quarters = [_quarter_means(look) - own for look, own in zip(looks, means, strict=True)]
     if from_sample:
         parts = [part.mean((0, 1), dtype=np.float64) for part in _cut(looks[0], _CROPS)]
@@ -156,16 +157,22 @@ def _learn_kind(groups: Sequence[Looks], least: float) -> tuple[NDArray[np.float
     return _invert(everything.T @ everything / len(everything)), max(far)
 
 
-def _group_windows(planes: Sequence[NDArray[np.float32]], net: LatticeNet, size: int, from_sample: bool) -> list[Looks]:
-    """Return the windows of each draw, or of each of four strips of the sample."""
+def _group_windows(
+    planes: Sequence[NDArray[np.float32]], net: LatticeNet, size: int, from_sample: bool
+) -> list[list[Looks]]:
+    """Return sets of groups of windows: those of each draw, or those of four strips of the sample along each axis.
+
+    Threads run through all strips along them. Strips along both axes hold each thread out once.
+    """
     if not from_sample:
-        return [_window_means(plane, net, size) for plane in planes]
-    axis = int(net.shape[0] > net.shape[1])
-    edges = np.linspace(0, net.shape[1 - axis], 5)
-    place = net.points[..., axis]
-    strips = [net.inside & (place >= low) & (place < high) for low, high in itertools.pairwise(edges)]
-    groups = [_window_means(planes[0], net, size, strip) for strip in strips]
-    return [group for group in groups if len(group)]
+        return [[_window_means(plane, net, size) for plane in planes]]
+    found = []
+    for axis in (0, 1):
+        edges, place = np.linspace(0, net.shape[1 - axis], 5), net.points[..., axis]
+        strips = [net.inside & (place >= low) & (place < high) for low, high in itertools.pairwise(edges)]
+        groups = [_window_means(planes[0], net, size, strip) for strip in strips]
+        found.append([group for group in groups if len(group)])
+    return found
 
 
 @lru_cache(maxsize=4)

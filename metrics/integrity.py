@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,6 +31,8 @@ _DISTANCES = (0.25, 0.5)
 """Distances in s of two places of one element."""
 _COMPOSITES = 4
 """Number of pictures of joined elements that are made of each reference."""
+_FARTHEST = 3
+"""Largest distance of joined elements, in cells."""
 _LEAST_SHARE = 0.7
 """Share of the places of a cell that must be known."""
 _LEAST_CELLS = 4
@@ -167,7 +170,7 @@ def learn_elements(reference: TextureReference) -> ElementModel:
     joined = np.concatenate([_weigh_composites(plane, model, net, rng) for plane in planes])
     if len(whole) < 2 or not joined.size:
         return model
-    tried = [_set_limit(model.pairs, whole, joined, share) for share in limits.WHOLE_SHARES]
+    tried = [_set_limit(model.pairs, whole, joined, share, reference.from_sample) for share in limits.WHOLE_SHARES]
     return max(tried, key=lambda found: found.power - found.chance)
 
 
@@ -180,24 +183,31 @@ def _weigh_strip(plane: CoarsePlane, strip: Mask, lags: Sequence[Lag]) -> NDArra
 
 
 def _set_limit(
-    pairs: Sequence[PairModel], whole: list[NDArray[np.float64]], joined: NDArray[np.float64], share: float
+    pairs: Sequence[PairModel],
+    whole: list[NDArray[np.float64]],
+    joined: NDArray[np.float64],
+    share: float,
+    pooled: bool,
 ) -> ElementModel:
-    """Return the model with the limit that a share of the whole elements exceeds."""
+    """Return the model with the limit that a share of the whole elements exceeds.
+
+    An output is as large as a draw, but as all strips of a sample together (``pooled``).
+    """
     limit = float(np.quantile(np.concatenate(whole), 1 - share))
     shares = np.array([(evidence > limit).mean() for evidence in whole])
-    spread = limits.DEVIATIONS * float(shares.std(ddof=1))
+    spread = limits.DEVIATIONS * float(shares.std(ddof=1)) / (math.sqrt(len(shares)) if pooled else 1)
     return ElementModel(pairs, limit, float((joined > limit).mean()), float(shares.mean()) + spread + 0.005)
 
 
 def _weigh_composites(
     plane: CoarsePlane, model: ElementModel, net: LatticeNet, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Return the evidence of cells through whose middle a straight cut joins two distant parts of a picture."""
+    """Return the evidence of cells through whose middle a straight cut joins elements some cells apart."""
     size, found = limits.PLACES, []
     numbers = np.moveaxis(np.indices(plane.complete.shape), 0, -1) / size @ net.vectors
-    cells = np.array(plane.complete.shape) // size
+    reach = np.clip(np.array(plane.complete.shape) // (4 * size), 1, _FARTHEST)
     for _ in range(_COMPOSITES):
-        shift = tuple(size * rng.integers(1, np.maximum(cells, 2)))
+        shift = tuple(size * rng.integers(1, reach + 1) * rng.choice((-1, 1), 2))
         other, known = np.roll(plane.values, shift, (0, 1)), np.roll(plane.complete, shift, (0, 1))
         angle = rng.uniform(0, np.pi)
         along = (numbers @ (np.cos(angle), np.sin(angle)) / (3 * net.s) + rng.random()) % 2

@@ -122,7 +122,7 @@ class Population:
     @cached_property
     def energy(self) -> float:
         """Mean squared departure of the tiles from their mean, in CIELAB."""
-        return float(self.features.var(0).mean())
+        return float(self.features.var(0, ddof=1).mean())
 
     @property
     def varies(self) -> bool:
@@ -131,7 +131,13 @@ class Population:
 
     @cached_property
     def _axes(self) -> NDArray[np.float64]:
-        """``(48, k)``: principal axes over their standard deviation, with half a JND added."""
+        """``(48, k)``: principal axes over their standard deviation, with half a JND added.
+
+        A sample holds too few tiles for axes of its own: three fixed ones, the mean L*, a* and b*, take their place.
+        """
+        if self.from_sample:
+            means = np.tile(np.eye(3), (self.features.shape[1] // 3, 1)) * 3 / self.features.shape[1]
+            return np.asarray(means / np.sqrt((self.features @ means).var(0) + (limits.JND / 2) ** 2))
         values, axes = np.linalg.eigh(np.cov(self.features.T))
         keep = np.argsort(values)[::-1][:_COMPONENTS]
         return np.asarray(axes[:, keep] / np.sqrt(np.maximum(values[keep], 0) + (limits.JND / 2) ** 2))
@@ -154,13 +160,16 @@ class Population:
     def rate_energy(self, features: Features) -> float:
         """Return the logarithm of the energy of tiles over that of the references, with the least visible one added."""
         unseen = (limits.VARIES * limits.JND) ** 2
-        return math.log((float(features.var(0).mean()) + unseen) / (self.energy + unseen))
+        return math.log((float(features.var(0, ddof=1).mean()) + unseen) / (self.energy + unseen))
 
     @cached_property
     def energy_tolerance(self) -> float:
         """Largest difference of the logarithm of the energy that chance explains."""
         spread = float(np.std([self.rate_energy(part) for part in self._cut()] or [0.0]))
-        return max(limits.TOLERANCE, limits.DEVIATIONS * spread / (self.parts if self.from_sample else 1))
+        if self.from_sample:
+            own = ((self.features - self.features.mean(0)) ** 2).mean(1)
+            spread = max(spread / self.parts, float(own.std() / max(own.mean(), 1e-9)) / math.sqrt(len(own)))
+        return max(limits.TOLERANCE, limits.DEVIATIONS * spread)
 
     @cached_property
     def _usual(self) -> tuple[NDArray[np.float64], float]:
@@ -231,7 +240,7 @@ def _mean_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 def gather_tiles(reference: TextureReference) -> Population:
     """Return the population of the tiles of a reference."""
     net = reference.net
-    tiles = [Tiles(CoarsePlane(fine, known, net.samples)) for fine, known in reference.residuals]
+    tiles = [Tiles(CoarsePlane(fine, known, net.samples)) for fine, known in reference.departures]
     box = np.abs(net.vectors).sum(0)[::-1]
     sources = float(np.maximum(reference.sample_shape - box, 1).prod()) / abs(float(np.linalg.det(net.vectors)))
     side = min(a / b for a, b in zip(net.shape, reference.sample_shape, strict=True))

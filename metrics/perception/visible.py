@@ -57,5 +57,5 @@ def measure_looks(lab: Lab) -> NDArray[np.float32]:
     bands = [lab[..., 0] - octaves[0], octaves[0] - octaves[1], octaves[1] - octaves[2]]
     planes = [lab[..., 0], lab[..., 1], lab[..., 2], level(grain, 1.5, limits.GRAIN_OFFSET)]
     planes += [level(band, sigma, limits.BAND_OFFSET) for band, sigma in zip(bands, (2, 2, 3), strict=True)]
-    planes += [level(lab[..., k] - blur(lab[..., k], 6), 4, 0.7) for k in (1, 2)]
+    planes += [level(lab[..., k] - blur(lab[..., k], 6), 4, limits.JND) for k in (1, 2)]
     return np.asarray(np.stack(planes, -1), np.float32)
