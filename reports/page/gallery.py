@@ -242,13 +242,9 @@ def _output_figure(record: CellRecord, titles: Sequence[str], pictures: PictureS
 
 
 def _output_lattice(record: CellRecord, shape: tuple[int, int]) -> LatticeOverlay | None:
-    """Return the lattice on which the output was judged, at the phase that the judge found; None if it has none."""
-    judged = record.records.get("regularity", {})
+    """Return the output's own lattice, as the judge found it; None if it found none."""
     try:
-        lattice = Lattice.from_dict(judged["lattice"])
-        x, y = (float(value) for value in judged.get("phase") or (0.0, 0.0))
-        origin = (lattice.origin[0] + x, lattice.origin[1] + y)
-        return trace_lattice(Lattice(lattice.t1, lattice.t2, origin).reduced(), shape)
+        return trace_lattice(Lattice.from_dict(record.records["regularity"]["lattice"]).reduced(), shape)
     except (KeyError, TypeError, ValueError, AttributeError):
         return None
 

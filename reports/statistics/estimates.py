@@ -42,6 +42,8 @@ class Estimate:
         The ends of the interval; None if too few textures were counted.
     n, of
         Number of textures counted, and of all textures.
+    at_most
+        Whether the number is an upper bound.
     """
 
     value: float | None
@@ -49,6 +51,7 @@ class Estimate:
     high: float | None = None
     n: int = 0
     of: int = 0
+    at_most: bool = False
 
     @property
     def ends(self) -> tuple[float, float] | None:

@@ -33,9 +33,12 @@ from .summaries import (
     summary_rows,
 )
 from .verdicts import (
+    BOUND_SIGN,
+    COMPLETE,
     MARKS,
     PRESERVED,
     QUALITY,
+    RANKING,
     SCORE,
     explain_verdict,
     has_quality,
@@ -64,6 +67,8 @@ class Entry:
         Numbers of the notes that apply.
     baseline_valid
         Whether a baseline is valid on the texture; None for a method that is no baseline, or an unknown kind.
+    upper_bound
+        Whether the quality of a replicate is an upper bound; None without a quality.
     """
 
     verdict: str
@@ -72,6 +77,7 @@ class Entry:
     records: Sequence[CellRecord]
     notes: Sequence[int] = ()
     baseline_valid: bool | None = None
+    upper_bound: bool | None = None
 
     @property
     def mark(self) -> str:
@@ -84,7 +90,7 @@ class Entry:
         if self.verdict in ("failed", "missing"):
             return self.records[0].status
         share = f"{self.preserved}/{len(self.records)} " if self.verdict == "mixed" else ""
-        return share + ("" if self.score is None else f"{self.score:.2f}")
+        return share + ("" if self.score is None else f"{BOUND_SIGN if self.upper_bound else ''}{self.score:.2f}")
 
     @property
     def text(self) -> str:
@@ -175,13 +181,18 @@ class Comparison:
     def score_meaning(self) -> str:
         """The number beside the marks, in words."""
         if self.score == QUALITY:
-            return "quality, the worst of regularity, integrity and randomness; 1 as a fresh draw"
+            return "quality, the worst of regularity, integrity, randomness and appearance; 1 as a fresh draw"
         return "regularity.score, 0 to 1"
 
     @property
     def has_ranking(self) -> bool:
         """Whether methods are ranked."""
         return any(one.rank for one in self.summaries)
+
+    @property
+    def has_bounds(self) -> bool:
+        """Whether the quality of any entry is an upper bound."""
+        return any(entry.upper_bound for row in self.rows for entry in row.entries if entry)
 
     @property
     def has_valid_baseline(self) -> bool:
@@ -215,11 +226,15 @@ def _build_comparison(run: Run, tests: bool, baseline: str) -> Comparison:
     summaries = summarize_methods(run, cells)
     other = _find_method([one.method for one in summaries], baseline)
     rule, ranks, against = "", None, []
-    ranked = rank_methods(summaries)
+    scored = [one for one in summaries if RANKING in one.means and not one.method.reference and one.means[RANKING].n]
+    known = [one.method for one in scored if not one.at_most]
+    ties = {one.method.label: find_leading_group(cells, one.method, known)[0] for one in scored if one.at_most}
+    ranked = rank_methods(summaries, ties)
     best = next((one.method for one in ranked if one.rank == 1), None)
     fit = [one.method for one in ranked if one.rank]
     if tests and best is not None:
-        leading, rule = find_leading_group(cells, best, fit)
+        measured = [method for method in fit if method in known]
+        leading, rule = find_leading_group(cells, measured[0], measured) if measured else (set[str](), "")
         ranks = rank_by_texture(cells, fit)
         places = dict(zip([one.label for one in fit], ranks.ranks, strict=True)) if ranks else {}
         ranked = [
@@ -304,6 +319,7 @@ def _entry(records: list[CellRecord], score: str, notes: Mapping[str, int]) -> E
         return None
     verdicts = Counter(map(verdict, records))
     scores = [float(value) for record in records if (value := record.values.get(score)) is not None]
+    complete = {record.values.get(COMPLETE) for record in records} - {None}
     return Entry(
         verdict=next(iter(verdicts)) if len(verdicts) == 1 else "mixed",
         preserved=verdicts["preserved"],
@@ -311,6 +327,7 @@ def _entry(records: list[CellRecord], score: str, notes: Mapping[str, int]) -> E
         records=records,
         notes=sorted({notes[record.note] for record in records if record.note}),
         baseline_valid=is_valid_baseline(records[0]),
+        upper_bound=False in complete if complete else None,
     )
 
 

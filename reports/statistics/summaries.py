@@ -22,11 +22,12 @@ from .format import (
     format_count,
     format_interval,
     format_number,
-    format_percent,
     format_successes,
+    format_value,
     round_small,
 )
 from .verdicts import (
+    COMPLETE,
     DERIVED_COLUMNS,
     PERILS,
     PRESERVED,
@@ -42,8 +43,9 @@ from .verdicts import (
 )
 
 HEADLINES = (RANKING, *PERILS)
-HEADLINES_WITHOUT_QUALITY = (SCORE, "randomness.variation", "randomness.repetition", "randomness.distance")
-HEADLINE_METRICS = ("quality", "regularity", "integrity", "randomness")
+_TILES = ("randomness.variation", "randomness.repetition", "randomness.distance")
+HEADLINES_WITHOUT_QUALITY = (SCORE, "integrity.score", *_TILES, "appearance.score")
+HEADLINE_METRICS = ("quality", "regularity", "integrity", "randomness", "appearance")
 COSTS: Mapping[str, Column] = {
     "seconds": Column("Wall time of the synthesis, including its own lattice detection.", "s", (0, math.inf), "lower"),
     "peak_mib": Column("Peak memory above the idle worker.", "MiB", (0, math.inf), "lower"),
@@ -130,8 +132,8 @@ class MethodSummary:
     validity, validity_scored
         On how many textures a baseline is valid: of all, and of those with a quality.
     rank
-        Position by mean quality, 1 the best; None for a reference, without a quality, and if the method has a quality
-        on fewer than half as many textures as the method with the most.
+        Position by mean quality, 1 the best, see :func:`rank_methods`; None for a reference, without a quality, and if
+        the method has a quality on fewer than half as many textures as the method with the most.
     leading
         Whether it is in the leading group.
     average_rank
@@ -148,6 +150,11 @@ class MethodSummary:
     rank: int | None = None
     leading: bool = False
     average_rank: float | None = None
+
+    @property
+    def at_most(self) -> bool:
+        """Whether the mean quality is an upper bound."""
+        return RANKING in self.means and self.means[RANKING].at_most
 
     @property
     def all_means(self) -> dict[str, Estimate]:
@@ -183,7 +190,7 @@ class SummaryRow:
 
     @property
     def title(self) -> str:
-        """The name, without the metric for the three perils."""
+        """The name, without the metric for the four perils."""
         return self.name.rpartition(".")[2] if self.name in PERILS else self.name
 
     @property
@@ -194,8 +201,7 @@ class SummaryRow:
     @property
     def values(self) -> list[str]:
         """The values as text; a dash if there is none."""
-        text = format_percent if self.rate else format_number
-        return [text(estimate.value) if estimate else "–" for estimate in self.shown]
+        return [format_value(estimate, self.rate) if estimate else "–" for estimate in self.shown]
 
     @property
     def intervals(self) -> list[str]:
@@ -224,8 +230,8 @@ class PerilsPoint:
     method
         The method.
     structure
-        Mean over textures of the smaller of ``quality.regularity`` and ``quality.integrity``: the horizontal
-        coordinate.
+        Mean over textures of the smallest of ``quality.regularity``, ``quality.integrity`` and
+        ``quality.appearance``: the horizontal coordinate.
     randomness
         Mean of ``quality.randomness`` over textures: the vertical coordinate. It rests only on the textures on which
         randomness is scored. It is not scored where the lattice is lost.
@@ -256,7 +262,7 @@ class PerilsPoint:
         height = f"{randomness} (on {self.randomness.n} of {self.structure.n})" if self.has_height else "not scored"
         across = f"{format_number(self.structure.value)} {format_interval(self.structure)}"
         valid = f"; {self.validity.words}" if self.validity.n else ""
-        return f"{self.method.label}: in place and whole {across}, randomness {height}{valid}"
+        return f"{self.method.label}: in place, whole and alike {across}, randomness {height}{valid}"
 
 
 def list_methods(run: Run) -> list[Method]:
@@ -279,13 +285,17 @@ def summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
     for method in methods:
         own = own_cells[method.label]
         scored = own[own[STRUCTURE].notna()] if STRUCTURE in own else own.iloc[:0]
+        means = dict(zip(names, itertools.islice(estimates, len(names)), strict=True))
+        if COMPLETE in own and RANKING in own:
+            bounds = own.loc[own[COMPLETE].eq(0), [RANKING, QUALITY]].notna().any()
+            means |= {str(name): replace(means[str(name)], at_most=bool(found)) for name, found in bounds.items()}
         summaries.append(
             MethodSummary(
                 method=method,
                 counts=count_statuses(own["status"]),
                 success=success_rate(own),
                 success_answered=success_rate(own, leave_refusals_out=True),
-                means=dict(zip(names, itertools.islice(estimates, len(names)), strict=True)),
+                means=means,
                 validity=count_valid_textures(own),
                 validity_scored=count_valid_textures(scored),
             )
@@ -293,11 +303,19 @@ def summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
     return summaries
 
 
-def rank_methods(summaries: Sequence[MethodSummary]) -> list[MethodSummary]:
+def rank_methods(summaries: Sequence[MethodSummary], ties: Mapping[str, Iterable[str]]) -> list[MethodSummary]:
     """Return the summaries by mean quality, best first, then methods without a rank, then references.
 
     Means over different textures are not comparable. A suite may give each method its own textures; a method that has
     a quality on fewer than half as many textures as the method with the most is therefore listed without a rank.
+
+    Parameters
+    ----------
+    summaries
+        The methods.
+    ties
+        For the label of each method whose mean is an upper bound the labels of the measured methods that are not
+        significantly worse. It stands behind them.
     """
     known = {
         one.method.label: (mean.value, mean.n)
@@ -306,10 +324,18 @@ def rank_methods(summaries: Sequence[MethodSummary]) -> list[MethodSummary]:
     }
     most = max((n for _, n in known.values()), default=0)
     means = {label: value for label, (value, n) in known.items() if value is not None and 2 * n >= most}
+    places = {
+        label: (
+            -min(value, *(means.get(other, value) for other in [label, *ties.get(label, ())])),
+            label in ties,
+            -value,
+        )
+        for label, value in means.items()
+    }
 
     def rank(one: MethodSummary) -> MethodSummary:
-        value = means.get(one.method.label)
-        return one if value is None else replace(one, rank=1 + sum(other > value for other in means.values()))
+        place = places.get(one.method.label)
+        return one if place is None else replace(one, rank=1 + sum(other < place for other in places.values()))
 
     last = len(means) + 1
     return sorted(map(rank, summaries), key=lambda one: (one.method.reference, one.rank or last))

@@ -48,7 +48,9 @@ MEANINGS: Mapping[str, str] = {
 }
 _EXPLAINED = frozenset(("refused", "undecided", "failed", "unscored"))
 QUALITY = "quality.score"
-REGULARITY, INTEGRITY, RANDOMNESS = PERILS = ("quality.regularity", "quality.integrity", "quality.randomness")
+COMPLETE = "quality.complete"
+PERILS = ("quality.regularity", "quality.integrity", "quality.randomness", "quality.appearance")
+REGULARITY, INTEGRITY, RANDOMNESS, APPEARANCE = PERILS
 RANKING, STRUCTURE = "quality", "perils.structure"
 DERIVED_COLUMNS: Mapping[str, Column] = {
     RANKING: Column(
@@ -56,13 +58,17 @@ DERIVED_COLUMNS: Mapping[str, Column] = {
         better="higher",
     ),
     STRUCTURE: Column(
-        "Elements in place and whole: the smaller of quality.regularity and quality.integrity; quality.regularity "
-        "alone where integrity is not measured.",
+        "Elements in place, whole and alike: the smallest of quality.regularity, quality.integrity and "
+        "quality.appearance, of those that are measured.",
         better="higher",
     ),
 }
 """Columns that reports compute from the scores of the metric ``quality``."""
-LEADING_SIGN, BASELINE_SIGN = "★", "‡"
+LEADING_SIGN, BASELINE_SIGN, BOUND_SIGN = "★", "‡", "≤"
+BOUND_LEGEND = (
+    "upper bound: a peril could not be measured; a method with one is in no leading group, and is ranked below the "
+    "measured methods that are not significantly worse"
+)
 BASELINE_LEGEND = "valid baseline: what this baseline does is correct on this kind of texture"
 SHARES_LEGEND = "k/n: on k of n textures"
 """The explanation of :attr:`BaselineValidity.share`."""
@@ -81,6 +87,11 @@ def verdict(record: CellRecord) -> str:
         return "unscored"
     no_lattice = record.lattice_truth is None and not reason.startswith("undecided")
     return "not applicable" if no_lattice or reason.startswith("not applicable") else "undecided"
+
+
+def bound_sign(record: CellRecord) -> str:
+    """Return the sign of an upper bound if the quality of a cell is one, else nothing."""
+    return BOUND_SIGN if record.values.get(COMPLETE) is False else ""
 
 
 def explain_verdict(record: CellRecord, column: str = PRESERVED) -> str:
@@ -140,7 +151,7 @@ def tabulate_cells(run: Run) -> pd.DataFrame:
     if has_quality(run):
         judged = table["applicable"] | table["texture"].isin(table.loc[table[QUALITY].notna(), "texture"])
         table[RANKING] = table[QUALITY].mask(judged & table["verdict"].isin(["failed", "refused"]), 0.0)
-        table[STRUCTURE] = table[[REGULARITY, INTEGRITY]].min(axis=1)
+        table[STRUCTURE] = table[[REGULARITY, INTEGRITY, APPEARANCE]].min(axis=1)
     return table
 
 
