@@ -97,14 +97,23 @@ def _pages(name: str) -> list[dict[str, Any]]:
             about = page["page"].partition("\n")[0]
             pages.append({**page, "page": about, "columns": {column: page["columns"][column]}})
     if name == "limits":
-        found = {each: getattr(plugins.find("metrics", each).cls, "limits", ()) for each in plugins.names("metrics")}
-        keys = ("name", "value", "unit", "origin")
-        tables = {each: [{key: getattr(limit, key) for key in keys} for limit in found[each]] for each in found}
-        pages += [{"kind": name, "name": each, "limits": rows} for each, rows in tables.items() if rows]
+        tables = {metric: _limits(metric) for metric in plugins.names("metrics")}
+        pages += [{"kind": name, "name": metric, "limits": rows} for metric, rows in tables.items() if rows]
     if name in builtin():
         suite = load_suite(name)
         pages.append({"kind": "suites", "name": name, "hash": suite.hash, **suite.model_dump(mode="json")})
     return pages
+
+
+def _limits(metric: str) -> list[dict[str, Any]]:
+    """Return the rows of a metric's class variable ``limits``; none if it has none or does not load."""
+    from nrbench import plugins
+
+    try:
+        limits = getattr(plugins.find("metrics", metric).cls, "limits", ())
+    except BadInput:
+        return []
+    return [{key: getattr(limit, key) for key in ("name", "value", "unit", "origin")} for limit in limits]
 
 
 def _page(kind: str, plugin: Any) -> dict[str, Any]:

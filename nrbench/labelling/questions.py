@@ -13,8 +13,7 @@ ANSWERS = ("yes", "no", "cannot say")
 """The possible answers to every question, in the order of the keys 1, 2, 3."""
 PRESERVED = "regularity.preserved"
 WHOLE_SCORE = 0.95
-"""``integrity.score`` below which elements are called broken. The score allows for the chance that the references of
-the texture show; the margin is for the other draws of it."""
+"""``integrity.score`` below which elements are called broken: more than one in twenty is, beyond chance."""
 
 Scores = Mapping[str, Value]
 
@@ -63,7 +62,7 @@ def _is_preserved(values: Scores) -> bool | None:
 
 
 def _has_whole_elements(values: Scores) -> bool | None:
-    """Return whether no more elements are broken than chance explains."""
+    """Return whether nearly all elements are whole."""
     score = values.get("integrity.score")
     return None if score is None else score >= WHOLE_SCORE
 

@@ -324,14 +324,8 @@ def rank_methods(summaries: Sequence[MethodSummary], ties: Mapping[str, Iterable
     }
     most = max((n for _, n in known.values()), default=0)
     means = {label: value for label, (value, n) in known.items() if value is not None and 2 * n >= most}
-    places = {
-        label: (
-            -min(value, *(means.get(other, value) for other in [label, *ties.get(label, ())])),
-            label in ties,
-            -value,
-        )
-        for label, value in means.items()
-    }
+    lowest = {label: min(means[other] for other in {label, *ties.get(label, ())} & means.keys()) for label in means}
+    places = {label: (-lowest[label], label in ties, -value) for label, value in means.items()}
 
     def rank(one: MethodSummary) -> MethodSummary:
         place = places.get(one.method.label)

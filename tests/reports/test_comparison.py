@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 from nrbench.errors import BadInput
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
+from nrbench.reports.json import JsonSummary
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
 from nrbench.reports.plots.perils_plane import caption_text
@@ -36,6 +38,8 @@ from nrbench.reports.statistics.summaries import (
 from nrbench.reports.statistics.verdicts import (
     BASELINE_LEGEND,
     BASELINE_SIGN,
+    BOUND_LEGEND,
+    BOUND_SIGN,
     SCORE,
     BaselineValidity,
     explain_valid_baseline,
@@ -109,6 +113,56 @@ def test_the_ranking_uses_textures_that_all_methods_share(make_cell: Make, make_
     assert alone["bad"].value == 0
 
 
+def _rank(
+    make_cell: Make, make_run: Make, qualities: Mapping[str, tuple[float, ...]]
+) -> dict[str, tuple[int | None, bool, str]]:
+    """Return rank, star and quality of methods, given their qualities on textures; those of ``bounded`` are bounds."""
+    cells = []
+    for name, values in qualities.items():
+        unknown = {"integrity": None} if name == "bounded" else {}
+        cells += [
+            make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, value) | unknown) for i, value in enumerate(values)
+        ]
+    comparison = compare_methods(make_run(cells))
+    rows = zip(comparison.summaries, comparison.summary_rows[0].values, strict=True)
+    return {one.method.name: (one.rank, one.leading, value) for one, value in rows}
+
+
+@pytest.mark.parametrize("textures", [3, 12])
+def test_an_upper_bound_stands_behind_what_may_be_better(make_cell: Make, make_run: Make, textures: int) -> None:
+    """A method whose mean is an upper bound has no star, and is ranked behind measured methods not surely worse."""
+    near = tuple(0.7 + 0.2 * (-1) ** i for i in range(textures))
+    bad = tuple(0.1 + 0.01 * i for i in range(textures))
+    found = _rank(make_cell, make_run, {"bounded": (0.75,) * textures, "near": near, "bad": bad})
+    assert {name: (rank, star) for name, (rank, star, _) in found.items()} == {
+        "near": (1, True),
+        "bounded": (2, False),
+        "bad": (3, False),
+    }
+    assert found["bounded"][2] == f"{BOUND_SIGN}0.75" and BOUND_SIGN not in found["near"][2]
+
+
+def test_an_upper_bound_may_be_the_best(make_cell: Make, make_run: Make) -> None:
+    """If all measured methods are surely worse, an upper bound is the first, and the best measured one has the star."""
+    found = _rank(make_cell, make_run, {"bad": (0.1, 0.12, 0.11), "bounded": (0.7, 0.71, 0.72)})
+    assert found["bounded"][:2] == (1, False) and found["bad"][:2] == (2, True)
+    alone = _rank(make_cell, make_run, {"bounded": (0.7, 0.71, 0.72)})
+    assert alone["bounded"] == (1, False, f"{BOUND_SIGN}0.71")
+
+
+def test_every_report_marks_an_upper_bound(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Each format has the sign beside the quality and its explanation, and neither where all perils are measured."""
+    whole = dict.fromkeys(PERILS, 0.75)
+    for perils in ({**whole, "integrity": None}, whole):
+        run = make_run([make_cell(f"t{i}", perils=perils) for i in range(2)])
+        texts = [TextTable().render(run), MarkdownTables().render(run), HtmlReport().render(run, tmp_path)]
+        texts += [path.read_text("utf-8").replace(r"$\le$", "≤") for path in LatexTables().write(run, tmp_path)[1:3]]
+        shown = [("≤0.75" in text, BOUND_LEGEND in " ".join(text.split())) for text in texts]
+        assert shown == [(perils is not whole,) * 2] * 5
+        cells = json.loads(JsonSummary().render(run))["textures"]
+        assert {one["entries"]["rsgf (own)"]["upper_bound"] for one in cells} == {perils is not whole}
+
+
 def test_replicates_are_averaged_first(make_cell: Make, make_run: Make) -> None:
     """A texture with many replicates counts as one texture in the mean quality."""
     cells = [make_cell("a", replicate=i, perils=dict.fromkeys(PERILS, 1.0)) for i in range(3)]
@@ -124,7 +178,7 @@ def test_a_failure_on_a_texture_without_lattice_does_not_count(make_cell: Make, 
 
 
 def test_rows_of_a_ranked_run(ranked: Run) -> None:
-    """A ranked run has quality, the three perils, the success rate and the seconds, and entries show the quality."""
+    """A ranked run has quality, the four perils, the success rate and the seconds, and entries show the quality."""
     comparison = compare_methods(ranked)
     titles = [line.title for line in comparison.summary_rows if not line.variant]
     assert titles == ["quality", *PERILS, "preserved", "seconds"]

@@ -244,7 +244,7 @@ def test_the_plots_are_on_the_page(ranked_page: Page) -> None:
     plots = [one["src"] for one in ranked_page.all("img") if one.get("class") == "plot"]
     assert len(plots) == 4 and all(source.startswith("data:image/svg+xml;base64,") for source in plots)
     said = " ".join(one.get("aria-label", "") for one in ranked_page.all("figure"))
-    assert "good (own): in place and whole" in said
+    assert "good (own): in place, whole and alike" in said
     assert "bend: close (own) breaks at –" in said
     assert "close (own): quality 0.69" in said
     assert not [one for _, one in ranked_page.elements if "style" in one]

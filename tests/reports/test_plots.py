@@ -219,16 +219,16 @@ def test_points_are_means_over_textures(comparison: Comparison) -> None:
         assert one.low <= one.value <= one.high
 
 
-def test_the_smaller_is_taken_before_the_mean(make_cell: Make, make_run: Make) -> None:
-    """Tiles out of place on one texture and broken elements on another are two faults; the mean holds both."""
-    first = {"regularity": 0.5, "integrity": 1.0, "randomness": 1.0}
-    second = {"regularity": 1.0, "integrity": 0.5, "randomness": 1.0}
-    run = make_run([make_cell("a", "m", perils=first), make_cell("b", "m", perils=second)])
+def test_the_smallest_is_taken_before_the_mean(make_cell: Make, make_run: Make) -> None:
+    """Tiles out of place, broken elements and other colors on three textures are three faults; the mean holds all."""
+    whole = dict.fromkeys(PERILS, 1.0)
+    faults = {"a": "regularity", "b": "integrity", "c": "appearance"}
+    run = make_run([make_cell(name, "m", perils={**whole, fault: 0.5}) for name, fault in faults.items()])
     assert _point(compare_methods(run), "m").structure.value == pytest.approx(0.5)
 
 
-def test_without_integrity_regularity_counts_alone(make_cell: Make, make_run: Make) -> None:
-    """Where integrity is not measured, the horizontal coordinate is the regularity."""
+def test_what_is_not_measured_does_not_count(make_cell: Make, make_run: Make) -> None:
+    """Where integrity and appearance are not measured, the horizontal coordinate is the regularity."""
     run = make_run([make_cell("a", "m", perils={"regularity": 0.8, "randomness": 1.0})])
     assert _point(compare_methods(run), "m").structure.value == pytest.approx(0.8)
 
