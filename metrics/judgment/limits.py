@@ -124,7 +124,11 @@ GRAIN_OFFSET = _limit("GRAIN_OFFSET", 1.5, "CIELAB", "grain of this amplitude is
 BAND_OFFSET = _limit("BAND_OFFSET", 0.5, "CIELAB", "detail of this amplitude is not seen")
 LEAST_LOCAL = _limit("LEAST_LOCAL", 3.5, "sd", "theory: the norm of eight normal values exceeds it once in 30 windows")
 LEAST_WHOLE = _limit("LEAST_WHOLE", 2.0, "sd", "convention: half of what was seen in all edits")
+LEAST_OF_SAMPLE = _limit("LEAST_OF_SAMPLE", 1.25, "sd", "the same beside one sample, whose own means count as exact")
+UNSEEN_TONES = _limit(
+    "UNSEEN_TONES", 1.6, "", "convention: tones of elements that a sample of few elements does not show"
+)
 OF_LOOKS = _limit("OF_LOOKS", 1.15, "", "margin over the largest distance of the references")
 OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters and the whole, of which there are few")
-OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.45, "", "the same for parts of one sample")
+OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.25, "", "the same for parts of one sample")
 LOOKS_SLOPE = _limit("LOOKS_SLOPE", 2.0, "", "the score reaches 0 at 1.5 times the limit")
