@@ -160,7 +160,7 @@ def test_every_package_is_declared_for_the_wheel() -> None:
 CLASHES = {
     "modules": {"deformation", "pair_kernels", "straightening", "tiles", "windows"},
     "classes": {
-        "Answer", "Cell", "Courses", "Deformation", "Layer",
+        "Answer", "Cell", "Deformation", "Layer",
         "TileSet", "Windows",
     },
     "functions": {"follow_lattice", "score", "track_lattice"},
