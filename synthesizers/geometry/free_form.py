@@ -118,9 +118,8 @@ def approximate(points: Points, values: Points, spacing: float, shape: tuple[int
     shares = squares * weights / squares.sum((1, 2), keepdims=True)
     size = math.prod(shape)
     total = np.bincount(index.ravel(), squares.ravel(), size)
-    sums = [
-        np.bincount(index.ravel(), (shares * column[:, np.newaxis, np.newaxis]).ravel(), size) for column in values.T
-    ]
+    shared = (shares * part[:, np.newaxis, np.newaxis] for part in values.T)
+    sums = [np.bincount(index.ravel(), part.ravel(), size) for part in shared]
     return np.asarray(np.stack(sums, -1) / np.maximum(total, 1e-300)[:, np.newaxis]).reshape(*shape, 2)
 
 

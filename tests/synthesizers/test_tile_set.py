@@ -1,5 +1,6 @@
 """Claims about the set of tiles: what is continued, which tiles are drawn, where they are cut, and what is refused."""
 
+import math
 from collections import Counter
 from typing import Any
 
@@ -9,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
-from synthesis_cases import FRACTIONAL, noise, synthesize, waves
+from synthesis_cases import FRACTIONAL, noise, synthesize
 
 from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
@@ -26,6 +27,14 @@ LATTICES = [
     Lattice((20, 5), (-4, 22)),
     Lattice((24, 0), (0, 24)),
 ]
+
+
+def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
+    """Return a smooth image with exactly this lattice."""
+    x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
+    u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
+    first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
+    return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.4 * first * second, 0.5 + 0.3 * second], -1).astype("f4")
 
 
 def test_larger_tiles_are_fewer() -> None:
