@@ -19,6 +19,7 @@ import pytest
 import skimage.data
 import skimage.io
 from commands import call
+from suites import scores
 
 from nrbench.api import changed, run
 from nrbench.errors import BadInput
@@ -56,13 +57,6 @@ def outputs(found: Run) -> dict[str, bytes]:
         for name in ("output.png", "source.npz")
         if (path := record.folder / name).is_file()
     }
-
-
-def scores(found: Run) -> list[tuple[object, ...]]:
-    """Return every score but the costs, in the table's order."""
-    table = found.table()
-    kept = [name for name in table.columns if not name.startswith("cost.") and name not in ("seconds", "peak_mib")]
-    return list(table[kept].astype(object).where(table[kept].notna(), None).itertuples(index=False, name=None))
 
 
 @pytest.fixture(scope="module")
