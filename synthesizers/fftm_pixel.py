@@ -189,5 +189,6 @@ class Clusters:
             rows = np.arange(start, min(start + CLUSTER_BAND, shape[0])) + corner[0]
             pixels = (rows[:, np.newaxis] * layers.shape[2] + columns).ravel()
             vectors = self.neighborhood.vectors(layers, pixels).astype(np.float64)
-            labels[start : start + len(rows)].flat = scipy.cluster.vq.vq(vectors, self.centers)[0]
+            numbers, _ = scipy.cluster.vq.vq(vectors, self.centers)
+            labels[start : start + len(rows)] = numbers.reshape(len(rows), -1)
         return labels
