@@ -27,8 +27,6 @@ from nrbench.reports.statistics.significance import (
 )
 from nrbench.runs.records import Run
 
-from .conftest import PERILS
-
 
 def _cells(**columns: list[object]) -> pd.DataFrame:
     """Return a frame of cells, one column of the comparison, replicate 0 unless given."""
@@ -285,7 +283,7 @@ def test_effect_size_is_antisymmetric(values: list[int]) -> None:
 
 def _run(make_cell: Make, make_run: Make, qualities: dict[str, dict[str, float]]) -> Run:
     cells = [
-        make_cell(texture, method, perils=dict.fromkeys(PERILS, value))
+        make_cell(texture, method, perils=value)
         for method, by_texture in qualities.items()
         for texture, value in by_texture.items()
     ]
