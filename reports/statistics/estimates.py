@@ -216,21 +216,15 @@ def estimate_means(columns: Sequence[NDArray[np.float64]], of: Sequence[int] | N
         The number of all textures of each column; by default its length.
     """
     known = [column[np.isfinite(column)] for column in columns]
-    by_count: dict[int, list[int]] = {}
-    for index, values in enumerate(known):
-        if len(values) > 1:
-            by_count.setdefault(len(values), []).append(index)
-    ends: dict[int, tuple[float, float]] = {}
-    for indices in by_count.values():
-        found = bootstrap_intervals(np.stack([known[i] for i in indices])).tolist()
-        ends |= {index: (low, high) for index, (low, high) in zip(indices, found, strict=True)}
+    ends: dict[int, list[float]] = {}
+    for count in {len(values) for values in known} - {0, 1}:
+        places = [i for i, values in enumerate(known) if len(values) == count]
+        ends |= zip(places, bootstrap_intervals(np.stack([known[i] for i in places])).tolist(), strict=True)
     totals = [len(column) for column in columns] if of is None else of
-    estimates = []
-    for index, (values, total) in enumerate(zip(known, totals, strict=True)):
-        low, high = ends.get(index, (None, None))
-        value = float(values.mean()) if len(values) else None
-        estimates.append(Estimate(value, low, high, len(values), total))
-    return estimates
+    return [
+        Estimate(float(values.mean()) if len(values) else None, *ends.get(i, (None, None)), len(values), total)
+        for i, (values, total) in enumerate(zip(known, totals, strict=True))
+    ]
 
 
 def estimate_rate(shares: ArrayLike, of: int) -> Estimate:

@@ -41,6 +41,7 @@ from .verdicts import (
     has_quality,
     is_valid_baseline,
     keep_common_textures,
+    method_label,
     tabulate_cells,
     verdict,
 )
@@ -274,29 +275,26 @@ def _title(run: Run, textures: int, counts: Mapping[str, int]) -> str:
 
 
 def _texture_rows(run: Run, methods: Sequence[Method], score: str, notes: Mapping[str, int]) -> list[ComparisonRow]:
-    records: dict[str, dict[tuple[str, str], list[CellRecord]]] = {}
+    by_texture: dict[str, list[CellRecord]] = {}
     for record in run.cells:
-        records.setdefault(record.texture, {}).setdefault((record.method, record.lattice_source), []).append(record)
-    return [_texture_row(by_method, methods, score, notes) for by_method in records.values()]
-
-
-def _texture_row(
-    by_method: Mapping[tuple[str, str], list[CellRecord]],
-    methods: Sequence[Method],
-    score: str,
-    notes: Mapping[str, int],
-) -> ComparisonRow:
-    records = [record for replicates in by_method.values() for record in replicates]
-    shares = [record.regular_share for record in records if record.regular_share is not None]
-    first = records[0]
-    return ComparisonRow(
-        texture=first.texture,
-        family=first.family,
-        kind=first.kind,
-        regular_share=sum(shares) / len(shares) if shares else None,
-        description=first.cell.description,
-        entries=[_entry(by_method.get((method.name, method.lattice_source), []), score, notes) for method in methods],
-    )
+        by_texture.setdefault(record.texture, []).append(record)
+    rows = []
+    for records in by_texture.values():
+        by_method: dict[str, list[CellRecord]] = {}
+        for record in records:
+            by_method.setdefault(method_label(record.method, record.lattice_source), []).append(record)
+        shares = [record.regular_share for record in records if record.regular_share is not None]
+        rows.append(
+            ComparisonRow(
+                texture=records[0].texture,
+                family=records[0].family,
+                kind=records[0].kind,
+                regular_share=sum(shares) / len(shares) if shares else None,
+                description=records[0].cell.description,
+                entries=[_entry(by_method.get(method.label, []), score, notes) for method in methods],
+            )
+        )
+    return rows
 
 
 def _entry(records: list[CellRecord], score: str, notes: Mapping[str, int]) -> Entry | None:

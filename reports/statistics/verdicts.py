@@ -237,11 +237,3 @@ def count_valid_textures(cells: pd.DataFrame) -> BaselineValidity:
     """
     valid = cells.groupby("texture")["baseline_valid"].any()
     return BaselineValidity(int(valid.sum()), len(valid))
-
-
-def explain_valid_baseline(record: CellRecord) -> str:
-    """Return the sentence that a cell's baseline is valid on its texture; empty if it is not."""
-    if not is_valid_baseline(record):
-        return ""
-    kind = "a stochastic texture" if record.kind == "stochastic" else f"a texture of type {record.kind}"
-    return f"valid baseline: what this baseline does is correct on {kind}"
