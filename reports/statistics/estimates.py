@@ -67,6 +67,10 @@ class Estimate:
         return {name: self.value, **{prefix + part: getattr(self, part) for part in parts}}
 
 
+NO_ESTIMATE = Estimate(None)
+"""The estimate of a number that does not exist."""
+
+
 def wilson_interval(successes: float, n: int) -> tuple[float, float] | None:
     """Compute Wilson's score interval of a proportion.
 
@@ -109,7 +113,7 @@ def estimate_proportion(outcomes: ArrayLike) -> Estimate:
     """Return the share of true ``outcomes`` with Wilson's interval; the unit is the outcome, not the texture."""
     known = np.asarray(outcomes, bool)
     interval = wilson_interval(float(known.sum()), known.size)
-    return Estimate(None) if interval is None else Estimate(float(known.mean()), *interval, known.size, known.size)
+    return NO_ESTIMATE if interval is None else Estimate(float(known.mean()), *interval, known.size, known.size)
 
 
 def bootstrap_intervals(samples: NDArray[np.float64]) -> NDArray[np.float64]:
