@@ -17,9 +17,9 @@ from scipy.stats import bootstrap
 from nrbench.errors import BadInput
 from nrbench.reports.statistics import estimates
 from nrbench.reports.statistics.estimates import bootstrap_intervals, expanded_tail
-from nrbench.reports.statistics.method_comparison import compare_methods
-from nrbench.reports.statistics.significance import (
+from nrbench.reports.statistics.method_comparison import (
     adjust_holm,
+    compare_methods,
     compare_ranks,
     find_cliques,
     rank_biserial,

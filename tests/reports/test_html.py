@@ -18,8 +18,15 @@ from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.page.gallery import TextureDraw, build_gallery, list_failings, score_lines, score_shade
-from nrbench.reports.page.lattice_overlay import align_basis, trace_lattice
+from nrbench.reports.page.gallery import (
+    TextureDraw,
+    align_basis,
+    build_gallery,
+    list_failings,
+    score_lines,
+    score_shade,
+    trace_lattice,
+)
 from nrbench.reports.page.pictures import PagePicture, PictureStore
 from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
