@@ -13,14 +13,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import list_pictures, read_image, read_shape
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Region, Shape, Texture
 from nrbench.truth import TruthTable
-
-from .modelling.model import require
 
 _ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
 """The keys of a suite's row that are read from ``truth.json``."""

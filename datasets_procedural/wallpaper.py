@@ -14,9 +14,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.errors import require
 from nrbench.lattice.geometry import Lattice
 
-from .modelling.model import Model, Vectors, check_sizes, require
+from .modelling.model import Model, Vectors, check_sizes
 from .modelling.pattern import Field, Layer, Pattern, hats, mix
 from .modelling.random_fields import role_seed, uniform, unit
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from nrbench.detectors.frdft import Frdft
-from nrbench.errors import BadInput
+from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.spectra.harmonics import lowest_period
 
@@ -131,18 +131,9 @@ class FftmPatch(MaskParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= self.weight <= LARGEST_WEIGHT:
-            raise BadInput(f"weight {self.weight}; choose from 0 (no mask) to {LARGEST_WEIGHT:g}")
-        if self.patch < 0 or self.patch in (1, 2):
-            raise BadInput(f"patch {self.patch}; choose 0 (automatic), or 3 px or more")
-        if not 0 <= self.overlap <= 0.9:
-            raise BadInput(f"overlap {self.overlap}; choose a share of the patch from 0 to 0.9")
-        if not 0 <= self.reach <= 2:
-            raise BadInput(f"reach {self.reach}; choose a share of the patch from 0 to 2")
-        if not 0 <= self.randomness < math.inf:
-            raise BadInput(f"randomness {self.randomness}; choose 0 (always a patch of least cost) or more")
-        if self.refinements < 0:
-            raise BadInput(f"refinements {self.refinements}; choose 0 or more passes")
+        require(self.patch == 0 or self.patch >= 3, f"patch {self.patch}; choose 0 (automatic), or 3 px or more")
+        require_ranges(self, weight=(0, LARGEST_WEIGHT), overlap=(0, 0.9), reach=(0, 2))
+        require_ranges(self, randomness=(0, math.inf), refinements=(0, math.inf))
 
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
         """Return the synthesis guided by a given mask of the sample. Exceptions are those of :meth:`synthesize`."""

@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.detectors.frdft import Frdft
-from nrbench.errors import checker
+from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Shape, Synthesis, Task
 
 from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
@@ -103,11 +103,11 @@ class FftmPixel(MaskParameters, SearchParameters):
     def __post_init__(self) -> None:
         MaskParameters.__post_init__(self)
         SearchParameters.__post_init__(self)
-        _check(2 <= self.neighborhood <= 6, f"neighborhood {self.neighborhood}; choose from 2 to 6 px")
-        _check(0 <= self.weight <= 100, f"weight {self.weight}; choose from 0 to 100")
-        _check(
-            self.match == "full" or self.weight == 1.0,
-            f"weight {self.weight} with match 'cluster', which uses no mask; choose match 'full', or leave weight out",
+        require_ranges(self, neighborhood=(2, 6), weight=(0, 100))
+        unused = self.match == "cluster" and self.weight != 1.0
+        require(
+            not unused,
+            f"weight {self.weight} has no effect with match 'cluster'; choose match 'full'",
         )
 
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
@@ -136,9 +136,6 @@ class FftmPixel(MaskParameters, SearchParameters):
         image, source = growth.result()
         task.progress(1.0)
         return Synthesis(image, mask.lattice, source, {"mask": bordered[top : top + height, left : left + width]})
-
-
-_check = checker("fftm-pixel")
 
 
 def _border(length: int, reach: int) -> tuple[range, range]:

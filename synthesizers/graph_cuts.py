@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require, require_ranges
 from nrbench.imaging.box_sums import box_sums
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
@@ -29,7 +29,7 @@ from .patchwork.patchwork import (
 )
 from .sampling.fourier_products import FourierProducts, Spectra
 
-Refine = Literal["worst", "random", "minima", "extremes", "none"]
+Refine = Literal["worst", "random", "minima", "extremes"]
 
 LEAST_REGION = 3
 """px: least side of a region that a patch covers."""
@@ -94,9 +94,8 @@ class GraphCuts:
         Which region is covered again. ``"worst"``: the one whose seams cost most; the cost counts half for each earlier
         try. ``"random"``, ``"minima"``, ``"extremes"``: a random one of all regions, of those at local minima of the
         cost of their seams, or of those at local minima and maxima (figure 46 of Lin, Hays, Wu, Kwatra, Liu 2004).
-        ``"none"``: the output is only filled.
     passes
-        The most passes of refinement, 0 or more.
+        The most passes of refinement, 0 or more. 0: the output is only filled.
     normalized
         Whether the cost of a seam is divided by the gradients along it (section 5), so that seams prefer places where
         the texture varies strongly.
@@ -143,16 +142,10 @@ class GraphCuts:
 }"""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.randomness <= MOST_RANDOM:
-            raise BadInput(
-                f"randomness {self.randomness}; choose 0 (always a translation of least cost) to {MOST_RANDOM:g}"
-            )
-        if not 0 < self.region <= 0.8:
-            raise BadInput(f"region {self.region}; choose a share of the sample above 0, at most 0.8")
-        if self.passes < 0:
-            raise BadInput(f"passes {self.passes}; choose 0 or more")
-        if self.feather != 0 and not LEAST_FEATHER <= self.feather <= 8:
-            raise BadInput(f"feather {self.feather}; choose 0 (copies only), or {LEAST_FEATHER:g} to 8 px")
+        require_ranges(self, randomness=(0, MOST_RANDOM), passes=(0, math.inf), feather=(0, 8))
+        require(0 < self.region <= 0.8, f"region {self.region}; choose a share of the sample above 0, at most 0.8")
+        soft = self.feather == 0 or self.feather >= LEAST_FEATHER
+        require(soft, f"feather {self.feather}; choose 0 (copies only), or {LEAST_FEATHER:g} to 8 px")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`GraphCuts`.
@@ -164,12 +157,11 @@ class GraphCuts:
         """
         work, patches = self.prepare(task)
         regions = math.prod(task.shape) / math.prod(patches.size)
-        filled = 1 / (1 + self.passes * (self.refine != "none"))
+        filled = 1 / (1 + self.passes)
         while (region := patches.find_unknown()) is not None:
             patches.cover_region(region)
             task.progress(filled * region[0] / task.shape[0])
-        if self.refine != "none":
-            self._refine(work, patches, task, math.ceil(regions), filled)
+        self._refine(work, patches, task, math.ceil(regions), filled)
         image, source = work.feathered(self.feather)
         task.progress(1.0)
         return Synthesis(image, source=source)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
 from .gap_filling.block_canvas import Box, box_slices
@@ -112,11 +112,8 @@ class PatchBased:
 }"""
 
     def __post_init__(self) -> None:
-        if self.zone < 1:
-            raise BadInput(f"zone {self.zone}; choose a width from 1 px to half of the patch")
+        require_ranges(self, zone=(1, math.inf), epsilon=(0, LARGEST_SHARE))
         check_patch("patch", self.patch, "zone", self.zone)
-        if not 0 <= self.epsilon <= LARGEST_SHARE:
-            raise BadInput(f"epsilon {self.epsilon}; choose 0 (only the best patches) to {LARGEST_SHARE:g}")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis.

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import MIN_SIDE, Image
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Again, Refused, Shape, Synthesis, Task, Texture
@@ -119,10 +119,8 @@ class Planted:
     size: float = 0.25
 
     def __post_init__(self) -> None:
-        if self.kind not in DEFECTS:
-            raise BadInput(f"planted: kind {self.kind!r} is unknown{nearest(self.kind, DEFECTS)}")
-        if not 0 <= self.size <= 1:
-            raise BadInput(f"planted: size {self.size} is outside [0, 1]; give it in the unit of {self.kind}")
+        require(self.kind in DEFECTS, f"kind {self.kind!r} is unknown{nearest(self.kind, DEFECTS)}")
+        require_ranges(self, size=(0, 1))
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return a fresh draw with the defect in it.

@@ -11,16 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.detectors.ssdn import Ssdn
-from nrbench.errors import checker
+from nrbench.errors import require, require_ranges
 from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Integers, Lattice, Points, integers_within
 from nrbench.plugins.forms import Refused, Shape, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .sampling.equal_places import pixel_grid
+from .sampling.equal_places import PERIOD_SLACK, pixel_grid, require_two_periods
 from .sampling.patches import Patches, resample
-from .sampling.two_periods import PERIOD_SLACK, require_two_periods
 
 Values = NDArray[np.float32]
 """``float32 (H, W, C)``, any range."""
@@ -122,11 +121,10 @@ class RepresentativeTile:
     paper: ClassVar[str] = Ssdn.paper
 
     def __post_init__(self) -> None:
-        weight, share = self.continuity_weight, self.rated_share
-        _check(0 <= weight <= MAX_WEIGHT, f"continuity_weight {weight}; choose from 0 to {MAX_WEIGHT:g}")
-        _check(share is None or 0 < share <= 1, f"rated_share {share}; choose above 0, at most 1, or leave it out")
-        _check(1 <= self.best_tiles <= 99, f"best_tiles {self.best_tiles}; choose from 1 (the best tile) to 99")
-        _check(0 <= self.tolerance < 0.5, f"tolerance {self.tolerance}; choose a share of s from 0 to below 0.5")
+        require_ranges(self, continuity_weight=(0, MAX_WEIGHT), best_tiles=(1, 99))
+        share, tolerance = self.rated_share, self.tolerance
+        require(share is None or 0 < share <= 1, f"rated_share {share}; choose above 0, at most 1, or leave it out")
+        require(0 <= tolerance < 0.5, f"tolerance {tolerance}; choose a share of s from 0 to below 0.5")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`RepresentativeTile`.
@@ -299,9 +297,6 @@ def repeat_tile(
         return frame.to_sample(place + nearest % size + (at - nearest))
 
     return resample(task, points, patches)
-
-
-_check = checker("representative-tile")
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require, require_ranges
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Synthesis, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .geometry.straightening import Geometry, straighten_first
-from .sampling.two_periods import require_two_periods
+from .sampling.equal_places import require_two_periods
 from .tile_laying.tile_canvas import OverlapMeasure, ShiftedImages, TileCanvas, TilePlaces, TileStock
 from .tile_laying.tile_kernels import FEATHER
 from .tile_laying.tile_shape import AnchorKind, ElementWeights, TileKind, TileShape, anchor_lattice, tile_shape
@@ -163,18 +163,9 @@ class TileSet:
 }"""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.quantile <= 1:
-            raise BadInput(f"quantile {self.quantile}; choose from 0 to 1")
-        if self.threshold is not None and not self.threshold >= 0:
-            raise BadInput(f"threshold {self.threshold}; choose 0 or more")
-        for name in ("registration", "margin"):
-            value = getattr(self, name)
-            if value is not None and not 0 <= value < np.inf:
-                raise BadInput(f"{name} {value}; choose 0 or more px, at most s")
-        for name, most in (("cells", 64), ("parts", 16)):
-            value = getattr(self, name)
-            if value is not None and not 1 <= value <= most:
-                raise BadInput(f"{name} {value}; choose from 1 to {most}")
+        require_ranges(self, quantile=(0, 1), registration=(0, np.inf), margin=(0, np.inf))
+        require(self.threshold is None or self.threshold >= 0, f"threshold {self.threshold}; choose 0 or more")
+        require_ranges(self, cells=(1, 64), parts=(1, 16))
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`TileSet`.

@@ -81,8 +81,6 @@ def check_plugin(
     ------
     Conformance
         What the plugin does about one clause.
-    Finding
-        The verdict on a clause, ``pass``, ``fail`` or ``skip``, and why.
 
     Raises
     ------
@@ -133,14 +131,16 @@ def _examine(clause: Clause, request: Request, runners: list[RequestRunner]) -> 
     """Check a clause by the first runner, or by two of them whose answers must be equal."""
     if clause.twice and len(runners) < 2:
         return {"status": "refused", "message": "needs two interpreters"}
-    results = [runner.run(request).result for runner in runners[: 1 + clause.twice]]
-    result = next((each for each in results if each["status"] != "ok"), results[0])
-    if result["status"] == "ok" and clause.twice:
-        if results[0]["message"] != results[1]["message"]:
-            why = "another interpreter gave another answer (sets, hash() or ids of objects?)"
-            return {"status": "invalid", "message": why}
-        return {**result, "message": clause.demand}
-    return result
+    answers = []
+    for runner in runners[: 1 + clause.twice]:
+        result = runner.run(request).result
+        if result["status"] != "ok":
+            return result
+        answers.append(result["message"])
+    if len(set(answers)) > 1:
+        why = "another interpreter gave another answer (sets, hash() or ids of objects?)"
+        return {"status": "invalid", "message": why}
+    return {"status": "ok", "message": clause.demand if clause.twice else answers[0]}
 
 
 def _conformance(clause: Clause, result: Result, folder: Path) -> Conformance:

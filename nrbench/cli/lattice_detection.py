@@ -13,7 +13,7 @@ import click
 import numpy as np
 
 from nrbench import plugins
-from nrbench.api import as_lattice, follow_lattice
+from nrbench.api import as_lattice, follow_bent_lattice
 from nrbench.cli.lattice_results import LatticeResult
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
@@ -209,7 +209,7 @@ def straighten_picture(
     """
     name, parameters = parse_spec(spec)
     try:
-        followed = follow_lattice(image, as_lattice(lattice), name, parameters)
+        followed = follow_bent_lattice(image, as_lattice(lattice), name, parameters)
     except NoLatticeFound as none:
         click.echo(f"{output}: not written, there is no lattice to straighten by", err=True)
         LatticeResult(name, None, reason=none.reason).print(as_json)
@@ -231,7 +231,7 @@ def find_bent_lattice(image: Image, detector: str) -> LatticeResult | None:
     if max(image.shape[:2]) > LARGEST:
         return None
     try:
-        followed = follow_lattice(image, detector=detector, only_promising=True)
+        followed = follow_bent_lattice(image, detector=detector, only_promising=True)
     except NoLatticeFound:
         return None
     return LatticeResult.of_followed(detector, followed) if followed.deformation.bent else None

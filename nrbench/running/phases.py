@@ -108,7 +108,7 @@ def detect(folder: Path, send: Send) -> None:
     cell = read_json(where.cell_file) or {}
     detector = plugins.build("detectors", cell["detector"], cell["parameters"])
     detection = timed_detection(detector, freeze(read_image(where.sample)))
-    send(cast("Message", {"status": "ok", "message": detection.reason, **detection.as_dict()}))
+    send(cast("Message", {"status": "ok", "message": detection.reason, **dataclasses.asdict(detection)}))
 
 
 def synthesize_cell(folder: Path, send: Send) -> None:
@@ -143,36 +143,28 @@ def synthesize_cell(folder: Path, send: Send) -> None:
 def _task(where: CellFolder, cell: Cell) -> Task:
     sample = freeze(read_image(where.sample))
     rng = stream("synthesis", cell.seed, pixels_hash(sample), cell.replicate)
-    again = _fresh_draws(where, cell) if cell.reference else None
-    recompose = _recompositions(cell) if cell.reference else None
+    again, recompose = _reference_draws(where, cell) if cell.reference else (None, None)
     return Task(sample, cell.shape, cell.lattice_given, rng, again=again, recompose=recompose)
 
 
-def _fresh_draws(where: CellFolder, cell: Cell) -> Again | None:
-    """Return the fresh draws that a reference method may use; of a photograph, the region that was cut for it."""
+def _reference_draws(where: CellFolder, cell: Cell) -> tuple[Again | None, Again | None]:
+    """Return the fresh draws that a reference method may use, and those made of copies of the sample's elements.
+
+    The fresh draw of a photograph is the region that was cut for it; it has no draws of copies.
+    """
     if cell.procedural:
-        return _frozen_draws(lambda shape, k: cell.recipe.again(cell.recipe.render())(shape, k))
+        texture = freeze(cell.recipe.render())
+        recompose = cell.recipe.recompose(texture)
+        return _frozen_draws(cell.recipe.again(texture)), recompose and _frozen_draws(recompose)
     if not where.again.is_file():
-        return None
+        return None, None
     region = freeze(read_image(where.again))
 
     def draw(shape: Shape, k: int) -> Texture | None:
         fits = k == 0 and region.shape[0] >= shape[0] and region.shape[1] >= shape[1]
         return Texture(region[: shape[0], : shape[1]]) if fits else None
 
-    return draw
-
-
-def _recompositions(cell: Cell) -> Again | None:
-    """Return the draws made of copies of the sample's elements; None for a photograph, or a dataset without them."""
-    if not cell.procedural or not hasattr(cell.recipe.plugin(), "recompose"):
-        return None
-
-    def draw(shape: Shape, k: int) -> Texture | None:
-        recompose = cell.recipe.recompose(cell.recipe.render())
-        return recompose(shape, k) if recompose else None
-
-    return _frozen_draws(draw)
+    return draw, None
 
 
 def leaves(thing: Any) -> Iterator[Any]:

@@ -8,18 +8,21 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, PlainSerializer, TypeAdapter
 
 from nrbench import plugins
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
+from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.streams import stream
-
-if TYPE_CHECKING:
-    from pydantic import TypeAdapter
 
 RESULTS_VERSION = 10
 """Increased whenever a change of the code changes an output or a score. Results of other versions are never reused."""
+
+Size = Annotated[Shape, BeforeValidator(parse_size), PlainSerializer(size_text)]
+"""A shape (height, width), which files may hold as ``WIDTHxHEIGHT``."""
 
 DetectorIdentity = tuple[str, str, Mapping[str, Any]]
 """Name, full version and parameters of a detector: all that decides its results."""
@@ -44,7 +47,7 @@ class Recipe:
     seed: int
     texture: str
     replicate: int
-    shape: Shape
+    shape: Size
 
     def as_dict(self) -> dict[str, Any]:
         """Return the recipe as a mapping that can be written as JSON."""
@@ -205,6 +208,4 @@ class Cell:
 @cache
 def reader_of(cls: type[Any]) -> TypeAdapter[Any]:
     """Return the converter of mappings to objects of a class. A worker makes it before its children need it."""
-    from pydantic import TypeAdapter
-
     return TypeAdapter(cls)

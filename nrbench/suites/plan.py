@@ -184,9 +184,8 @@ class SampleOrigin:
         own = Recipe(row.dataset, plugins.parameters_of(plugin), suite.seed, row.name, 0, shape)
         if row.recipe is None:
             return cls(own)
-        model = Recipe(**{item.name: getattr(row.recipe, item.name) for item in dataclasses.fields(Recipe)})
         try:
-            model = dataclasses.replace(model, parameters=plugins.parameters_of(model.plugin()))
+            model = dataclasses.replace(row.recipe, parameters=plugins.parameters_of(row.recipe.plugin()))
             uncropped = dataclasses.replace(own, shape=model.shape)
             texture, picture = (_chosen(draw, recipe)(recipe, recipe.shape)[0] for recipe in (model, uncropped))
             equal = pixels_hash(texture.image) == pixels_hash(picture.image) and _has_lattice_of(texture, picture)

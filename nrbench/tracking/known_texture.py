@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image, subtract_color
 from nrbench.imaging.mean_tile import Values, interpolate
 from nrbench.lattice.geometry import Points
-from nrbench.tracking.growth import Window
+from nrbench.tracking.growth import TRUNCATED, Window, spread_window
 from nrbench.tracking.tracker import MeanTile, cell_covariance, correlation_surfaces, label_displacements
 
 __all__ = ["FollowedImage", "follow_texture"]
 
-_WIDTH, _TRUNCATED = 1.1, 1.9
-"""Width in tiles of the window of a knot, and its radius in standard deviations."""
+_WIDTH = 1.1
+"""Width in tiles of the window of a knot."""
 _SAMPLES: Final = 120
 """Number of points of a window that are read, if it holds as many pixels."""
 _SPREAD = 0.3
@@ -133,7 +133,10 @@ class _Following:
         lattice = tile.harmonics.lattice
         size = np.array(image.shape[1::-1])
         covariance = cell_covariance(lattice)
-        offsets, weights, spacing = _window(covariance)
+        spread = _WIDTH**2 * covariance
+        area = math.pi * TRUNCATED**2 * math.sqrt(float(np.linalg.det(spread)))
+        spacing = max(math.sqrt(area / _SAMPLES), 1.0)
+        offsets, weights = spread_window(spread, spacing)
         planes = subtract_color(image, image.mean((0, 1), dtype=np.float64).astype(np.float32)) @ tile.colors
         blur = _BLUR * spacing
         planes = scipy.ndimage.gaussian_filter(planes, (blur, blur, 0), mode="nearest")
@@ -185,8 +188,8 @@ class _Following:
 
     def _starts(self) -> list[tuple[tuple[int, int], Points]]:
         """Return seeds, the best first: the row and column of a node; its state, and the correlation."""
-        lattice, offsets, weights = self.tile.harmonics.lattice, self.window.offsets, self.window.weights
-        size, reach = np.array(self.planes.shape[1::-1]), np.abs(offsets).max(0)
+        lattice, (offsets, weights, reach) = self.tile.harmonics.lattice, self.window.points
+        size = np.array(self.planes.shape[1::-1])
         middles = self._middles(size, reach, 1.5 * lattice.s)
         read = interpolate(self.planes, middles[:, np.newaxis] + offsets)
         read -= np.tensordot(read, weights, (1, 0))[:, np.newaxis]
@@ -247,20 +250,6 @@ class _Following:
 def _grid(first: Points, last: Points) -> Points:
     """Return the pairs of whole numbers (x, y) from ``first`` to ``last``, ``(rows, columns, 2)``."""
     return np.stack(np.meshgrid(*(np.arange(one, other + 1) for one, other in zip(first, last, strict=True))), -1)
-
-
-def _window(cell: Points) -> tuple[Points, NDArray[np.float64], float]:
-    """Return the points of a window, (x, y) px from its middle, their weights, of sum 1, and their spacing, px."""
-    covariance = _WIDTH**2 * cell
-    area = math.pi * _TRUNCATED**2 * math.sqrt(float(np.linalg.det(covariance)))
-    spacing = max(math.sqrt(area / _SAMPLES), 1.0)
-    reach = np.ceil(_TRUNCATED * np.sqrt(np.diag(covariance)) / spacing)
-    x, y = np.meshgrid(*(np.arange(-one, one + 1) * spacing for one in reach))
-    offsets = np.stack([x, y], -1).reshape(-1, 2)
-    distance = np.einsum("ni,ij,nj->n", offsets, np.linalg.inv(covariance), offsets)
-    inside = distance <= _TRUNCATED**2
-    weights = np.exp(-distance[inside] / 2)
-    return offsets[inside], weights / weights.sum(), spacing
 
 
 def _read_tile(tile: MeanTile, middles: Points, offsets: Points, blur: float) -> tuple[Values, Values, Values]:

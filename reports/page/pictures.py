@@ -16,7 +16,7 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from nrbench.storage import write_bytes
+from nrbench.storage import read_arrays, write_bytes
 
 from ..plots.marks import find_marks, worst_place
 
@@ -122,8 +122,7 @@ class PictureStore:
     @_once
     def source_map(self, source: Path) -> PagePicture | None:
         """Return the map of the sample's places that the pixels of an output come from, by color."""
-        with np.load(source, allow_pickle=False) as arrays:
-            colors = _place_colors(np.asarray(arrays["source"][..., :2], np.float32))
+        colors = _place_colors(np.asarray(read_arrays(source)["source"][..., :2], np.float32))
         return PagePicture(_webp(colors, _MAP_QUALITY), colors.shape[1], colors.shape[0])
 
     @_once

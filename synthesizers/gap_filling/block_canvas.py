@@ -16,7 +16,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Refused
@@ -44,8 +44,7 @@ does not reach. The last layer is the gap's own patch."""
 
 def check_border(block: int, border: int) -> None:
     """Raise :class:`BadInput` unless ``border`` is from 1 px to half a block."""
-    if not 1 <= border <= block // 2:
-        raise BadInput(f"border {border} with block {block}; choose a border from 1 to half a block")
+    require(1 <= border <= block // 2, f"border {border} with block {block}; choose a border from 1 to half a block")
 
 
 def box_slices(box: Box, top: int = 0, left: int = 0) -> tuple[slice, slice]:

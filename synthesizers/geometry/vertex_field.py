@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from nrbench.lattice.geometry import Points
 
 from .deformed_lattice import PARTS, DeformedLattice
-from .free_form import FreeForm
 from .vertex_kernels import move_vertices
 
-Deform = Literal["synthesize", "keep", "none"]
-Update = Literal["sample", "gibbs", "argmax"]
+Deform = Literal["normal", "argmax", "none"]
 Array = NDArray[np.float64]
 WAVES: Final = 128
 """Number of plane waves along each axis of a drawn field."""
@@ -39,7 +37,7 @@ _NEIGHBORS = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if do
 
 
 def output_field(
-    deformed: DeformedLattice, shape: tuple[int, int], deform: Deform, update: Update, rng: np.random.Generator
+    deformed: DeformedLattice, shape: tuple[int, int], deform: Deform, rng: np.random.Generator
 ) -> tuple[Points, Points, float]:
     """Return the places of vertices around an output, their displacements, and the distance of the nearest two.
 
@@ -50,36 +48,22 @@ def output_field(
     shape
         Height and width of the output, px.
     deform
-        ``"keep"``: the sample's own displacements, mirrored at the borders of the sample where the output is larger.
-        ``"synthesize"``: new ones.
-    update
-        How they are synthesized. ``"sample"``: all at once from a normal distribution (:class:`WaveSpectrum`).
-        ``"gibbs"`` and ``"argmax"``: :func:`neighbor_field`.
+        ``"normal"``: displacements are drawn at once from a normal distribution (:class:`WaveSpectrum`).
+        ``"argmax"``: :func:`neighbor_field`.
     rng
         The randomness.
     """
-    lattice = deformed.mesh if deform == "synthesize" and update != "sample" else deformed.knots
+    lattice = deformed.mesh if deform == "argmax" else deformed.knots
     border = _BORDER * deformed.lattice.s + 3 * deformed.amplitude
     low, high = (-border, -border), (shape[1] - 1 + border, shape[0] - 1 + border)
     numbers = lattice.cell_numbers(low, high)
     places = lattice.from_cell(numbers)
-    if deform == "keep":
-        return places, _mirrored(deformed, places), lattice.s
-    if update == "sample":
+    if deform == "normal":
         return places, WaveSpectrum.of(deformed).draw(places, rng), lattice.s
     first = numbers.min(0)
     columns, rows = numbers.max(0) - first + 1
-    field = neighbor_field(deformed, (int(rows), int(columns)), update, rng)
     u, v = (numbers - first).T
-    return places, field[v, u], lattice.s
-
-
-def _mirrored(deformed: DeformedLattice, places: Points) -> Points:
-    """Return the sample's displacements at places, those beyond the known ones mirrored at the known ones' box."""
-    low, high = deformed.places.min(0), deformed.places.max(0)
-    away = np.abs(places - low) % (2 * (high - low))
-    inside = low + np.minimum(away, 2 * (high - low) - away)
-    return FreeForm.fit(deformed.places, deformed.displacements, deformed.knots.s).at(inside)
+    return places, neighbor_field(deformed, (int(rows), int(columns)), rng)[v, u], lattice.s
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +119,9 @@ class WaveSpectrum:
             chosen = rng.choice(len(self.lengths), WAVES, p=self.powers / total)
             number = 2 * math.pi / (self.lengths[chosen] * ratio ** (rng.random(WAVES) - 0.5))
             angle, phase = 2 * math.pi * rng.random((2, WAVES))
-            for one, direction, start in zip(number, angle, phase, strict=True):
-                moved[:, axis] += np.cos(places @ (one * np.array([math.cos(direction), math.sin(direction)])) + start)
+            waves = number * np.array([np.cos(angle), np.sin(angle)])
+            for wave, start in zip(waves.T, phase, strict=True):
+                moved[:, axis] += np.cos(places @ wave + start)
         return moved * math.sqrt(2 * total / WAVES)
 
 
@@ -202,9 +187,7 @@ class AffineRest:
         return np.asarray(np.bincount(self._bins.ravel(), covariance.ravel()) / self.pairs)
 
 
-def neighbor_field(
-    deformed: DeformedLattice, shape: tuple[int, int], update: Update, rng: np.random.Generator
-) -> Array:
+def neighbor_field(deformed: DeformedLattice, shape: tuple[int, int], rng: np.random.Generator) -> Array:
     """Return displacements (x, y) px of ``shape`` rows and columns of vertices, by appendix A, equations 1 to 3.
 
     As printed, equation 1 is the same decreasing function of the distance between two vertices for every neighbor, so
@@ -219,24 +202,20 @@ def neighbor_field(
         The lattice as it lies in the sample.
     shape
         Rows and columns of vertices along the second and the first vector.
-    update
-        ``"argmax"``: the most likely move (equation 3), which shrinks the field. ``"gibbs"``: a move drawn by its
-        likelihood (equation 2).
     rng
         The randomness.
     """
     offsets = _neighbor_offsets(deformed)
     spread = np.std(np.concatenate(offsets), axis=0) + 1e-9
-    half, widest = float(spread.max()), max(float(np.abs(one).max(initial=0.0)) for one in offsets)
+    half, widest = float(spread.max()), max(float(np.abs(offset).max(initial=0.0)) for offset in offsets)
     step = half / 4
     count = math.ceil((widest + 4 * half) / step)
     grid = np.asarray(np.arange(-count, count + 1) * step, np.float64)
-    maps = np.stack([_log_density(one, grid) for one in offsets])
+    maps = np.stack([_log_density(offset, grid) for offset in offsets])
     side = np.linspace(-1, 1, MOVES)
     moves = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2) * spread
     start = rng.uniform(-spread, spread, (*shape, 2))
-    chances = rng.random((SWEEPS, *shape) if update == "gibbs" else (0, 0, 0))
-    return move_vertices(start, maps, step, np.ascontiguousarray(moves), chances, SWEEPS)
+    return move_vertices(start, maps, step, np.ascontiguousarray(moves), SWEEPS)
 
 
 def _neighbor_offsets(deformed: DeformedLattice) -> list[Points]:

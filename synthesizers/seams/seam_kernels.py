@@ -489,7 +489,7 @@ def squared_differences(old: UInt8x3, new: UInt8x3) -> Float64x2:
 
 @kernel
 def cut_corner(error: Float64x2, overlap: int) -> tuple[UInt8x2, float]:
-    """Return the mask and the cost of an L-shaped cut; see :func:`~.overlap_seam.l_shaped_seam`. O((h + w) overlap).
+    """Return the mask and the cost of an L-shaped cut, as ``l_shaped_seam`` describes them. O((h + w) overlap).
 
     Of meeting pixels of equal cost the first one is chosen, row by row.
     """

@@ -8,21 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from commands import call
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from nrbench import plugins
 from nrbench.authoring.conformance import check_plugin
 from nrbench.authoring.packages import KINDS, check_name, write_package
-from nrbench.cli.main import main
 from nrbench.errors import BadInput
-
-
-def call(*words: str) -> int:
-    """Run a command line in this process and return its exit code."""
-    with pytest.raises(SystemExit) as left:
-        main(list(words))
-    return int(left.value.code or 0)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -66,6 +66,20 @@ def test_lattices_are_separated_from_chance(family: str, rotated: bool) -> None:
     assert len(found.diagnostics["surrogate_goodness"]) == 30
 
 
+def test_a_lattice_commensurate_with_the_image_is_found() -> None:
+    """A period of a quarter of the image, which copies on the image's own torus would share, is accepted."""
+    sample = Brick(width=32, height=16, color=0.3, noise=0.1).render((128, 128), np.random.default_rng(0))
+    assert sample.lattice is not None
+    assert Gncc().detect(quantize(sample.image)).lattice.is_equivalent(sample.lattice, 0.5)
+
+
+def test_a_wide_gray_image_has_its_lattice() -> None:
+    """One channel, and sides of different length, change nothing."""
+    sample = Hexagon(period=18.4).render((96, 170), np.random.default_rng(1))
+    found = FAST.detect(quantize(sample.image)[..., 1:2]).lattice
+    assert sample.lattice is not None and found.is_equivalent(sample.lattice, 0.5)
+
+
 @pytest.mark.parametrize("sigma", [0.0, 1.0, 3.0])
 def test_noise_has_no_lattice(sigma: float) -> None:
     """White and smooth noise are refused; the exception carries the best candidate and its goodness."""

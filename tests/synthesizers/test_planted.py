@@ -238,7 +238,7 @@ def test_wrong_parameters_say_what_to_do() -> None:
     """An unknown kind and a size out of range are bad input."""
     with pytest.raises(BadInput, match=r"kind 'dropped-rows' is unknown \(did you mean 'dropped-row'\?\)"):
         Planted("dropped-rows")
-    with pytest.raises(BadInput, match=r"size 1.5 is outside \[0, 1\]"):
+    with pytest.raises(BadInput, match=r"size 1\.5; choose from 0 to 1"):
         Planted("phase-step", 1.5)
 
 

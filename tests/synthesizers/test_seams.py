@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
 from nrbench.imaging.convert import Image
-from nrbench.synthesizers.seams.overlap_seam import Mask, cut_sides, l_shaped_seam
+from nrbench.synthesizers.patch_laying.raster_canvas import Mask, cut_sides, l_shaped_seam
 from nrbench.synthesizers.seams.seam_kernels import SOURCE, cheapest_path, cut_overlap, grow_trees, link_costs
 
 sizes = st.tuples(st.integers(1, 5), st.integers(1, 5))
