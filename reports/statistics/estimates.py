@@ -220,10 +220,11 @@ def estimate_means(columns: Sequence[NDArray[np.float64]], of: Sequence[int] | N
         The number of all textures of each column; by default its length.
     """
     known = [column[np.isfinite(column)] for column in columns]
-    ends: dict[int, list[float]] = {}
+    ends: dict[int, tuple[float, float]] = {}
     for count in {len(values) for values in known} - {0, 1}:
         places = [i for i, values in enumerate(known) if len(values) == count]
-        ends |= zip(places, bootstrap_intervals(np.stack([known[i] for i in places])).tolist(), strict=True)
+        intervals = bootstrap_intervals(np.stack([known[i] for i in places])).tolist()
+        ends |= {i: (low, high) for i, (low, high) in zip(places, intervals, strict=True)}
     totals = [len(column) for column in columns] if of is None else of
     return [
         Estimate(float(values.mean()) if len(values) else None, *ends.get(i, (None, None)), len(values), total)
