@@ -226,10 +226,11 @@ def estimate_means(columns: Sequence[NDArray[np.float64]], of: Sequence[int] | N
         intervals = bootstrap_intervals(np.stack([known[i] for i in places])).tolist()
         ends |= {i: (low, high) for i, (low, high) in zip(places, intervals, strict=True)}
     totals = [len(column) for column in columns] if of is None else of
-    return [
-        Estimate(float(values.mean()) if len(values) else None, *ends.get(i, (None, None)), len(values), total)
-        for i, (values, total) in enumerate(zip(known, totals, strict=True))
-    ]
+    estimates = []
+    for i, (values, total) in enumerate(zip(known, totals, strict=True)):
+        low, high = ends.get(i, (None, None))
+        estimates.append(Estimate(float(values.mean()) if len(values) else None, low, high, len(values), total))
+    return estimates
 
 
 def estimate_rate(shares: ArrayLike, of: int) -> Estimate:
