@@ -25,7 +25,7 @@ DECIDED = YES, NO = ANSWERS[:2]
 
 
 @dataclass(frozen=True)
-class Agreement:
+class RaterAgreement:
     """The agreement of two raters, or its mean over pairs of raters.
 
     A score with a verdict has kappas, a score without one is compared by the order of the methods.
@@ -112,10 +112,10 @@ class QuestionComparison:
 
     question: Question
     outputs: int
-    with_verdict: Sequence[Agreement]
-    ranks: Sequence[Agreement]
-    between: Sequence[Agreement]
-    selves: Sequence[Agreement]
+    with_verdict: Sequence[RaterAgreement]
+    ranks: Sequence[RaterAgreement]
+    between: Sequence[RaterAgreement]
+    selves: Sequence[RaterAgreement]
     disagreements: Sequence[Disagreement]
 
 
@@ -184,7 +184,7 @@ def _compare(run: Run, people: Sequence[Person], question: Question) -> Question
     )
 
 
-def _rank_agreement(run: Run, question: Question, name: str, people: Sequence[Answers]) -> Agreement:
+def _rank_agreement(run: Run, question: Question, name: str, people: Sequence[Answers]) -> RaterAgreement:
     rows = []
     for record in run.cells:
         said = [own[record.key] for own in people if own.get(record.key) in DECIDED]
@@ -200,16 +200,16 @@ def _rank_agreement(run: Run, question: Question, name: str, people: Sequence[An
     ]
     table = pd.DataFrame(orders, columns=["texture", "tau", "ordered"])
     means = means_over_textures(table, ["tau", "ordered"])
-    return Agreement(JUDGE, name, len(cells), tau=means["tau"], ordered=means["ordered"])
+    return RaterAgreement(JUDGE, name, len(cells), tau=means["tau"], ordered=means["ordered"])
 
 
-def _agreements(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: str) -> list[Agreement]:
+def _agreements(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: str) -> list[RaterAgreement]:
     """Return the agreement of each pair, and the mean of several pairs last."""
     each = [_agreement([pair], textures) for pair in pairs]
     return [*each, _agreement(pairs, textures, group)] if len(pairs) > 1 else each
 
 
-def _agreement(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: str = "") -> Agreement:
+def _agreement(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: str = "") -> RaterAgreement:
     units = {texture: i for i, texture in enumerate(dict.fromkeys(textures.values()))}
     counts = np.zeros((len(pairs), len(units), len(ANSWERS), len(ANSWERS)))
     for table, (_, _, first, second) in zip(counts, pairs, strict=True):
@@ -218,7 +218,7 @@ def _agreement(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: s
     total = counts.sum((0, 1)).astype(int)
     n = int(total.sum())
     names = (group, f"mean of {len(pairs)}") if group else pairs[0][:2]
-    return Agreement(
+    return RaterAgreement(
         *names,
         n,
         kappa=mean_kappa(counts),
