@@ -16,7 +16,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking import growth_kernels
 from nrbench.tracking.tracker import cell_covariance
 
-__all__ = ["TRUNCATED", "Knots", "Start", "Window", "grow_from", "grow_on", "spread_window"]
+__all__ = ["TRUNCATED", "Knots", "Start", "Window", "fit_basis", "grow_from", "grow_on", "spread_window"]
 
 PARTS: Final = 2
 """Parts into which each step of about s is divided by knots, if they are fine."""
@@ -112,8 +112,7 @@ class Knots:
 
     def _fit(self) -> Points:
         """Return the vectors and the origin of :meth:`mean_lattice`, ``(3, 2)`` px."""
-        design = np.column_stack([self.cells[self.known], np.ones(self.known.sum())])
-        return np.asarray(np.linalg.lstsq(design, self.places[self.known], rcond=None)[0])
+        return fit_basis(self.cells[self.known], self.places[self.known])
 
     def resized(self, factor: int) -> Knots:
         """Return the knots in an image of which each pixel here was the mean of ``factor`` x ``factor`` px."""
@@ -163,6 +162,18 @@ class Knots:
             values[new] = total[new] / count[new][:, np.newaxis]
             have = have | new
         return values[..., :2]
+
+
+def fit_basis(cells: Points, places: Points) -> Points:
+    """Return the vectors and the origin, ``(3, 2)`` px, of the lattice whose points lie nearest to places.
+
+    Parameters
+    ----------
+    cells, places
+        ``(n, 2)`` each: cell coordinates, and (x, y) px where they were found.
+    """
+    design = np.column_stack([cells, np.ones(len(cells))])
+    return np.asarray(np.linalg.lstsq(design, places, rcond=None)[0])
 
 
 @dataclass(frozen=True)
@@ -366,7 +377,7 @@ def _grow(
     half_pixel = np.float32(0.5)
     slopes = half_pixel * (read(1, 0) - read(-1, 0)), half_pixel * (read(0, 1) - read(0, -1))
     window = Window.of(offsets, weights, (read(0, 0), *slopes), tile.lattice.s)
-    a, b = ((np.arange(n) + one) % period for n, one, period in zip((columns, rows), first, periods, strict=True))
+    a, b = ((np.arange(n) + number) % period for n, number, period in zip((columns, rows), first, periods, strict=True))
     # Only differences of the points count. Small ones are exact.
     middle = np.array([columns // 2, rows // 2])
     numbers = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1) - middle

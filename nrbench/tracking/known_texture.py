@@ -182,7 +182,7 @@ class _Following:
         seed, state = start
         states, correlation = np.zeros((*self.phases.shape, 6)), np.zeros(self.phases.shape)
         states[seed] = state[:6]
-        levels = tuple(one * max(float(state[6]), _LEAST_LEVEL) for one in _LEVELS)
+        levels = tuple(level * max(float(state[6]), _LEAST_LEVEL) for level in _LEVELS)
         self.window.grow(self.planes, self.phases, self.points, states, correlation, np.array(seed), levels, _MARGIN)
         return np.concatenate([states, correlation[..., np.newaxis]], -1)
 
@@ -212,7 +212,7 @@ class _Following:
             state = np.array([*(self.points[seed] + displacements[k]), 1.0, 0.0, 0.0, 1.0])
             value = self.window.register(self.planes, int(self.phases[seed]), state)
             found.append(((int(seed[0]), int(seed[1])), np.append(state, value)))
-        found.sort(key=lambda one: -one[1][6])
+        found.sort(key=lambda seed_and_state: -seed_and_state[1][6])
         return found[:_STARTS]
 
     def _middles(self, size: Points, reach: Points, step: float) -> Points:
@@ -220,8 +220,8 @@ class _Following:
         room = np.maximum(size - 1 - 2 * reach, 0)
         step = max(step, math.sqrt(float(np.prod(room + step)) / _MOST_PLACES))
         sides = [
-            np.linspace(low, low + one, 1 + int(one / step))
-            for low, one in zip((size - 1 - room) / 2, room, strict=True)
+            np.linspace(low, low + length, 1 + int(length / step))
+            for low, length in zip((size - 1 - room) / 2, room, strict=True)
         ]
         return np.stack(np.meshgrid(*sides), -1).reshape(-1, 2)
 
@@ -249,7 +249,7 @@ class _Following:
 
 def _grid(first: Points, last: Points) -> Points:
     """Return the pairs of whole numbers (x, y) from ``first`` to ``last``, ``(rows, columns, 2)``."""
-    return np.stack(np.meshgrid(*(np.arange(one, other + 1) for one, other in zip(first, last, strict=True))), -1)
+    return np.stack(np.meshgrid(*(np.arange(low, high + 1) for low, high in zip(first, last, strict=True))), -1)
 
 
 def _read_tile(tile: MeanTile, middles: Points, offsets: Points, blur: float) -> tuple[Values, Values, Values]:
@@ -261,7 +261,7 @@ def _read_tile(tile: MeanTile, middles: Points, offsets: Points, blur: float) ->
     across, down = 1j * waves[:, :1] * values, 1j * waves[:, 1:] * values
 
     def read(terms: NDArray[np.complex128]) -> Values:
-        planes = [((there * one) @ beside).real for one in terms.T]
+        planes = [((there * term) @ beside).real for term in terms.T]
         return np.asarray(np.stack(planes, -1), np.float32)
 
     return read(values), read(across), read(down)

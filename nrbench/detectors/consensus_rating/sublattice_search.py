@@ -10,7 +10,6 @@ from functools import cache
 
 import numpy as np
 
-from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
 from nrbench.detectors.autocorrelation.peaks import (
     UNIT,
     dilate,
@@ -19,6 +18,7 @@ from nrbench.detectors.autocorrelation.peaks import (
     quantize_correlation,
     subpixel,
 )
+from nrbench.detectors.autocorrelation.vector_pair_kernels import mean_correlations
 from nrbench.detectors.consensus_rating.lattice_evidence import Agreement, LatticeEvidence
 from nrbench.lattice.geometry import Points, hermite_matrices, reduce_bases
 
