@@ -304,7 +304,7 @@ def phase_step(site: Site) -> PlantedImage:
 
 def slipped_course(site: Site) -> PlantedImage:
     """Slide one course along t1, by half of t1 at most."""
-    courses = _Courses(site, reach=site.lattice.s)
+    courses = _LatticeCourses(site, reach=site.lattice.s)
     distance = min(site.size * site.lattice.s, courses.length / 2)
     field = site.zeros()
     field[(courses.beyond >= 0) & (courses.beyond < 1)] = _round(courses.sign * distance * courses.along)
@@ -313,7 +313,7 @@ def slipped_course(site: Site) -> PlantedImage:
 
 def dropped_row(site: Site) -> PlantedImage:
     """Remove a part of a course, half of it at most, and close the gap."""
-    courses = _Courses(site, reach=site.lattice.area / math.hypot(*site.lattice.t1) / 2)
+    courses = _LatticeCourses(site, reach=site.lattice.area / math.hypot(*site.lattice.t1) / 2)
     field = site.zeros()
     field[courses.beyond >= 0] = -_round(min(site.size, _MOST) * courses.height * courses.across)
     return _displace(site, field, courses.margin)
@@ -321,7 +321,7 @@ def dropped_row(site: Site) -> PlantedImage:
 
 def doubled_row(site: Site) -> PlantedImage:
     """Repeat a part of a course, half of it at most, and move everything beyond."""
-    courses = _Courses(site, reach=site.lattice.area / math.hypot(*site.lattice.t1) / 2)
+    courses = _LatticeCourses(site, reach=site.lattice.area / math.hypot(*site.lattice.t1) / 2)
     step = _round(min(site.size, _MOST) * courses.height * courses.across)
     field = site.zeros()
     field[courses.at(site.pixels() - step) >= 0] = step
@@ -380,7 +380,7 @@ def stretch(site: Site) -> PlantedImage:
     )
 
 
-class _Courses:
+class _LatticeCourses:
     """The courses of a lattice, the rows along t1 with joints halfway between lattice points, and one chosen course.
 
     ``margin`` is the margin of the draw: wide enough for content to move by ``reach`` px, whatever the size.
