@@ -319,20 +319,20 @@ def summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRo
     if not summaries:
         return []
     refused = any(one.counts["refused"] for one in summaries)
-    rates = [_row("preserved", RATE, RATE_MEANING, [one.success for one in summaries], rate=True)]
+    rates = [SummaryRow("preserved", RATE, RATE_MEANING, _known(one.success for one in summaries), rate=True)]
     if refused:
         note = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out. Failures count")
-        estimates = [one.success_answered for one in summaries]
-        rates.append(_row("preserved (without refusals)", RATE, note, estimates, rate=True, variant=True))
+        estimates = _known(one.success_answered for one in summaries)
+        rates.append(SummaryRow("preserved (without refusals)", RATE, note, estimates, rate=True, variant=True))
     columns = headline_columns(run)
     means = []
     for name, column in columns.items():
         undecided = " Undecided cells are left out." if name in (SCORE, *HEADLINES) else ""
-        means.append(_row(name, column, MEAN_MEANING + undecided, [one.means[name] for one in summaries]))
+        means.append(SummaryRow(name, column, MEAN_MEANING + undecided, _known(one.means[name] for one in summaries)))
         if name == RANKING and (refused or any(one.counts["failed"] for one in summaries)):
-            estimates = [one.means[QUALITY] for one in summaries]
+            estimates = _known(one.means[QUALITY] for one in summaries)
             note = f"{MEAN_MEANING} Failures, refusals and undecided cells are left out."
-            means.append(_row("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
+            means.append(SummaryRow("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
     seconds = len(means) - 1 if RANKING in columns else 0
     return [*means[:seconds], *rates, *means[seconds:]]
 
@@ -345,23 +345,16 @@ def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[Summa
     shown = {*headline_columns(run), PRESERVED, QUALITY, STRUCTURE, *(f"cost.{name}" for name in COSTS)}
     columns = describe_scores(run)
     rows = [
-        _row(name, columns[name], MEAN_MEANING, [one.means[name] for one in summaries])
+        SummaryRow(name, columns[name], MEAN_MEANING, _known(one.means[name] for one in summaries))
         for name in sort_headlines_first(columns)
         if name not in shown
     ]
     return [row for row in rows if any(row.estimates)]
 
 
-def _row(
-    name: str,
-    column: Column,
-    note: str,
-    estimates: Sequence[Estimate | None],
-    rate: bool = False,
-    variant: bool = False,
-) -> SummaryRow:
-    known = [estimate if estimate and estimate.n else None for estimate in estimates]
-    return SummaryRow(name, column, note, known, rate, variant)
+def _known(estimates: Iterable[Estimate]) -> list[Estimate | None]:
+    """Return None for each estimate that counts no texture."""
+    return [estimate if estimate.n else None for estimate in estimates]
 
 
 def describe_scores(run: Run) -> dict[str, Column]:

@@ -285,7 +285,7 @@ def golden_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
             parts = {name: round(float(hard - worse + rng.normal(0, 0.03)), 4) for name in PERILS}
             more = {"message": HOSTILE["markup"]} if status == "refused" else {"perils": parts}
             cells.append(make(name, method, preserved=worse < 0.1 or i % 2 == 0, status=status, **more))
-        cells.append(make(name, "oracle", "none", reference=True, perils=dict.fromkeys(PERILS, 1.0)))
+        cells.append(make(name, "oracle", "none", reference=True, perils=1.0))
     return run_maker(root)(cells, versions={"nrbench": "0", "numpy": "2"}, created="2026-01-01 00:00 UTC")
 
 
