@@ -189,10 +189,7 @@ def _legend(comparison: Comparison) -> Iterator[str]:
         yield "Methods are ranked by their mean quality over textures. A failed or refused cell has quality 0."
         if comparison.leading_legend:
             yield f"{LEADING_SIGN} {comparison.leading_legend}."
-        yield (
-            "Quality of an output: the worst of regularity, integrity, randomness and appearance. 1 is as good as a "
-            "fresh draw."
-        )
+        yield "Quality: the worst of regularity, integrity, randomness and appearance. 1 is as good as a fresh draw."
         if comparison.has_bounds:
             yield f"{BOUND_SIGN} {BOUND_LEGEND}."
     yield "Means over textures, with 95 % intervals. (n/N): the mean counts n of N textures."
