@@ -89,6 +89,9 @@ WHOLE_SHARES = (0.1, 0.05, 0.03, 0.02, 0.01, 0.005)
 LEAST_POWER = _limit(
     "LEAST_POWER", 0.3, "", "share of joined elements, beyond whole ones, below which the score is None"
 )
+UNSEEN_NOISE = _limit(
+    "UNSEEN_NOISE", 0.7, "CIELAB", "noise of whole elements: its difference between two places is half a JND"
+)
 FEW_CELLS = _limit("FEW_CELLS", 100.0, "cells", "with fewer cells, covariances of neighboring places are pooled")
 
 # Randomness
