@@ -29,13 +29,13 @@ BENCHMARKS = {
     "consensus_calibration.py --count 1 --kinds 0": "consensus_calibration.py",
     "bent_lattices.py bent --count 1 --bends 0.5 --tilts 20": "bent_lattices.py",
     "texture_statistics.py brick": "texture_statistics.py",
-    "validation.py alarms detection without-model --count 6 --replicates 1": (
-        "validation.py alarms detection without-model --count 108 --replicates 3 --sides 256 512 1024"
-    ),
-    "validation.py response silence --replicates 1 --sides 192": ("validation.py response silence --replicates 8"),
-    "validation.py references --count 2 --replicates 3": "validation.py references --count 43 --replicates 100",
+    "validation.py fresh --count 1 --textures brick weave": "validation.py fresh",
+    "validation.py planted --count 1": "validation.py planted --count 6",
+    "validation.py ladder --textures brick-strong": "validation.py ladder",
+    "validation.py baselines --textures brick-strong": "validation.py baselines",
+    "validation.py bases --textures brick-strong": "validation.py bases",
+    "sensitivity.py runs/default --textures brick-strong --limits JND": "sensitivity.py runs/default",
     "labels.py": "the same",
-    "validation.py variation --count 2 --replicates 1": "validation.py variation --methods rsgf tile-set",
 }
 """The command of each short form, and that of the full figures, as the docs quote them."""
 

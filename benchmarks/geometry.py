@@ -32,7 +32,7 @@ from nrbench.synthesizers.geometry.straightening import StraightSample, synthesi
 
 SAMPLE, OUTPUT = (192, 192), (256, 256)
 ROTATIONS = {"brick": 0.0, "weave": 12.0, "hexagon": 33.0}
-FIELDS = ("", ":update=gibbs", ":update=argmax", ":deform=keep", ":deform=none")
+FIELDS = ("", ":deform=argmax", ":deform=none")
 NOT_LATTICES = ("images", "noise")
 
 

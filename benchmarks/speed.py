@@ -79,7 +79,7 @@ METHODS = (
     *("fftm-pixel", "fftm-patch", "ann-pixel"),
     *("quilting", "quilting:block=24", "patch-based", "patch-based:search=kdtree", "patch-based:patch=24"),
     *("regularized-patch", "regularized-patch:texel=quadrilateral"),
-    *("graph-cuts", "graph-cuts:refine=none", "graph-cuts:placement=sub-patch", "graph-cuts:placement=random"),
+    *("graph-cuts", "graph-cuts:passes=0", "graph-cuts:placement=sub-patch", "graph-cuts:placement=random"),
 )
 PLAIN = (
     *("rsgf", "tile-set", "representative-tile", "tiling", "fftm-pixel", "fftm-patch", "ann-pixel"),

@@ -41,7 +41,7 @@ class Basket(Model):
     gap: float = 1.6
     draft: Literal["single", "double"] = "single"
 
-    breadth = "strand"
+    breadth = ("strand", 1)
 
     def _check_parameters(self) -> None:
         check_sizes(self, gap=1, stake=self.gap + 2, strand=self.gap + 2)

@@ -7,7 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes, require
+from nrbench.errors import require
+
+from .modelling.model import Model, Vectors, check_sizes
 from .modelling.pattern import Field, Layer, Pattern, box, boxes, coverage, rim, split_period
 
 _CLAY = (0.55, 0.38, 0.32)
@@ -39,7 +41,7 @@ class Brick(Model):
     bond: Literal["running", "stack", "english", "flemish"] = "running"
     small_every: int = 0
 
-    breadth = "height"
+    breadth = ("height", 1)
 
     def _check_parameters(self) -> None:
         check_sizes(self, joint=1, width=(self.joint + 2) * (1 + self._halves), height=self.joint + 2)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .modelling.model import RectangularModel, check_sizes, require
+from nrbench.errors import require
+
+from .modelling.model import RectangularModel, check_sizes
 from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, hats
 
 _HOLE = (0.25, 0.24, 0.26)

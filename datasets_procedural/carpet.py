@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes, require
+from nrbench.errors import require
+
+from .modelling.model import Model, Vectors, check_sizes
 from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, rim
 
 _COLORS = np.array([(0.50, 0.20, 0.22), (0.20, 0.23, 0.36), (0.60, 0.50, 0.34), (0.34, 0.39, 0.28)])
@@ -29,7 +31,7 @@ class Carpet(Model):
     knot: float = 3.7
     knots: int = 12
 
-    breadth = "knot"
+    breadth = ("knot", 1)
 
     def _check_parameters(self) -> None:
         check_sizes(self, knot=3)

@@ -30,7 +30,7 @@ class Corduroy(RectangularModel):
 
     sides = ("width", "tuft")
     least_sizes = {"width": 5, "tuft": 3}
-    breadth = "tuft"
+    breadth = ("tuft", 1)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return tufts in cords; the origin is the middle of one."""

@@ -13,14 +13,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import list_pictures, read_image, read_shape
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Region, Shape, Texture
 from nrbench.truth import TruthTable
-
-from .modelling.model import require
 
 _ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
 """The keys of a suite's row that are read from ``truth.json``."""
@@ -176,7 +174,7 @@ def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, S
         sample[axis] = min(sides[axis] // (OUTPUT_SCALE + 1), sides[axis] - wanted[axis], most[axis])
         if (sample >= least).all() and (wanted <= sides).all():
             samples.append(sample)
-    sample = max(samples, key=lambda one: float((one / np.maximum(tile, 1)).min()), default=sides)
+    sample = max(samples, key=lambda sides: float((sides / np.maximum(tile, 1)).min()), default=sides)
     output = np.minimum(np.maximum(OUTPUT_SCALE * sample, wanted), _LARGEST_OUTPUT)
     return (int(sample[0]), int(sample[1])), (int(output[0]), int(output[1]))
 

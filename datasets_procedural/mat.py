@@ -32,7 +32,7 @@ class Mat(Model):
     height: float = 17.3
     rope: float = 8.3
 
-    breadth = "rope"
+    breadth = ("rope", 1)
 
     def _check_parameters(self) -> None:
         check_sizes(self, rope=3, width=2 * self.rope, height=self.rope)

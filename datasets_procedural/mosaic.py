@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.model import SquareModel, check_sizes, require
+from nrbench.errors import require
+
+from .modelling.model import SquareModel, check_sizes
 from .modelling.pattern import Field, Index, Layer, Pattern, coverage, rim
 from .modelling.random_fields import role_seed, uniform
 

@@ -10,9 +10,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from nrbench.errors import require
 from nrbench.plugins.forms import Shape, Texture
 
-from .modelling.model import check_choices, check_degrees, check_shape, check_sizes, require
+from .modelling.model import check_choices, check_degrees, check_shape, check_sizes
 from .modelling.pattern import hue_rotation
 from .modelling.random_fields import hash_bits, role_seed
 

@@ -32,6 +32,7 @@ class Overlap(Model):
     period: float = 37.3
 
     least_sizes = {"period": 14}
+    breadth = ("period", 5 / 7)
 
     @property
     def vectors(self) -> Vectors:
@@ -46,11 +47,6 @@ class Overlap(Model):
     def kind_vectors(self, name: str) -> Vectors:
         """Return the generating vectors of the lattice of one kind, before rotation."""
         return self.sublattices()[("square", "hexagon").index(name)]
-
-    @property
-    def element_size(self) -> float:
-        """The breadth of a hexagon."""
-        return 5 / 7 * self.period
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return frames over tiles; the origin is the middle of a square and of a hexagon."""

@@ -39,7 +39,7 @@ class Pavement(Model):
     joint: float = 1.8
     style: Literal["herringbone", "basket", "octagon"] = "octagon"
 
-    breadth = "width"
+    breadth = ("width", 1)
 
     def _check_parameters(self) -> None:
         check_sizes(self, joint=1, width=2 * self.joint + 2)

@@ -28,11 +28,7 @@ class Plaid(SquareModel):
     period: float = 36.1
 
     least_sizes = {"period": 12}
-
-    @property
-    def element_size(self) -> float:
-        """The breadth of a band of medium width."""
-        return self.period / 4
+    breadth = ("period", 1 / 4)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return bands that each cover half of a pixel; the origin is the middle of a broad upright and level band."""

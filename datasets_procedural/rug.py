@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes, require
+from nrbench.errors import require
+
+from .modelling.model import Model, Vectors, check_sizes
 from .modelling.pattern import Field, Layer, Pattern, cells, coverage, round_profile, stripe
 
 _COLORS = np.array([(0.57, 0.26, 0.22), (0.62, 0.54, 0.41), (0.23, 0.30, 0.39), (0.58, 0.42, 0.22)])
@@ -33,6 +35,8 @@ class Rug(Model):
     step: float = 5.3
     steps: int = 8
 
+    breadth = ("step", 2)
+
     def _check_parameters(self) -> None:
         check_sizes(self, yarn=2.5, step=3)
         require(4 <= self.steps <= 20, f"steps is {self.steps}; give a number from 4 to 20")
@@ -41,11 +45,6 @@ class Rug(Model):
     def vectors(self) -> Vectors:
         """The vectors to the next lozenge along the band, and in the next band."""
         return (self.steps * self.step, 0.0), (0.0, 2 * self.steps * self.yarn)
-
-    @property
-    def element_size(self) -> float:
-        """The breadth of a patch."""
-        return 2 * self.step
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return yarn on jute; the origin is the middle of a lozenge."""

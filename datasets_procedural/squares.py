@@ -27,11 +27,6 @@ class Squares(SquareModel):
 
     least_sizes = {"period": 12}
 
-    @property
-    def element_size(self) -> float:
-        """The breadth of a middle square."""
-        return self.period / 2
-
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return squares on a ground; the origin is the middle of three nested ones."""
         index, (right, down) = cells(x, y, self.period, self.period)

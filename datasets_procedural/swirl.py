@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes, require
+from nrbench.errors import require
+
+from .modelling.model import Model, Vectors, check_sizes
 from .modelling.pattern import Field, Layer, Pattern, coverage, disc, mix, rows
 
 _LIGHT = (0.60, 0.55, 0.46)

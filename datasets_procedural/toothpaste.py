@@ -30,11 +30,7 @@ class Toothpaste(RectangularModel):
 
     sides = ("width", "turn")
     least_sizes = {"width": 6, "turn": 12}
-
-    @property
-    def element_size(self) -> float:
-        """The breadth of a stripe."""
-        return self.turn / 4
+    breadth = ("turn", 1 / 4)
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return stripes on a dark gap; the origin is the middle of a white stripe."""

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.model import RectangularModel, check_sizes, require
+from nrbench.errors import require
+
+from .modelling.model import RectangularModel, check_sizes
 from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, split_period
 
 _WALL = (0.60, 0.54, 0.46)

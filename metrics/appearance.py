@@ -49,10 +49,10 @@ _LEAST_TILE_SIDE = 4
 class LooksModel:
     r"""How windows of a texture look.
 
-    The distance of features f from the mean is the root of (f - mean)' (C + F)^{-1} (f - mean), with the covariance C of
-    the references and the squared floors F of what is not seen. Windows of one and two cells hold each place of the cell
-    equally often, wherever they lie, so they differ only as the texture varies. Quarters of the picture show uneven
-    light. The whole is compared with parts as large as the sample: no method knows the mean better than its sample does.
+    The distance of features f from the mean is the root of (f - mean)' (C + F)^{-1} (f - mean), with the covariance C
+    of the references and the squared floors F of what is not seen. Windows of one and two cells hold each place of the
+    cell equally often, wherever they lie, so they differ only as the texture varies. Quarters of the picture show
+    uneven light. The whole is compared with parts as large as the sample, from which a method knows the mean.
 
     Parameters
     ----------
@@ -125,20 +125,22 @@ def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_
     mean = np.mean(means, 0)
     learned = []
     for size in _SIZES:
-        groups = [group - mean for group in _group_windows(planes, net, size, from_sample)]
-        if sum(map(len, groups)) < _LEAST_WINDOWS or len(groups) < 2:
+        sets = [[group - mean for group in groups] for groups in _group_windows(planes, net, size, from_sample)]
+        if any(sum(map(len, groups)) < _LEAST_WINDOWS or len(groups) < 2 for groups in sets):
             break
-        learned.append(_learn_kind(groups, limits.LEAST_LOCAL))
+        unseen = limits.UNSEEN_TONES if from_sample else 1.0
+        found = [_learn_kind(groups, limits.LEAST_LOCAL, unseen) for groups in sets]
+        learned.append(max(found, key=lambda kind: kind[1]))
     quarters = [_quarter_means(look) - own for look, own in zip(looks, means, strict=True)]
     if from_sample:
-        crops = np.array([part.mean((0, 1), dtype=np.float64) for part in _cut(looks[0], _CROPS)])
-        whole = _invert(2 * np.cov(crops.T) / _CROPS**2)
-        uneven = _invert(8 * np.cov(crops.T) / _CROPS**2)
-        learned.append((uneven, max(_measure(quarters[0], uneven).max(), limits.LEAST_WHOLE)))
-        learned.append((whole, limits.LEAST_WHOLE))
+        parts = [part.mean((0, 1), dtype=np.float64) for part in _cut(looks[0], _CROPS)]
+        spread = np.cov(np.array(parts).T) / _CROPS**2
+        whole, uneven = _invert(4 * spread), _invert(8 * spread)
+        learned.append((uneven, max(_measure(quarters[0], uneven).max(), limits.LEAST_OF_SAMPLE)))
+        learned.append((whole, limits.LEAST_OF_SAMPLE))
     else:
-        parts = min(max(round(a / b), 1) for a, b in zip(net.shape, sample_shape, strict=True))
-        crops = [part.mean((0, 1), dtype=np.float64) - mean for look in looks for part in _cut(look, parts)]
+        side = min(max(round(a / b), 1) for a, b in zip(net.shape, sample_shape, strict=True))
+        crops = [part.mean((0, 1), dtype=np.float64) - mean for look in looks for part in _cut(look, side)]
         learned.append(_learn_kind(quarters, limits.LEAST_WHOLE))
         learned.append(_learn_kind([crop[np.newaxis] for crop in crops], limits.LEAST_WHOLE))
     margin = limits.OF_SAMPLE_LOOKS if from_sample else limits.OF_LOOKS
@@ -146,26 +148,36 @@ def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_
     return LooksModel(mean, [inverse for inverse, _ in learned], np.array(margins) * [far for _, far in learned], net)
 
 
-def _learn_kind(groups: Sequence[Looks], least: float) -> tuple[NDArray[np.float64], float]:
-    """Return the inverse covariance of departures, and the largest distance of a group by that of all others."""
+def _learn_kind(groups: Sequence[Looks], least: float, unseen: float = 1.0) -> tuple[NDArray[np.float64], float]:
+    """Return the inverse covariance of departures, and the largest distance of a group by that of all others.
+
+    The standard deviation of colors is multiplied by ``unseen``: a sample shows few of the tones of a texture.
+    """
+    wider = np.outer(widths := np.array([unseen] * 3 + [1.0] * (len(_FLOORS) - 3)), widths)
     far = [least]
     for k, group in enumerate(groups):
         rest = np.concatenate([*groups[:k], *groups[k + 1 :]])
-        far.append(float(_measure(group, _invert(rest.T @ rest / len(rest))).max()))
+        far.append(float(_measure(group, _invert(wider * (rest.T @ rest) / len(rest))).max()))
     everything = np.concatenate(groups)
-    return _invert(everything.T @ everything / len(everything)), max(far)
+    return _invert(wider * (everything.T @ everything) / len(everything)), max(far)
 
 
-def _group_windows(planes: Sequence[NDArray[np.float32]], net: LatticeNet, size: int, from_sample: bool) -> list[Looks]:
-    """Return the windows of each draw, or of each of four strips of the sample."""
+def _group_windows(
+    planes: Sequence[NDArray[np.float32]], net: LatticeNet, size: int, from_sample: bool
+) -> list[list[Looks]]:
+    """Return sets of groups of windows: those of each draw, or those of four strips of the sample along each axis.
+
+    Threads run through all strips along them. Strips along both axes hold each thread out once.
+    """
     if not from_sample:
-        return [_window_means(plane, net, size) for plane in planes]
-    axis = int(net.shape[0] > net.shape[1])
-    edges = np.linspace(0, net.shape[1 - axis], 5)
-    place = net.points[..., axis]
-    strips = [net.inside & (place >= low) & (place < high) for low, high in itertools.pairwise(edges)]
-    groups = [_window_means(planes[0], net, size, strip) for strip in strips]
-    return [group for group in groups if len(group)]
+        return [[_window_means(plane, net, size) for plane in planes]]
+    found = []
+    for axis in (0, 1):
+        edges, place = np.linspace(0, net.shape[1 - axis], 5), net.points[..., axis]
+        strips = [net.inside & (place >= low) & (place < high) for low, high in itertools.pairwise(edges)]
+        groups = [_window_means(planes[0], net, size, strip) for strip in strips]
+        found.append([group for group in groups if len(group)])
+    return found
 
 
 @lru_cache(maxsize=4)
@@ -256,8 +268,8 @@ def _score(observation: Observation) -> Score:
         reasons |= dict.fromkeys(("score", "local", "local_wide", "quarters", "whole"), str(reason))
     values["seam"], values["seam_step"], line = _seam(observation)
     if line is None:
-        reason = f"undecided: the images are smaller than {_LEAST_SEAM_SIDE} px, too small to compare lines"
-        reasons |= dict.fromkeys(("seam", "seam_step"), reason)
+        small = f"undecided: the images are smaller than {_LEAST_SEAM_SIDE} px, too small to compare lines"
+        reasons |= dict.fromkeys(("seam", "seam_step"), small)
     tile = _claimed_tile(observation.output, observation.extras)
     if isinstance(tile, str):
         reasons |= dict.fromkeys(("tileable", "tile_bytes"), tile)
@@ -266,6 +278,15 @@ def _score(observation: Observation) -> Score:
     pictures = {} if line is None else {"seam": draw_line(observation.output, line)}
     records = {"reference": "sample" if observation.again is None else "fresh draws"}
     return Score(values, reasons, pictures, records)
+
+
+def fresh_images(observation: Observation, number: int) -> list[Image]:
+    """Return up to ``number`` fresh draws of the output's shape; none of a photograph."""
+    if observation.again is None:
+        return []
+    shape = (observation.output.shape[0], observation.output.shape[1])
+    draws = [observation.again(shape, FIRST_DRAW + k) for k in range(number)]
+    return [draw.image for draw in draws if draw is not None]
 
 
 # Seams, and the border of a tile that claims to be seamless.

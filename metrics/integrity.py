@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,6 +31,8 @@ _DISTANCES = (0.25, 0.5)
 """Distances in s of two places of one element."""
 _COMPOSITES = 4
 """Number of pictures of joined elements that are made of each reference."""
+_FARTHEST = 3
+"""Largest distance of joined elements, in cells."""
 _LEAST_SHARE = 0.7
 """Share of the places of a cell that must be known."""
 _LEAST_CELLS = 4
@@ -142,8 +145,8 @@ def _learn_pair(planes: Sequence[CoarsePlane], lag: Lag) -> PairModel:
     joint, first, second = sums / np.maximum(count, 1)[..., np.newaxis, np.newaxis]
     whole, unrelated = joint + floor, first + second + floor
     constant = np.linalg.slogdet(unrelated)[1] - np.linalg.slogdet(whole)[1]
-    inverses = (np.linalg.inv(m).astype(np.float32) for m in (whole, unrelated))
-    return PairModel(lag, *inverses, constant.astype(np.float32))
+    inverses = [np.linalg.inv(matrices).astype(np.float32) for matrices in (whole, unrelated)]
+    return PairModel(lag, inverses[0], inverses[1], constant.astype(np.float32))
 
 
 @lru_cache(maxsize=2)
@@ -169,7 +172,7 @@ def learn_elements(reference: TextureReference) -> ElementModel:
     joined = np.concatenate([_weigh_composites(plane, model, net, rng) for plane in planes])
     if len(whole) < 2 or not joined.size:
         return model
-    tried = [_set_limit(model.pairs, whole, joined, share) for share in limits.WHOLE_SHARES]
+    tried = [_set_limit(model.pairs, whole, joined, share, reference.from_sample) for share in limits.WHOLE_SHARES]
     return max(tried, key=lambda found: found.power - found.chance)
 
 
@@ -182,24 +185,31 @@ def _weigh_strip(plane: CoarsePlane, strip: Mask, lags: Sequence[Lag]) -> NDArra
 
 
 def _set_limit(
-    pairs: Sequence[PairModel], whole: list[NDArray[np.float64]], joined: NDArray[np.float64], share: float
+    pairs: Sequence[PairModel],
+    whole: list[NDArray[np.float64]],
+    joined: NDArray[np.float64],
+    share: float,
+    pooled: bool,
 ) -> ElementModel:
-    """Return the model with the limit that a share of the whole elements exceeds."""
+    """Return the model with the limit that a share of the whole elements exceeds.
+
+    An output is as large as a draw, but as all strips of a sample together (``pooled``).
+    """
     limit = float(np.quantile(np.concatenate(whole), 1 - share))
     shares = np.array([(evidence > limit).mean() for evidence in whole])
-    spread = limits.DEVIATIONS * float(shares.std(ddof=1))
+    spread = limits.DEVIATIONS * float(shares.std(ddof=1)) / (math.sqrt(len(shares)) if pooled else 1)
     return ElementModel(pairs, limit, float((joined > limit).mean()), float(shares.mean()) + spread + 0.005)
 
 
 def _weigh_composites(
     plane: CoarsePlane, model: ElementModel, net: LatticeNet, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Return the evidence of cells through whose middle a straight cut joins two distant parts of a picture."""
+    """Return the evidence of cells through whose middle a straight cut joins elements some cells apart."""
     size, found = limits.PLACES, []
-    numbers = np.stack(np.indices(plane.complete.shape), -1) / size @ net.vectors
-    cells = np.array(plane.complete.shape) // size
+    numbers = np.moveaxis(np.indices(plane.complete.shape), 0, -1) / size @ net.vectors
+    reach = np.clip(np.array(plane.complete.shape) // (4 * size), 1, _FARTHEST)
     for _ in range(_COMPOSITES):
-        shift = tuple(size * rng.integers(1, np.maximum(cells, 2)))
+        shift = tuple(size * rng.integers(1, reach + 1) * rng.choice((-1, 1), 2))
         other, known = np.roll(plane.values, shift, (0, 1)), np.roll(plane.complete, shift, (0, 1))
         angle = rng.uniform(0, np.pi)
         along = (numbers @ (np.cos(angle), np.sin(angle)) / (3 * net.s) + rng.random()) % 2
@@ -214,18 +224,18 @@ def _weigh_composites(
 class Integrity:
     """The share of the output's elements that are whole.
 
-    A method that copies patches may join the left half of one brick to the right half of another, or change the color of
-    a thread. The mean cell cannot show this, because both parts lie in their places. Their tones do: in a whole element
-    the tones of its parts go together (:class:`ElementModel`).
+    A method that copies patches may join the left half of one brick to the right half of another, or change the color
+    of a thread. The mean cell cannot show this, because both parts lie in their places. Their tones do: in a whole
+    element the tones of its parts go together (:class:`ElementModel`).
 
-    Let p be the share of joined elements of the references above the limit of the evidence, q the largest share of whole
-    ones that chance explains, and c the share of the output's cells. The score is 1 - (c - q) / (p - q), in [0, 1]: the
-    share of whole elements, corrected for those that the test misses and for those that it counts wrongly. The limit is
-    the one with the largest p - q, which is ``detection_power``. Below a power of 0.3 the elements of the texture do not
-    have tones that tell joined ones from whole ones, and the score is None.
+    Let p be the share of joined elements of the references above the limit of the evidence, q the largest share of
+    whole ones that chance explains, and c the share of the output's cells. The score is 1 - (c - q) / (p - q), in [0,
+    1]: the share of whole elements, corrected for those that the test misses and for those that it counts wrongly. The
+    limit is the one with the largest p - q, which is ``detection_power``. Below a power of 0.3 the elements of the
+    texture do not have tones that tell joined ones from whole ones, and the score is None.
 
-    The references are fresh draws of the model, or strips of the sample, each weighed by a model of the others. Elements
-    out of place are left out; they count for regularity.
+    The references are fresh draws of the model, or strips of the sample, each weighed by a model of the others.
+    Elements out of place are left out; they count for regularity.
     """
 
     version: ClassVar[str] = "11"

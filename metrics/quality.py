@@ -28,8 +28,8 @@ class Quality:
     """The worst of four perils: regularity, integrity, randomness and appearance lost.
 
     Each peril has a score from 0 to 1, measured by the metric of its name. A fresh draw of the texture has 1 in all of
-    them. The quality of an output is the smallest of its four scores, because a fault in one respect is not made good by
-    another: wallpaper is perfectly regular, and a heap of bricks is perfectly random. The quality of a method is the
+    them. The quality of an output is the smallest of its four scores, because a fault in one respect is not made good
+    by another: wallpaper is perfectly regular, and a heap of bricks is perfectly random. The quality of a method is the
     mean over textures.
 
     Where a peril cannot be measured, the quality is the smallest of the others, and ``complete`` is False: the quality

@@ -65,7 +65,7 @@ class Tiles:
         return values[whole]
 
     @cached_property
-    def quarters(self) -> list[tuple[Features, Features]]:
+    def quarters(self) -> list[tuple[NDArray[np.float32], NDArray[np.intp]]]:
         """``(n, d)`` lightness residuals of the whole windows of half a tile, in four parts of the cell, and cells."""
         half, found = self.plane.samples // 2, []
         light, known = (split_cells(a, self.plane.samples) for a in (self.plane.fine[..., 0], self.plane.known))
@@ -87,7 +87,7 @@ class Tiles:
         return np.concatenate(distances), np.concatenate(lags).astype(np.intp)
 
 
-def _square_distances(a: Features, b: Features) -> NDArray[np.float64]:
+def _square_distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float64]:
     if not a.size or not b.size:
         return np.zeros((len(a), len(b)))
     return np.asarray(scipy.spatial.distance.cdist(a, b, "sqeuclidean") / a.shape[1])
@@ -122,7 +122,7 @@ class Population:
     @cached_property
     def energy(self) -> float:
         """Mean squared departure of the tiles from their mean, in CIELAB."""
-        return float(self.features.var(0).mean())
+        return float(self.features.var(0, ddof=1).mean())
 
     @property
     def varies(self) -> bool:
@@ -131,7 +131,13 @@ class Population:
 
     @cached_property
     def _axes(self) -> NDArray[np.float64]:
-        """``(48, k)``: principal axes over their standard deviation, with half a JND added."""
+        """``(48, k)``: principal axes over their standard deviation, with half a JND added.
+
+        A sample holds too few tiles for axes of its own: three fixed ones, the mean L*, a* and b*, take their place.
+        """
+        if self.from_sample:
+            means = np.tile(np.eye(3), (self.features.shape[1] // 3, 1)) * 3 / self.features.shape[1]
+            return np.asarray(means / np.sqrt((self.features @ means).var(0) + (limits.JND / 2) ** 2))
         values, axes = np.linalg.eigh(np.cov(self.features.T))
         keep = np.argsort(values)[::-1][:_COMPONENTS]
         return np.asarray(axes[:, keep] / np.sqrt(np.maximum(values[keep], 0) + (limits.JND / 2) ** 2))
@@ -154,13 +160,16 @@ class Population:
     def rate_energy(self, features: Features) -> float:
         """Return the logarithm of the energy of tiles over that of the references, with the least visible one added."""
         unseen = (limits.VARIES * limits.JND) ** 2
-        return math.log((float(features.var(0).mean()) + unseen) / (self.energy + unseen))
+        return math.log((float(features.var(0, ddof=1).mean()) + unseen) / (self.energy + unseen))
 
     @cached_property
     def energy_tolerance(self) -> float:
         """Largest difference of the logarithm of the energy that chance explains."""
         spread = float(np.std([self.rate_energy(part) for part in self._cut()] or [0.0]))
-        return max(limits.TOLERANCE, limits.DEVIATIONS * spread / (self.parts if self.from_sample else 1))
+        if self.from_sample:
+            own = ((self.features - self.features.mean(0)) ** 2).mean(1)
+            spread = max(spread / self.parts, float(own.std() / max(own.mean(), 1e-9)) / math.sqrt(len(own)))
+        return max(limits.TOLERANCE, limits.DEVIATIONS * spread)
 
     @cached_property
     def _usual(self) -> tuple[NDArray[np.float64], float]:
@@ -194,7 +203,7 @@ class Population:
         return limit, float(np.median(distances)), float((distances < limit).mean())
 
     def arrange(self, tiles: Tiles) -> NDArray[np.float64]:
-        """Return the correlations of the first components of tiles at ten lags, ``(10, 3)``; NaN where there is no pair."""
+        """Return the correlations of the first components of tiles at ten lags, ``(10, 3)``; NaN without pairs."""
         values, whole = tiles.grid
         axes = self._axes[:, :_ARRANGED_COMPONENTS]
         points = (values - values[whole].mean(0)) @ axes
@@ -210,7 +219,7 @@ class Population:
     def arrangement(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean of the correlations over the references, and the variance of each component's, mean over the lags."""
         found = np.array([self.arrange(tiles) for tiles in self.tiles])
-        chance = 1 / max(np.mean([len(tiles.features) for tiles in self.tiles]), 1)
+        chance = 1 / max(float(np.mean([len(tiles.features) for tiles in self.tiles])), 1.0)
         mean = np.where(np.isfinite(found).all(0), np.nan_to_num(found).mean(0), np.nan)
         if len(found) == 1:
             return mean, np.full(mean.shape[1], 2 * chance)
@@ -231,7 +240,7 @@ def _mean_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 def gather_tiles(reference: TextureReference) -> Population:
     """Return the population of the tiles of a reference."""
     net = reference.net
-    tiles = [Tiles(CoarsePlane(fine, known, net.samples)) for fine, known in reference.residuals]
+    tiles = [Tiles(CoarsePlane(fine, known, net.samples)) for fine, known in reference.departures]
     box = np.abs(net.vectors).sum(0)[::-1]
     sources = float(np.maximum(reference.sample_shape - box, 1).prod()) / abs(float(np.linalg.det(net.vectors)))
     side = min(a / b for a, b in zip(net.shape, reference.sample_shape, strict=True))
@@ -252,8 +261,8 @@ class Randomness:
       pairs of the references. 1 / t is the effective number of different windows; the score is its logarithm over that
       of the number of tiles. Twins that return at one lag count more, since a repeated crop is seen by its period. The
       column is t times the number of tiles of the sample: 0 as in fresh draws, 1 for a choice at random among them.
-    - ``arrangement``, the largest change of the correlation of tones at ten lags of the lattice: rows, checkerboards and
-      blobs of one tone, and threads that lose theirs.
+    - ``arrangement``, the largest change of the correlation of tones at ten lags of the lattice: rows, checkerboards
+      and blobs of one tone, and threads that lose theirs.
     - ``distance``, the energy distance between the distributions of tiles.
     - ``misplacement_ratio`` of ``regularity``, where the geometry of the texture varies: it may be lost as well.
 
@@ -307,8 +316,8 @@ def _score(observation: Observation) -> Score:
         values["distance"] = distance
         parts["distance"] = 1 - max(distance - population.distance_limit, 0.0) / (1 - population.distance_limit)
         parts["distance"] = max(1 - 4 * (1 - parts["distance"]), 0.0)
-        values["arrangement"] = _rate_arrangement(tiles, population)
-        parts["arrangement"] = max(1 - values["arrangement"], 0.0)
+        change = values["arrangement"] = _rate_arrangement(tiles, population)
+        parts["arrangement"] = max(1 - change, 0.0)
         values["copied"] = _find_copies(examination, tiles, population)
     bending = _rate_bending(examination)
     if bending is not None:

@@ -51,9 +51,9 @@ class Regularity:
     more than a third of the references themselves is out of place.
 
     The references are fresh draws of the model. For a photograph they are four strips of the sample, each compared with
-    the mean cell of the other three. Without a model the given lattice is used, reduced to the smallest one by which the
-    sample repeats. If none is given, the detector ``dominance`` finds the lattice of the sample; no method uses it by
-    default. The record ``lattice_from`` names the source: model, given, or dominance.
+    the mean cell of the other three. Without a model the given lattice is used, reduced to the smallest one by which
+    the sample repeats. If none is given, the detector ``dominance`` finds the lattice of the sample; no method uses it
+    by default. The record ``lattice_from`` names the source: model, given, or dominance.
     """
 
     version: ClassVar[str] = "9"

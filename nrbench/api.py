@@ -150,10 +150,10 @@ def track_lattice(
     (True, True)
     >>> straight, mean = bent.straighten()
     """
-    return follow_lattice(_image(image), as_lattice(lattice), detector, parameters).deformation
+    return follow_bent_lattice(_image(image), as_lattice(lattice), detector, parameters).deformation
 
 
-def follow_lattice(
+def follow_bent_lattice(
     image: Image,
     lattice: Lattice | None = None,
     detector: Pluginlike = "consensus",
@@ -390,9 +390,9 @@ def score_observation_by(
     BadInput
         For an unknown metric.
     """
-    from nrbench.running.runner import working_metrics
+    from nrbench.running.runner import find_metrics
 
-    names = [plugins.find("metrics", name).name for name in dict.fromkeys(metrics)] or working_metrics()
+    names = find_metrics(metrics)
     scores = {}
     for number, metric in enumerate(names, 1):
         scores[metric] = _score_or_failure(observation, metric)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import re
 import sys
 import traceback
@@ -24,6 +25,20 @@ class BadInput(ValueError):
     ...     print(error)
     dataset 'bricks' is not known (did you mean 'brick'?); see `nrbench list datasets`
     """
+
+
+def require(holds: bool, message: str) -> None:
+    """Raise :class:`BadInput` with a message unless a condition holds."""
+    if not holds:
+        raise BadInput(message)
+
+
+def require_ranges(owner: object, **ranges: tuple[float, float]) -> None:
+    """Raise :class:`BadInput` unless each attribute is None, or a finite number from the lowest to the highest one."""
+    for name, (low, high) in ranges.items():
+        value = getattr(owner, name)
+        allowed = f"from {low:g} to {high:g}" if high < math.inf else f"{low:g} or more"
+        require(value is None or (low <= value <= high and value < math.inf), f"{name} {value}; choose {allowed}")
 
 
 def checker(who: str) -> Callable[[bool, str], None]:

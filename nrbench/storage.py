@@ -290,5 +290,5 @@ def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays of an ``.npz`` by name. Pickled objects are refused."""
-    with np.load(path, allow_pickle=False) as archive:
+    with np.load(path, allow_pickle=False) as archive:  # noqa: TID251
         return {name: archive[name] for name in archive.files}

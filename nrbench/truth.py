@@ -123,27 +123,13 @@ def _row(values: Mapping[str, Any], where: str, columns: int, folder: Path) -> T
 
 
 def _vectors(values: Mapping[str, str], where: str) -> dict[str, Vector]:
-    """Return the vectors of a line, which has four numbers and possibly two of an origin, or no numbers."""
-    origin = _numbers(values, ORIGIN, where)
-    vectors = _numbers(values, VECTORS, where)
-    if origin and not vectors:
-        raise BadInput(f"{where}: has an origin without vectors; give {','.join(VECTORS)}, or delete the origin")
-    if not vectors:
+    """Return the vectors of a line, which has four numbers, six with an origin, or none."""
+    numbers = [values.get(name, "") for name in (*VECTORS, *ORIGIN)]
+    if not any(numbers):
         return {}
-    numbers = [*vectors, *origin]
+    has_origin = any(numbers[4:])
     try:
-        lattice = Lattice(*zip(numbers[::2], numbers[1::2], strict=True))
+        lattice = Lattice.parse(",".join(numbers if has_origin else numbers[:4]))
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from None
-    return {"t1": lattice.t1, "t2": lattice.t2} | ({"origin": lattice.origin} if origin else {})
-
-
-def _numbers(values: Mapping[str, str], names: Sequence[str], where: str) -> list[float]:
-    """Return the numbers of some columns; an empty list if all are empty or missing."""
-    texts = [values.get(name, "") for name in names]
-    try:
-        return [float(text) for text in texts] if any(texts) else []
-    except ValueError:
-        number = "two" if len(names) == 2 else "four"
-        problem = f"{','.join(texts)!r} are not {number} numbers"
-        raise BadInput(f"{where}: {problem}; give all of {','.join(names)}, or none") from None
+    return {"t1": lattice.t1, "t2": lattice.t2} | ({"origin": lattice.origin} if has_origin else {})

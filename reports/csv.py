@@ -21,7 +21,6 @@ from .statistics.expectations import (
     evaluate_claims,
     published_classes_table,
     published_rates_table,
-    published_table,
 )
 from .statistics.levels import breaking_points_table, compare_levels, levels_table
 from .statistics.method_comparison import Comparison, compare_methods
@@ -131,7 +130,7 @@ class CsvTables:
             tables |= {"claims": claims_table(claims), "claim_tests": claim_tests_table(claims)}
         if published := compare_with_published(run, comparison):
             tables |= {
-                "published": published_table(published),
+                "published": published.verdicts,
                 "published_rates": published_rates_table(published),
                 "published_classes": published_classes_table(published),
             }

@@ -25,9 +25,15 @@ from .page import gallery
 from .page.environment import make_environment
 from .page.forest_plot import forest_axes
 from .page.pictures import CROP, PictureStore
-from .plots.comparison_plots import plot_cost, plot_heat_map, plot_ranks, timed_methods
-from .plots.perils_plane import plot_perils_plane
-from .plots.series_plot import plot_claim, plot_levels
+from .plots.method_plots import (
+    plot_claim,
+    plot_cost,
+    plot_heat_map,
+    plot_levels,
+    plot_perils_plane,
+    plot_ranks,
+    timed_methods,
+)
 from .statistics.detections import compare_detectors
 from .statistics.expectations import compare_with_published, evaluate_claims
 from .statistics.levels import BROKEN, compare_levels

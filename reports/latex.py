@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from nrbench import plugins
 from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
@@ -15,7 +14,7 @@ from nrbench.storage import write_text
 from .page.environment import make_environment
 from .statistics.expectations import compare_with_published
 from .statistics.method_comparison import Comparison, choose_rows, compare_methods
-from .statistics.summaries import SummaryRow, list_patch_terms
+from .statistics.summaries import SummaryRow, list_patch_terms, method_classes
 
 _SPECIAL: Mapping[str, str] = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
@@ -93,9 +92,7 @@ def latex_text(run: Run, comparison: Comparison, scores: Sequence[str] = ()) -> 
 
 def bibliography(run: Run) -> str:
     """Return the BibTeX entries of the papers of a run's methods, each once, in the order of the run."""
-    names = dict.fromkeys(record.cell.method for record in run.cells)
-    installed = set(plugins.names("synthesizers"))
-    papers = [getattr(plugins.find("synthesizers", name).cls, "paper", "") for name in names if name in installed]
+    papers = [getattr(cls, "paper", "") for cls in method_classes(run.cells).values()]
     return "".join(f"{strip_control(paper).strip()}\n\n" for paper in dict.fromkeys(papers) if paper).rstrip("\n")
 
 

@@ -10,9 +10,7 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_bytes
 
-from .plots.comparison_plots import plot_cost, plot_heat_map, plot_ranks, timed_methods
-from .plots.perils_plane import plot_perils_plane
-from .plots.series_plot import plot_levels
+from .plots.method_plots import plot_cost, plot_heat_map, plot_levels, plot_perils_plane, plot_ranks, timed_methods
 from .statistics.levels import compare_levels
 from .statistics.method_comparison import compare_methods
 from .statistics.summaries import perils_points

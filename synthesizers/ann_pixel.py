@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from nrbench.detectors.frdft import Frdft
-from nrbench.errors import checker
+from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
 from .pixel_growing.pixel_growth import (
@@ -57,7 +57,7 @@ class AnnPixel(SearchParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check(2 <= self.neighborhood <= 10, f"neighborhood {self.neighborhood}; choose from 2 to 10 px")
+        require_ranges(self, neighborhood=(2, 10))
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`AnnPixel`.
@@ -77,6 +77,3 @@ class AnnPixel(SearchParameters):
         image, source = growth.result()
         task.progress(1.0)
         return Synthesis(image, source=source)
-
-
-_check = checker("ann-pixel")

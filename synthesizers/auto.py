@@ -6,15 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
-from nrbench.errors import BadInput
+from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .ann_pixel import AnnPixel
 from .rsgf import Rsgf
-from .sampling.two_periods import shows_two_periods
+from .sampling.equal_places import shows_two_periods
 from .tile_set import TileSet
 
 
@@ -63,8 +64,7 @@ class Auto:
     paper: ClassVar[str] = TileSet.paper
 
     def __post_init__(self) -> None:
-        if not 0 <= self.threshold <= 1:
-            raise BadInput(f"threshold {self.threshold}; choose from 0 to 1")
+        require_ranges(self, threshold=(0, 1))
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis of the method that is picked; see :class:`Auto`.
@@ -77,22 +77,16 @@ class Auto:
         found = find_lattice(task, NamedDetector(self.finder))
         share = estimate_regular_share(task.sample, found.lattice) if found.lattice else 0.0
         near_regular = found.lattice is not None and share >= self.threshold
-        name: str = self.regular if near_regular else self.other
-        method = self._regular_method() if near_regular else self._other_method()
+        name = self.regular if near_regular else self.other
+        method: Synthesizer
+        if name == "rsgf":
+            method = Rsgf() if near_regular else Rsgf(search="stochastic")
+        else:
+            method = TileSet() if name == "tile-set" else AnnPixel()
         made = method.synthesize(replace(task, lattice=found.lattice if near_regular else None))
         seen = f"regularity {share:.2f}" if found.lattice else f"no lattice ({found.reason})"
         note = f"picked {name}: {seen}" + (f"; {made.note}" if made.note else "")
         return replace(made, detection_seconds=found.seconds, note=note)
-
-    def _regular_method(self) -> Synthesizer:
-        return Rsgf() if self.regular == "rsgf" else TileSet()
-
-    def _other_method(self) -> Synthesizer:
-        if self.other == "rsgf":
-            return Rsgf(search="stochastic")
-        from .ann_pixel import AnnPixel
-
-        return AnnPixel()
 
 
 def estimate_regular_share(sample: Image, lattice: Lattice) -> float:

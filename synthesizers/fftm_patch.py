@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from nrbench.detectors.frdft import Frdft
-from nrbench.errors import BadInput
+from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.spectra.harmonics import lowest_period
 
 from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
-from .patchwork.patchwork import PatchPlacer, Patchwork, SeamHeat, scan_windows
-from .patchwork.translations import to_gray_levels
+from .patchwork.patchwork import (
+    Features,
+    Patchwork,
+    SeamHeat,
+    Translations,
+    Window,
+    draw_translation,
+    summed_variance,
+    to_gray_levels,
+)
 
 PatchRule = Literal["period", "lowest"]
 
@@ -123,18 +131,9 @@ class FftmPatch(MaskParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= self.weight <= LARGEST_WEIGHT:
-            raise BadInput(f"weight {self.weight}; choose from 0 (no mask) to {LARGEST_WEIGHT:g}")
-        if self.patch < 0 or self.patch in (1, 2):
-            raise BadInput(f"patch {self.patch}; choose 0 (automatic), or 3 px or more")
-        if not 0 <= self.overlap <= 0.9:
-            raise BadInput(f"overlap {self.overlap}; choose a share of the patch from 0 to 0.9")
-        if not 0 <= self.reach <= 2:
-            raise BadInput(f"reach {self.reach}; choose a share of the patch from 0 to 2")
-        if not 0 <= self.randomness < math.inf:
-            raise BadInput(f"randomness {self.randomness}; choose 0 (always a patch of least cost) or more")
-        if self.refinements < 0:
-            raise BadInput(f"refinements {self.refinements}; choose 0 or more passes")
+        require(self.patch == 0 or self.patch >= 3, f"patch {self.patch}; choose 0 (automatic), or 3 px or more")
+        require_ranges(self, weight=(0, LARGEST_WEIGHT), overlap=(0, 0.9), reach=(0, 2))
+        require_ranges(self, randomness=(0, math.inf), refinements=(0, math.inf))
 
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
         """Return the synthesis guided by a given mask of the sample. Exceptions are those of :meth:`synthesize`."""
@@ -189,3 +188,67 @@ def automatic_size(mask: TextureMask, shape: Shape, rule: PatchRule = "period") 
     sides = (side * math.ceil(LEAST_PATCH / side) for side in tile[::-1])
     height, width = (min(round(side), most) for side, most in zip(sides, half, strict=True))
     return height, width
+
+
+class PatchPlacer:
+    """Covers windows of an output with patches that match their known pixels (sub-patch matching, section 4).
+
+    Parameters
+    ----------
+    work
+        The output.
+    colors
+        ``int32 (H, W, C)``: the values of the sample's pixels that are compared with known pixels.
+    randomness
+        The paper's k: places are drawn with a probability proportional to exp(-cost / (k sigma^2)). The cost is the
+        mean squared difference of the window's pixels; sigma is the standard deviation of the sample's colors. Both
+        are summed over channels. 0: one of the places of least cost is drawn.
+    rng
+        The generator that draws places.
+    guide
+        Values that are compared at all pixels, known or not: ``int32 (H, W, M)`` of the output, and the same of the
+        sample.
+    reach
+        See :meth:`Patchwork.lay_patch`.
+    """
+
+    def __init__(
+        self,
+        work: Patchwork,
+        colors: Features,
+        randomness: float,
+        rng: np.random.Generator,
+        guide: tuple[Features, Features],
+        reach: int = 0,
+    ) -> None:
+        self.work, self.colors, self.randomness, self.rng = work, colors, randomness, rng
+        self.guide, self.reach, self._variance = guide, reach, summed_variance(colors)
+        self._translations = Translations(np.concatenate([colors, guide[1]], -1), colors.shape[2])
+
+    def cover_window(self, window: Window) -> int:
+        """Lay a patch into a window, and return the number of replaced pixels; 0 if no replacement reduces the cost."""
+        pixels = self.work.pixels(window)
+        known = self.work.known[pixels]
+        values = np.concatenate([self.work.read(self.colors, window), self.guide[0][pixels]], -1)
+        costs = self._translations.compute_costs(values, known)
+        scale = self.randomness * self._variance * known.size
+        return self.work.lay_patch(window, draw_translation(costs, scale, self.rng), self.reach)
+
+    def improve_worst_window(self, heat: SeamHeat) -> int:
+        """Cover the window whose seams cost most again, and return the number of replaced pixels."""
+        window = heat.find_worst()
+        new = self.cover_window(window)
+        heat.update(window, self.reach)
+        return new
+
+
+def scan_windows(shape: tuple[int, int], size: tuple[int, int], step: tuple[int, int], wrap: bool) -> Iterator[Window]:
+    """Yield windows of a size that cover an output, line by line, at distances of ``step`` (rows, columns).
+
+    The last window of a line and the windows of the last line are cropped at the output's edge. If the output wraps,
+    they cross the edge instead.
+    """
+    for top in range(0, shape[0] if wrap else max(shape[0] - size[0] + step[0], 1), step[0]):
+        for left in range(0, shape[1] if wrap else max(shape[1] - size[1] + step[1], 1), step[1]):
+            bottom, right = top + size[0], left + size[1]
+            yield top, bottom if wrap else min(bottom, shape[0]), left, right if wrap else min(right, shape[1])

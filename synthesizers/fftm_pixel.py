@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.detectors.frdft import Frdft
-from nrbench.errors import checker
+from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Shape, Synthesis, Task
 
 from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
@@ -103,11 +103,11 @@ class FftmPixel(MaskParameters, SearchParameters):
     def __post_init__(self) -> None:
         MaskParameters.__post_init__(self)
         SearchParameters.__post_init__(self)
-        _check(2 <= self.neighborhood <= 6, f"neighborhood {self.neighborhood}; choose from 2 to 6 px")
-        _check(0 <= self.weight <= 100, f"weight {self.weight}; choose from 0 to 100")
-        _check(
-            self.match == "full" or self.weight == 1.0,
-            f"weight {self.weight} with match 'cluster', which uses no mask; choose match 'full', or leave weight out",
+        require_ranges(self, neighborhood=(2, 6), weight=(0, 100))
+        unused = self.match == "cluster" and self.weight != 1.0
+        require(
+            not unused,
+            f"weight {self.weight} has no effect with match 'cluster'; choose match 'full'",
         )
 
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
@@ -136,9 +136,6 @@ class FftmPixel(MaskParameters, SearchParameters):
         image, source = growth.result()
         task.progress(1.0)
         return Synthesis(image, mask.lattice, source, {"mask": bordered[top : top + height, left : left + width]})
-
-
-_check = checker("fftm-pixel")
 
 
 def _border(length: int, reach: int) -> tuple[range, range]:
@@ -186,14 +183,12 @@ class Clusters:
         corner
             Rows and columns of the border at the top and at the left.
         """
-        height, width = shape
-        columns = np.arange(width) + corner[1]
+        columns = np.arange(shape[1]) + corner[1]
         labels = np.empty(shape, np.int64)
-        for start in range(0, height, CLUSTER_BAND):
-            rows = np.arange(start, min(start + CLUSTER_BAND, height)) + corner[0]
+        for start in range(0, shape[0], CLUSTER_BAND):
+            rows = np.arange(start, min(start + CLUSTER_BAND, shape[0])) + corner[0]
             pixels = (rows[:, np.newaxis] * layers.shape[2] + columns).ravel()
             vectors = self.neighborhood.vectors(layers, pixels).astype(np.float64)
-            labels[start : start + CLUSTER_BAND] = scipy.cluster.vq.vq(vectors, self.centers)[0].reshape(
-                len(rows), width
-            )
+            numbers, _ = scipy.cluster.vq.vq(vectors, self.centers)
+            labels[start : start + len(rows)] = numbers.reshape(len(rows), -1)
         return labels

@@ -5,18 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require, require_ranges
+from nrbench.imaging.box_sums import box_sums
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
-from .patchwork.patchwork import Patchwork, SeamHeat, Window
-from .patchwork.translations import to_gray_levels
-from .patchwork.whole_patches import Placement, WholePatches
+from .patchwork.patchwork import (
+    Costs,
+    Features,
+    Mask,
+    Patchwork,
+    SeamHeat,
+    Translations,
+    Window,
+    draw_translation,
+    summed_variance,
+    to_gray_levels,
+)
+from .sampling.fourier_products import FourierProducts, Spectra
 
-Refine = Literal["worst", "random", "minima", "extremes", "none"]
+Refine = Literal["worst", "random", "minima", "extremes"]
 
 LEAST_REGION = 3
 """px: least side of a region that a patch covers."""
@@ -32,6 +45,7 @@ LEAST_FEATHER = 0.1
 """px: the least width of feathering. At this width the weight of a pixel's neighbor is 2e-22."""
 LEAST_GAIN = 0.01
 """A pass of refinement pays if it reduces the total cost of the seams by at least this share."""
+Placement = Literal["entire", "sub-patch", "random"]
 
 
 @dataclass(frozen=True)
@@ -80,9 +94,8 @@ class GraphCuts:
         Which region is covered again. ``"worst"``: the one whose seams cost most; the cost counts half for each earlier
         try. ``"random"``, ``"minima"``, ``"extremes"``: a random one of all regions, of those at local minima of the
         cost of their seams, or of those at local minima and maxima (figure 46 of Lin, Hays, Wu, Kwatra, Liu 2004).
-        ``"none"``: the output is only filled.
     passes
-        The most passes of refinement, 0 or more.
+        The most passes of refinement, 0 or more. 0: the output is only filled.
     normalized
         Whether the cost of a seam is divided by the gradients along it (section 5), so that seams prefer places where
         the texture varies strongly.
@@ -129,16 +142,10 @@ class GraphCuts:
 }"""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.randomness <= MOST_RANDOM:
-            raise BadInput(
-                f"randomness {self.randomness}; choose 0 (always a translation of least cost) to {MOST_RANDOM:g}"
-            )
-        if not 0 < self.region <= 0.8:
-            raise BadInput(f"region {self.region}; choose a share of the sample above 0, at most 0.8")
-        if self.passes < 0:
-            raise BadInput(f"passes {self.passes}; choose 0 or more")
-        if self.feather != 0 and not LEAST_FEATHER <= self.feather <= 8:
-            raise BadInput(f"feather {self.feather}; choose 0 (copies only), or {LEAST_FEATHER:g} to 8 px")
+        require_ranges(self, randomness=(0, MOST_RANDOM), passes=(0, math.inf), feather=(0, 8))
+        require(0 < self.region <= 0.8, f"region {self.region}; choose a share of the sample above 0, at most 0.8")
+        soft = self.feather == 0 or self.feather >= LEAST_FEATHER
+        require(soft, f"feather {self.feather}; choose 0 (copies only), or {LEAST_FEATHER:g} to 8 px")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`GraphCuts`.
@@ -150,12 +157,11 @@ class GraphCuts:
         """
         work, patches = self.prepare(task)
         regions = math.prod(task.shape) / math.prod(patches.size)
-        filled = 1 / (1 + self.passes * (self.refine != "none"))
+        filled = 1 / (1 + self.passes)
         while (region := patches.find_unknown()) is not None:
             patches.cover_region(region)
             task.progress(filled * region[0] / task.shape[0])
-        if self.refine != "none":
-            self._refine(work, patches, task, math.ceil(regions), filled)
+        self._refine(work, patches, task, math.ceil(regions), filled)
         image, source = work.feathered(self.feather)
         task.progress(1.0)
         return Synthesis(image, source=source)
@@ -212,3 +218,208 @@ def _costliest_pixel(work: Patchwork, region: Window) -> tuple[int, int]:
     pixels = work.pixels(region)
     y, x = divmod(int(work.seams[:, pixels[0], pixels[1]].sum(0).argmax()), region[3] - region[2])
     return region[0] + y, region[2] + x
+
+
+@dataclass(eq=False)
+class WholePatches:
+    """Lays the whole sample over regions of an output; a minimum cut decides which of its pixels are shown.
+
+    The paper calls these regions error regions: the next unknown part of the output, or a part with bad seams. Only
+    translations at which the sample covers the region completely are considered. A translation that is already shown in
+    a known region is not considered, because it fits best and changes nothing.
+
+    Parameters
+    ----------
+    work
+        The output. It does not wrap.
+    colors
+        ``int32 (H, W, C)``: the values of the sample that are compared with known pixels.
+    size
+        (height, width) px of a region, smaller than the sample and not larger than the output.
+    placement
+        How a translation is chosen. ``"entire"``: the whole sample is compared with all known pixels that it overlaps;
+        the cost C(t) is the mean squared difference (entire-patch matching). ``"sub-patch"``: only a window around the
+        region is compared. ``"random"``: all translations are equally probable.
+    randomness
+        The paper's k: translations are drawn with a probability proportional to exp(-C(t) / (k sigma^2)). 0: one of
+        the least cost.
+    least_overlap
+        For ``"entire"``: translations of a smaller overlap are not considered, because a mean over a few pixels says
+        little. As a share of the largest overlap of all considered translations.
+    margin
+        For ``"sub-patch"``: (rows, columns) px by which the window is larger than the region, on each side. The window
+        is not larger than the sample.
+    rng
+        The generator that draws translations.
+    """
+
+    work: Patchwork
+    colors: Features
+    size: tuple[int, int]
+    placement: Placement
+    randomness: float
+    least_overlap: float
+    margin: tuple[int, int]
+    rng: np.random.Generator
+
+    def find_unknown(self) -> Window | None:
+        """Return the region at the first unknown pixel, line by line; None if all pixels are known."""
+        known = self.work.known
+        index = int(known.argmin())
+        if known.flat[index]:
+            return None
+        ends = zip(divmod(index, known.shape[1]), self.size, known.shape, strict=True)
+        top, left = (min(start, side - length) for start, length, side in ends)
+        return top, top + self.size[0], left, left + self.size[1]
+
+    def cover_region(self, region: Window, forced_pixel: tuple[int, int] | None = None) -> int:
+        """Lay the sample over a region, fill all unknown pixels under it, and return the number of changed pixels.
+
+        Parameters
+        ----------
+        region
+            Inside the output.
+        forced_pixel
+            See :meth:`~nrbench.synthesizers.patchwork.patchwork.Patchwork.lay_patch`.
+        """
+        costs = self._rate_translations(region)
+        if not np.isfinite(costs).any():
+            return 0
+        column, row = draw_translation(costs, self.randomness * self._variance, self.rng)
+        top, left = row + self._first(region)[0], column + self._first(region)[1]
+        height, width = self.colors.shape[:2]
+        (bottom, right), (y, x) = (top + height, left + width), (max(top, 0), max(left, 0))
+        window = y, min(bottom, self.work.shape[0]), x, min(right, self.work.shape[1])
+        return self.work.lay_patch(window, (x - left, y - top), forced_pixel=forced_pixel)
+
+    def _first(self, region: Window) -> tuple[int, int]:
+        """Return the (y, x) in the output of the sample's first pixel at the first translation considered."""
+        return region[1] - self.colors.shape[0], region[3] - self.colors.shape[1]
+
+    @cached_property
+    def _counts(self) -> tuple[int, int]:
+        """The number of translations along each axis at which the sample covers a region."""
+        return self.colors.shape[0] - self.size[0] + 1, self.colors.shape[1] - self.size[1] + 1
+
+    def _rate_translations(self, region: Window) -> Costs:
+        """Return C(t) of each translation that covers a region; infinity where it is not considered."""
+        if self.placement == "entire":
+            costs = self._compare_all(region)
+        elif self.placement == "sub-patch":
+            costs = self._compare_window(region)
+        else:
+            costs = np.zeros(self._counts)
+        known = self.work.known[self.work.pixels(region)]
+        if known.all():
+            costs[self._shown(region)] = np.inf
+        return costs
+
+    def _compare_all(self, region: Window) -> Costs:
+        """Compare the sample with all known pixels that it overlaps."""
+        top, left = self._first(region)
+        ends = top + self._reach[0], left + self._reach[1]
+        inside = max(top, 0), min(ends[0], self.work.shape[0]), max(left, 0), min(ends[1], self.work.shape[1])
+        part = slice(inside[0] - top, inside[1] - top), slice(inside[2] - left, inside[3] - left)
+        known, values = np.zeros(self._reach, np.bool_), np.zeros((*self._reach, self.colors.shape[2]), np.int32)
+        known[part] = self.work.known[self.work.pixels(inside)]
+        values[part] = self.work.read(self.colors, inside)
+        costs, areas = self._entire.compute_costs(values, known)
+        considered = areas >= self.least_overlap * areas.max()
+        return np.where(considered, costs / np.maximum(areas, 1), np.inf)
+
+    def _compare_window(self, region: Window) -> Costs:
+        """Compare a window around the region with all parts of the sample; the sample covers the window completely."""
+        window: list[int] = []
+        for axis in (0, 1):
+            start, stop = region[2 * axis], region[2 * axis + 1]
+            more = min(self.margin[axis], (self.colors.shape[axis] - self.size[axis]) // 2)
+            window += [max(start - more, 0), min(stop + more, self.work.shape[axis])]
+        y0, y1, x0, x1 = window
+        known = self.work.known[y0:y1, x0:x1]
+        sums = self._parts.compute_costs(self.work.read(self.colors, (y0, y1, x0, x1)), known)
+        costs = np.full(self._counts, np.inf)
+        # A part that starts in row r of the sample lies there at translation y0 - r of the sample's first pixel.
+        top, left = self._first(region)
+        rows, columns = y0 - top - np.arange(sums.shape[0]), x0 - left - np.arange(sums.shape[1])
+        costs[np.ix_(rows, columns)] = sums / max(int(known.sum()), 1)
+        return costs
+
+    def _shown(self, region: Window) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the translations, as rows and columns of the costs, that are shown in a known region."""
+        pixels, (top, left) = self.work.pixels(region), self._first(region)
+        x, y = np.moveaxis(self.work.origin[pixels], -1, 0)
+        rows, columns = pixels[0] - y - top, pixels[1] - x - left
+        within = (rows >= 0) & (rows < self._counts[0]) & (columns >= 0) & (columns < self._counts[1])
+        return rows[within], columns[within]
+
+    @cached_property
+    def _reach(self) -> tuple[int, int]:
+        """The (height, width) px of the union of all translations of the sample that cover a region."""
+        return self.colors.shape[0] + self._counts[0] - 1, self.colors.shape[1] + self._counts[1] - 1
+
+    @cached_property
+    def _entire(self) -> EntirePatch:
+        return EntirePatch(self.colors, self._counts)
+
+    @cached_property
+    def _parts(self) -> Translations:
+        return Translations(self.colors, self.colors.shape[2])
+
+    @cached_property
+    def _variance(self) -> float:
+        return summed_variance(self.colors)
+
+
+@dataclass(frozen=True, eq=False)
+class EntirePatch:
+    """The translations of a whole patch over an output that is only partly known (entire-patch matching).
+
+    Parameters
+    ----------
+    patch
+        ``int32 (H, W, C)``: the whole sample. Sums of squares over it must be below 2^47.
+    counts
+        (rows, columns): the number of translations that are compared along each axis.
+    """
+
+    patch: Features
+    counts: tuple[int, int]
+
+    def compute_costs(self, window: Features, known: Mask) -> tuple[Costs, Costs]:
+        """Compare the patch with the known pixels that it overlaps, at each translation.
+
+        Parameters
+        ----------
+        window
+            ``int32 (H + rows - 1, W + columns - 1, C)``: the part of the output that the patch can reach.
+        known
+            ``bool (H + rows - 1, W + columns - 1)``: the known pixels. Those beyond the output's edges are unknown.
+
+        Returns
+        -------
+        costs
+            ``(rows, columns)``, exact: the sums of squared differences, at each position of the patch's first pixel in
+            the window. The paper's C(t) is this sum over the area.
+        areas
+            ``(rows, columns)``: the number of known pixels that the patch overlaps.
+
+        Notes
+        -----
+        With M = 1 at known pixels, the sum over M (O - I)^2 is that of M O^2, a box sum, minus twice the correlation of
+        M O with I, plus the correlation of M with I^2. The time is O(C n log n) for windows of n pixels.
+        """
+        seen = np.moveaxis(window * known[..., np.newaxis], -1, 0)
+        size = self.patch.shape[0], self.patch.shape[1]
+        spectra = self._products.transform(np.stack([*(-2 * seen), known]))
+        energy = box_sums((seen.astype(np.int64) ** 2).sum(0), size)
+        return energy + self._products.correlate(spectra, self._spectra, self.counts), box_sums(known, size)
+
+    @cached_property
+    def _products(self) -> FourierProducts:
+        return FourierProducts((self.patch.shape[0] + self.counts[0] - 1, self.patch.shape[1] + self.counts[1] - 1))
+
+    @cached_property
+    def _spectra(self) -> Spectra:
+        """The spectra of the patch's channels, and last that of its squares, summed over channels."""
+        planes = np.moveaxis(self.patch, -1, 0)
+        return self._products.transform(np.stack([*planes, (planes.astype(np.int64) ** 2).sum(0)]))

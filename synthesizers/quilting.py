@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
-from .gap_filling.blocks import Box
+from .gap_filling.block_canvas import Box
 from .gap_filling.matching import FrameMatcher
 from .patch_laying.raster_canvas import (
     LARGEST_SHARE,
@@ -81,8 +81,7 @@ class Quilting:
 
     def __post_init__(self) -> None:
         check_patch("block", self.block, "overlap", self.overlap)
-        if not 0 <= self.tolerance <= LARGEST_SHARE:
-            raise BadInput(f"tolerance {self.tolerance}; choose 0 (only the best blocks) to {LARGEST_SHARE:g}")
+        require_ranges(self, tolerance=(0, LARGEST_SHARE))
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis.

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Kind, Shape, Synthesis, Task
 
@@ -44,8 +44,7 @@ class RandomPhase:
     version: ClassVar[str] = "1"
 
     def __post_init__(self) -> None:
-        if not 0 <= self.fade <= 0.5:
-            raise BadInput(f"random-phase: fade is {self.fade}; choose a share of the sides from 0 to 0.5")
+        require_ranges(self, fade=(0, 0.5))
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis."""

@@ -10,21 +10,18 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .geometry.deformed_lattice import Deform
 from .geometry.straightening import Bend, StraightSample, trace_points
-from .geometry.vertex_field import Deform, Update
-from .sampling.equal_places import pixel_grid
+from .sampling.equal_places import pixel_grid, require_two_periods
 from .sampling.patches import Patches, round_places
-from .sampling.two_periods import require_two_periods
 from .texel_pasting.quiet_borders import TexelKind, parallelogram, quiet_texels
-from .texel_pasting.texel_mosaic import TexelMosaic
-from .texel_pasting.texel_shape import TexelShape
-from .texel_pasting.texel_stock import TexelStock
+from .texel_pasting.texel_mosaic import TexelMosaic, TexelShape, TexelStock
 
 ZONE: Final = (3.0, 8.0)
 """px: the least and the greatest default breadth of the zone; between them it is a sixth of s."""
@@ -52,9 +49,10 @@ class RegularizedPatch:
 
     The report leaves to the user what is automatic here: the vectors and the corners of texels. It leaves open the
     order of vertices found at the same time (rows), the breadth of the zone, and d_max, for which Liang et al. take
-    ``tolerance=0.2``. As printed, equation 1 makes the lattice collapse; :mod:`~.geometry.vertex_field` says how it is
-    read. With that reading, equation 3 shrinks the deformation to about 0.15 of the sample's amplitude. The settings of
-    the report are ``texel=given,tolerance=0.2,update=argmax``.
+    ``tolerance=0.2``. As printed, equation 1 makes the lattice collapse;
+    :func:`~.geometry.deformed_lattice.neighbor_field` says how it is read. With that reading, equation 3 shrinks the
+    deformation to about 0.15 of the sample's amplitude. The settings of the report are
+    ``texel=given,tolerance=0.2,deform=argmax``.
 
     Parameters
     ----------
@@ -69,12 +67,9 @@ class RegularizedPatch:
         d_max over the root mean square of the texels' values along their borders, 0 to 1000. 0: always the texel that
         differs least.
     deform
-        Deformation of the output. ``"synthesize"``: drawn anew. ``"keep"``: the sample's own, mirrored beyond the
-        sample. ``"none"``: the output is regular.
-    update
-        How the deformation is synthesized. ``"sample"``: drawn at once from a normal distribution whose covariance is
-        that of the sample's displacements. ``"gibbs"``: each vertex is drawn in turn given its eight neighbors
-        (equation 2). ``"argmax"``: each vertex takes its most likely place (equation 3).
+        Deformation of the output. ``"normal"``: drawn at once from a normal distribution whose covariance is that of
+        the sample's displacements. ``"argmax"``: each vertex takes its most likely place, given its eight neighbors
+        (equation 3). ``"none"``: the output is regular.
 
     References
     ----------
@@ -86,8 +81,7 @@ class RegularizedPatch:
     texel: TexelKind | Literal["given"] = "hexagon"
     zone: float | None = None
     tolerance: float = 0.05
-    deform: Deform = "synthesize"
-    update: Update = "sample"
+    deform: Deform = "normal"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -97,7 +91,7 @@ class RegularizedPatch:
     patch_placement: ClassVar[str] = "lattice points"
     patch_stitching: ClassVar[str] = "image-feathering"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "paper": {"texel": "given", "tolerance": 0.2, "update": "argmax"}
+        "paper": {"texel": "given", "tolerance": 0.2, "deform": "argmax"}
     }
     paper: ClassVar[str] = """@techreport{lin2004comparison,
   author = {Lin, Wen-Chieh and Hays, James H. and Wu, Chenyu and Kwatra, Vivek and Liu, Yanxi},
@@ -108,15 +102,7 @@ class RegularizedPatch:
 }"""
 
     def __post_init__(self) -> None:
-        if self.zone is not None and not 0 <= self.zone < np.inf:
-            raise BadInput(f"zone {self.zone}; choose 0 px or more, or leave it out")
-        if not 0 <= self.tolerance <= 1000:
-            raise BadInput(f"tolerance {self.tolerance}; choose from 0 to 1000")
-        if self.update != "sample" and self.deform != "synthesize":
-            raise BadInput(
-                f"update {self.update!r} has no effect with deform {self.deform!r}; "
-                "choose update 'sample', also beside preset 'paper', or deform 'synthesize'"
-            )
+        require_ranges(self, zone=(0, np.inf), tolerance=(0, 1000))
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`RegularizedPatch`.
@@ -130,7 +116,7 @@ class RegularizedPatch:
         require_two_periods(lattice, task.sample.shape)
         straight = StraightSample.of(task.sample, lattice)
         deform: Deform = self.deform if straight.departs else "none"
-        bend = Bend.of(straight, task.shape, deform, self.update, task.rng)
+        bend = Bend.of(straight, task.shape, deform, task.rng)
         reader = TexelReader(straight)
         shape = self._texel_shape(straight, lattice)
         last = np.array(task.sample.shape[1::-1]) - 0.5

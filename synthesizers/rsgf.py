@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.detectors.gncc import Gncc
-from nrbench.errors import BadInput
+from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Refused, Synthesis, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .gap_filling.blocks import Block, BlockGrid, check_border
-from .gap_filling.canvas import BlockCanvas, SeamMethod
+from .gap_filling.block_canvas import Block, BlockCanvas, BlockGrid, SeamMethod, check_border
 from .gap_filling.matching import FrameMatcher, Match, align_patch
 from .geometry.straightening import Geometry, straighten_first
 from .sampling.equal_places import EqualPlaces, Pixels, SearchShape, nearby_pixels, nearest_pixels
@@ -143,19 +142,13 @@ class Rsgf:
 
     def __post_init__(self) -> None:
         check_border(self.block, self.border)
-        fraction = self.candidate_fraction
-        if self.tolerance is not None and not self.tolerance >= 0:
-            raise BadInput(f"tolerance {self.tolerance}; choose 0 px or more, or leave it out")
-        if fraction is not None and not 0 <= fraction <= 1:
-            raise BadInput(f"candidate_fraction {fraction}; choose from 0 to 1, or leave it out")
-        for name, value in (("tolerance", self.tolerance), ("candidate_fraction", fraction)):
-            if value is not None and self.search != "lattice":
-                raise BadInput(
-                    f"{name} {value} has no effect with search {self.search!r}; "
-                    f"choose search 'lattice', or leave {name} out"
-                )
-        if self.geometry == "straighten" and self.search == "stochastic":
-            raise BadInput("geometry 'straighten' needs a lattice, which search 'stochastic' does not use; drop one")
+        require_ranges(self, candidate_fraction=(0, 1))
+        require(self.tolerance is None or self.tolerance >= 0, f"tolerance {self.tolerance}; choose 0 px or more")
+        for name in ("tolerance", "candidate_fraction"):
+            effective = getattr(self, name) is None or self.search == "lattice"
+            require(effective, f"{name} has no effect with search {self.search!r}; choose search 'lattice'")
+        straight = self.geometry == "as-is" or self.search != "stochastic"
+        require(straight, "geometry 'straighten' needs a lattice, which search 'stochastic' does not use; drop one")
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`Rsgf`.

@@ -9,8 +9,7 @@ import numpy as np
 
 from nrbench.plugins.forms import Kind, Synthesis, Task
 
-from .gap_filling.blocks import BlockGrid, check_border
-from .gap_filling.canvas import compose
+from .gap_filling.block_canvas import BlockGrid, check_border, compose
 from .sampling.patches import Patches
 
 

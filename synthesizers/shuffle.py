@@ -14,8 +14,7 @@ from nrbench.imaging.mean_tile import fold, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Task
 
-from .baselines.lattice_baseline import LatticeBaseline
-from .baselines.voronoi_cell import OFFSET, edge_points, half_extent, whole_cell_centers
+from .baselines.lattice_baseline import OFFSET, LatticeBaseline, edge_points, half_extent, whole_cell_centers
 
 _STEPS = 24
 """Number of places of the cell, along each vector, that are tried for the cuts."""

@@ -11,8 +11,7 @@ import numpy as np
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Task
 
-from .baselines.lattice_baseline import LatticeBaseline
-from .baselines.voronoi_cell import half_extent, half_extents
+from .baselines.lattice_baseline import LatticeBaseline, half_extent, half_extents
 
 _CANDIDATES = 300
 """Number of lattice vectors tried for each side of the crop: those nearest to the sample's sides."""

@@ -10,17 +10,16 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require, require_ranges
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Refused, Synthesis, Task, find_lattice
+from nrbench.plugins.forms import Refused, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .geometry.straightening import Geometry, straighten_first
-from .sampling.two_periods import require_two_periods
-from .tile_laying.stitch_kernels import FEATHER
-from .tile_laying.tile_canvas import TileCanvas
+from .sampling.equal_places import require_two_periods
+from .tile_laying.tile_canvas import OverlapMeasure, ShiftedImages, TileCanvas, TilePlaces, TileStock
+from .tile_laying.tile_kernels import FEATHER
 from .tile_laying.tile_shape import AnchorKind, ElementWeights, TileKind, TileShape, anchor_lattice, tile_shape
-from .tile_laying.tile_stock import OverlapMeasure, ShiftedImages, TilePlaces, TileStock
 
 FINE_PARTS: Final = 4
 """Default parts of a pixel at which tiles are placed if whole pixels are too coarse."""
@@ -164,18 +163,9 @@ class TileSet:
 }"""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.quantile <= 1:
-            raise BadInput(f"quantile {self.quantile}; choose from 0 to 1")
-        if self.threshold is not None and not self.threshold >= 0:
-            raise BadInput(f"threshold {self.threshold}; choose 0 or more")
-        for name in ("registration", "margin"):
-            value = getattr(self, name)
-            if value is not None and not 0 <= value < np.inf:
-                raise BadInput(f"{name} {value}; choose 0 or more px, at most s")
-        for name, most in (("cells", 64), ("parts", 16)):
-            value = getattr(self, name)
-            if value is not None and not 1 <= value <= most:
-                raise BadInput(f"{name} {value}; choose from 1 to {most}")
+        require_ranges(self, quantile=(0, 1), registration=(0, np.inf), margin=(0, np.inf))
+        require(self.threshold is None or self.threshold >= 0, f"threshold {self.threshold}; choose 0 or more")
+        require_ranges(self, cells=(1, 64), parts=(1, 16))
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`TileSet`.
@@ -188,14 +178,12 @@ class TileSet:
         """
         if self.geometry == "straighten":
             return straighten_first(replace(self, geometry="as-is"), task, NamedDetector(self.finder))
-        found = find_lattice(task, NamedDetector(self.finder))
-        if found.lattice is None:
-            raise Refused(f"no lattice found ({found.reason}), so that there are no tiles; give a lattice")
-        self._require_within_s(found.lattice.s)
-        laying = TileLaying(self, task, found.lattice)
+        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no tiles; give a lattice")
+        self._require_within_s(lattice.s)
+        laying = TileLaying(self, task, lattice)
         laying.lay_tiles()
         image, source = laying.canvas.output()
-        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds)
+        return Synthesis(image, lattice, source, detection_seconds=seconds)
 
     def _require_within_s(self, s: float) -> None:
         most = max(s, FEATHER)

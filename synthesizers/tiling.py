@@ -15,8 +15,7 @@ from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Task
 
-from .baselines.lattice_baseline import LatticeBaseline
-from .baselines.voronoi_cell import OFFSET, half_extent, whole_cell_centers
+from .baselines.lattice_baseline import OFFSET, LatticeBaseline, half_extent, whole_cell_centers
 from .sampling.equal_places import pixel_grid
 
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Kind, Shape, Texture
 
@@ -96,8 +96,8 @@ class Model(ABC):
     version: ClassVar[str] = "1"
     least_sizes: ClassVar[Mapping[str, float]] = {}
     """Least values, px, of the parameters that are lengths, as far as they depend on no other parameter."""
-    breadth: ClassVar[str | None] = None
-    """Name of the parameter that is the typical breadth of an element. None: half of :attr:`s`."""
+    breadth: ClassVar[tuple[str, float]] = ("s", 0.5)
+    """Typical breadth of an element: the name of a length, and the breadth as its multiple."""
 
     def __init_subclass__(cls) -> None:
         """Complete a model's page: its own parameters, then those of all models."""
@@ -138,7 +138,8 @@ class Model(ABC):
     @property
     def element_size(self) -> float:
         """Typical breadth of an element in px."""
-        return getattr(self, self.breadth) if self.breadth else self.s / 2
+        name, share = self.breadth
+        return share * float(getattr(self, name))
 
     def sublattices(self) -> tuple[Vectors, ...]:
         """Return the generating vectors, before rotation, of the parts of the pattern that have their own lattices."""
@@ -276,12 +277,6 @@ class SquareModel(RectangularModel):
 
     period: float
     sides = ("period", "period")
-
-
-def require(holds: bool, message: str) -> None:
-    """Raise :class:`BadInput` with ``message`` unless ``holds``."""
-    if not holds:
-        raise BadInput(message)
 
 
 def check_sizes(model: Any, **least: float) -> None:

@@ -14,8 +14,8 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Again, Observation, Shape
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
-from ..verdict.examination import examine
-from ..verdict.reference import FIRST_DRAW
+from ..judgment.examination import examine
+from ..judgment.texture_reference import FIRST_DRAW
 
 LEAST_POINTS = 9
 """Lattice points that an image must hold for its lattice to be measured."""

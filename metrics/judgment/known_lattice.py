@@ -15,7 +15,6 @@ from nrbench.plugins.forms import NoLatticeFound, Observation
 
 from ..perception.visible import perceive
 from ..registration.lattice_net import LatticeNet, Values, fold_cells, sample_planes
-from . import limits
 
 Origin = Literal["model", "given", "dominance"]
 NO_LATTICE = "not applicable: no lattice in the truth"
@@ -79,15 +78,16 @@ def canonical_lattice(lattice: Lattice) -> Lattice:
 def split_supercell(sample: Image, lattice: Lattice) -> Lattice:
     """Return the smallest lattice, with up to four points in the given cell, by which the mean cell repeats.
 
-    A shift by a fraction of the cell is a lattice vector if the mean cell changes by no more than chance explains: twice
-    the variance of a mean of n cells, with a margin of 2, and half a JND.
+    A shift by a fraction of the cell is a lattice vector if the mean cell changes by little: by no more than a quarter of
+    its own variance, nor by more than a tenth of it and four times the variance of a mean of n cells.
     """
     net = LatticeNet((sample.shape[0], sample.shape[1]), reduce_basis(lattice.matrix), np.array(lattice.origin))
     plane = sample_planes(perceive(sample)[..., :3], net.points)
     mean = fold_cells(plane, net.inside, net.samples)
     cells = max(float(net.inside.sum()) / float(net.samples.prod()), 1.0)
     rest = np.asarray((plane - net.tile(mean)) ** 2, np.float32)
-    chance = 4 * float(fold_cells(rest, net.inside, net.samples).mean()) / cells + (limits.JND / 2) ** 2
+    own = float(mean.var((0, 1)).mean())
+    chance = min(4 * float(fold_cells(rest, net.inside, net.samples).mean()) / cells + 0.1 * own, 0.25 * own)
     for parts in range(_MOST_TILES, 1, -1):
         for k in np.ndindex(parts, parts):
             shift = np.array(k) / parts

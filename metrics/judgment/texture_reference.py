@@ -111,6 +111,12 @@ class TextureReference:
         """The straightened pictures less their mean cell, and their known points."""
         return [picture.residual for picture in self.pictures]
 
+    @cached_property
+    def departures(self) -> list[tuple[Values, Mask]]:
+        """The straightened pictures less one mean cell, that of all of them, and their known points."""
+        mean = self.net.tile(self.model.mean)
+        return [(plane - mean, known) for plane, known in (picture.straightened for picture in self.pictures)]
+
     def split(self, known: Sequence[Mask]) -> list[Mask]:
         """Return the known points of each picture, or those of each strip of the sample."""
         if self.strips is None:

@@ -20,9 +20,9 @@ Lab = NDArray[np.float32]
 def perceive(image: Image) -> Lab:
     """Return what is seen of an image: CIELAB, in which chroma is blurred more than luminance.
 
-    This is S-CIELAB (Zhang and Wandell, "A spatial extension of CIELAB", 1997) with one Gaussian for each channel, for a
-    screen of 96 dpi seen from 57 cm: 1 px is 1.6 arc minutes. The fourth plane is L* without blur. Only changes of the
-    finest grain are measured on it.
+    This is S-CIELAB (Zhang and Wandell, "A spatial extension of CIELAB", 1997) with one Gaussian for each channel, for
+    a screen of 96 dpi seen from 57 cm: 1 px is 1.6 arc minutes. The fourth plane is L* without blur. Only changes of
+    the finest grain are measured on it.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def measure_looks(lab: Lab) -> NDArray[np.float32]:
         return np.asarray(gaussian_filter(plane, sigma, mode="reflect", truncate=3))
 
     def level(band: NDArray[np.float32], sigma: float, unseen: float) -> NDArray[Any]:
-        return 10 * np.log(blur(band * band, sigma) + unseen**2)
+        return np.asarray(10 * np.log(blur(band * band, sigma) + unseen**2))
 
     raw = lab[..., 3]
     grain = np.zeros_like(raw)
@@ -57,5 +57,5 @@ def measure_looks(lab: Lab) -> NDArray[np.float32]:
     bands = [lab[..., 0] - octaves[0], octaves[0] - octaves[1], octaves[1] - octaves[2]]
     planes = [lab[..., 0], lab[..., 1], lab[..., 2], level(grain, 1.5, limits.GRAIN_OFFSET)]
     planes += [level(band, sigma, limits.BAND_OFFSET) for band, sigma in zip(bands, (2, 2, 3), strict=True)]
-    planes += [level(lab[..., k] - blur(lab[..., k], 6), 4, 0.7) for k in (1, 2)]
+    planes += [level(lab[..., k] - blur(lab[..., k], 6), 4, limits.JND) for k in (1, 2)]
     return np.asarray(np.stack(planes, -1), np.float32)

@@ -170,7 +170,7 @@ class FollowedPicture:
         return np.asarray(costs[rows, columns, i, j])
 
     @cached_property
-    def slip(self) -> Values:
+    def slip(self) -> NDArray[np.float64]:
         """Largest difference in s of the mean displacements on both sides of each node, over four directions."""
         return _compare_sides(self) / self.net.s
 
@@ -180,7 +180,7 @@ class FollowedPicture:
         return self._centers(self.size)
 
     def _centers(self, size: int) -> Points:
-        numbers = np.stack(np.indices(2 * (self.net.cells - size) + 1), -1) / 2 + size / 2 + self.net.first
+        numbers = np.moveaxis(np.indices(_node_shape(self.net, size)), 0, -1) / 2 + size / 2 + self.net.first
         return np.asarray(numbers @ self.net.vectors + self.net.origin)
 
     @cached_property
@@ -239,10 +239,16 @@ class FollowedPicture:
         return places, costs, cover > 0.97
 
 
+def _node_shape(net: LatticeNet, size: int) -> tuple[int, int]:
+    """Return the number of windows along each vector."""
+    rows, columns = 2 * (net.cells - size) + 1
+    return int(rows), int(columns)
+
+
 def _average_windows(plane: Values, net: LatticeNet, size: int) -> tuple[Values, Values]:
     """Average the cells of each window, ``(R, C, n1, n2, 3)``, and return which share of it lies inside the picture."""
     half = net.samples // 2
-    shape = tuple(2 * (net.cells - size) + 1)
+    shape = _node_shape(net, size)
     windows, cover = np.zeros((*shape, *net.samples, 3), np.float32), np.zeros(shape, np.float32)
     for a, b in np.ndindex(2, 2):
         y, x = a * half[0], b * half[1]
@@ -356,7 +362,7 @@ def _fill(field: Field, unknown: Mask) -> Field:
     return np.asarray(field[rows, columns])
 
 
-def _compare_sides(picture: FollowedPicture) -> Values:
+def _compare_sides(picture: FollowedPicture) -> NDArray[np.float64]:
     """Return the largest difference px between the mean displacements of the two sides of each node."""
     near = picture.displacement - picture.expected
     known = picture.valid & (picture.away < 0.3)

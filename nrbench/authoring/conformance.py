@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from nrbench.errors import BadInput
 from nrbench.plugins.parameters import nearest
 from nrbench.running.guard import Limits
 from nrbench.running.runner import Options, execute
-from nrbench.running.supervisor import Supervisor
+from nrbench.running.supervisor import InProcessRunner, RequestRunner, Supervisor
 from nrbench.running.worker import Request
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import temporary_folder, write_json
@@ -27,9 +27,6 @@ LIMITS = Limits(120.0, 4096.0)
 """The limits of one clause, where no others are given."""
 CHECK = f"{plugin_checks.__name__}.{plugin_checks.check.__name__}"
 """The name of the phase that checks a clause."""
-
-Examine = Callable[[Clause, Path], Result]
-"""Checks a clause in a folder that holds ``cell.json``."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +81,6 @@ def check_plugin(
     ------
     Conformance
         What the plugin does about one clause.
-    Finding
-        The verdict on a clause, ``pass``, ``fail`` or ``skip``, and why.
 
     Raises
     ------
@@ -104,10 +99,8 @@ def check_plugin(
         place = stack.enter_context(temporary_folder())
         run = make_example_run(place / "run") if kind == "reports" else ""
         subject = {"kind": kind, "name": name, "parameters": dict(parameters or {}), "run": str(run)}
-        examine: Examine = _examine_here
-        if not here:
-            supervisors = [stack.enter_context(Supervisor(forks=forks)) for forks in (True, False)]
-            examine = _examiner(supervisors, limits)
+        supervisors = [] if here else [stack.enter_context(Supervisor(forks=forks)) for forks in (True, False)]
+        runners: list[RequestRunner] = [*supervisors] or [InProcessRunner()]
         missed: set[str] = set()
         for clause in clauses:
             folder = place / clause.name.replace(" ", "-")
@@ -115,7 +108,7 @@ def check_plugin(
             if clause.after in missed:
                 result = Result(status="refused", message=f"depends on the clause {clause.after!r}")
             else:
-                result = examine(clause, folder)
+                result = _examine(clause, Request(CHECK, str(folder), limits.seconds, limits.mib), runners)
             if result["status"] != "ok":
                 missed.add(clause.name)
             yield _conformance(clause, result, folder)
@@ -134,30 +127,20 @@ def _choose(kind: str, only: Collection[str]) -> list[Clause]:
     return [clause for clause in CLAUSES[kind] if clause.name in wanted]
 
 
-def _examine_here(clause: Clause, folder: Path) -> Result:
-    """Check a clause in this process."""
-    if clause.twice:
+def _examine(clause: Clause, request: Request, runners: list[RequestRunner]) -> Result:
+    """Check a clause by the first runner, or by two of them whose answers must be equal."""
+    if clause.twice and len(runners) < 2:
         return {"status": "refused", "message": "needs two interpreters"}
-    results: list[Any] = []
-    plugin_checks.check(folder, results.append)
-    return dict(results[-1])  # type: ignore[return-value]
-
-
-def _examiner(supervisors: list[Supervisor], limits: Limits) -> Examine:
-    """Return a function that checks a clause in a child process, or in two interpreters whose answers must be equal."""
-
-    def examine(clause: Clause, folder: Path) -> Result:
-        request = Request(CHECK, str(folder), limits.seconds, limits.mib)
-        first = supervisors[0].run(request).result
-        if not clause.twice or first["status"] != "ok":
-            return first
-        second = supervisors[1].run(request).result
-        if second["status"] == "ok" and second["message"] != first["message"]:
-            why = "another interpreter gave another answer (sets, hash() or ids of objects?)"
-            return {"status": "invalid", "message": why}
-        return {**second, "message": clause.demand} if second["status"] == "ok" else second
-
-    return examine
+    answers = []
+    for runner in runners[: 1 + clause.twice]:
+        result = runner.run(request).result
+        if result["status"] != "ok":
+            return result
+        answers.append(result["message"])
+    if len(set(answers)) > 1:
+        why = "another interpreter gave another answer (sets, hash() or ids of objects?)"
+        return {"status": "invalid", "message": why}
+    return {"status": "ok", "message": clause.demand if clause.twice else answers[0]}
 
 
 def _conformance(clause: Clause, result: Result, folder: Path) -> Conformance:

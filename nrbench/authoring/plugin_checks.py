@@ -1,8 +1,8 @@
 """What a plugin of each kind must do: one function for each clause, which ``nrbench check`` and tests share.
 
 A clause is a function that receives a :class:`Subject`: the plugin, and small inputs on which it is tried. It returns
-what was seen, in a few words, or None. It raises :class:`Violated` or :class:`Skipped`. Its docstring says what a
-plugin must do.
+what was seen, in a few words, or None. It raises InvalidOutput if the plugin does something else,
+and Refused if the clause does not apply. Its docstring says what a plugin must do.
 """
 
 from __future__ import annotations
@@ -11,14 +11,12 @@ import dataclasses
 import hashlib
 import inspect
 import json
-import math
 import os
 import random
 import re
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -33,8 +31,9 @@ from nrbench.errors import BadInput, describe_error
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins import forms
+from nrbench.plugins.forms import Refused
 from nrbench.running.output_checks import InvalidOutput, check_source, checked_synthesis
-from nrbench.running.phases import FAULTS, Send, freeze, leaves, score_observation, send_error, write_score
+from nrbench.running.phases import FAULTS, Send, freeze, leaves, score_observation, write_score
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder
 from nrbench.storage import read_json
@@ -44,8 +43,8 @@ from nrbench.suites.plan import draw_texture
 
 WALL = {"width": 16.0, "height": 12.0, "color": 0.2, "noise": 0.02}
 """Parameters of the brick wall on which plugins are tried."""
-SAMPLE, OUTPUT, LARGE = (84, 100), (96, 112), (192, 224)
-"""Shapes of a sample, of an output, and of the output whose time is measured."""
+SAMPLE, OUTPUT = (84, 100), (96, 112)
+"""Shapes of a sample and of an output."""
 MARK = "nrbench-mark"
 MARKUP = {
     **dict.fromkeys((".html", ".htm", ".svg", ".md"), f"<script>{MARK}"),
@@ -56,18 +55,10 @@ MARKUP = {
 not stand there unchanged; in CSV not at the beginning of a field."""
 
 
-class Violated(Exception):
-    """The plugin does not do what a clause demands; the message says what it does instead."""
-
-
-class Skipped(Exception):
-    """A clause does not apply to the plugin; the message says why."""
-
-
 def demand(holds: Any, message: str) -> None:
-    """Raise :class:`Violated` with a message unless a condition holds."""
+    """Raise InvalidOutput with a message unless a condition holds."""
     if not holds:
-        raise Violated(message)
+        raise InvalidOutput(message)
 
 
 @dataclass(frozen=True)
@@ -106,17 +97,10 @@ class Subject:
     """Return the plugin's answer to an input."""
     describe: ClassVar[Callable[..., str]]
     """Check the answer to an input; return it in a few words. Refused and errors of the plugin pass."""
-    unit: ClassVar[str] = "pixel"
-    """What the time is given for."""
 
     def answer(self, seed: int = 0) -> Any:
         """Return the plugin's answer to the input of a seed."""
         return self.call(self.make_input(seed))
-
-    def work(self) -> int:
-        """Do what is timed; return the number of the units that it works on."""
-        self.describe(shape=LARGE)
-        return math.prod(LARGE)
 
 
 @dataclass(frozen=True)
@@ -175,24 +159,14 @@ def clause(
 
 
 def check(folder: Path, send: Send) -> None:
-    """Check the clause that ``cell.json`` names. This is a phase, see :mod:`nrbench.running.phases`.
+    """Check the clause that ``cell.json`` names, and send what was seen, as a phase of :mod:`nrbench.running.phases`.
 
-    Sends one message: status ``ok`` (fulfilled), ``refused`` (it does not apply), ``invalid`` (violated) or ``error``,
-    with what was seen.
+    InvalidOutput is raised if the clause is violated, Refused if it does not apply.
     """
     wanted = read_json(CellFolder(folder).cell_file) or {}
     subject = SUBJECTS[wanted["kind"]](wanted["name"], wanted["parameters"], wanted["run"])
     (chosen,) = (each for each in CLAUSES[wanted["kind"]] if each.name == wanted["clause"])
-    try:
-        send({"status": "ok", "message": chosen.test(subject) or chosen.demand})
-    except Skipped as skipped:
-        send({"status": "refused", "message": str(skipped)})
-    except forms.Refused as refusal:
-        send({"status": "refused", "message": f"refused: {refusal.reason}"})
-    except Violated as violated:
-        send({"status": "invalid", "message": str(violated)})
-    except FAULTS as error:
-        send_error(error, send)
+    send({"status": "ok", "message": chosen.test(subject) or chosen.demand})
 
 
 # ---------------------------------------------------------------------------------------------------- the inputs
@@ -245,7 +219,7 @@ def digest(answer: Any) -> str:
 class SynthesizerSubject(Subject):
     """A synthesizer."""
 
-    kind, unit = "synthesizers", "pixel of the output"
+    kind = "synthesizers"
     first = ("output", "The output has the shape, the channels and the range of an image.")
 
     @property
@@ -275,11 +249,8 @@ class SynthesizerSubject(Subject):
         """Check all but the source map."""
         task = self.make_input(**changes)
         made = self.call(task)
-        try:
-            bare = dataclasses.replace(made, source=None) if isinstance(made, forms.Synthesis) else made
-            height, width, channels = checked_synthesis(bare, task.sample, task.shape).image.shape
-        except InvalidOutput as invalid:
-            raise Violated(str(invalid)) from None
+        bare = dataclasses.replace(made, source=None) if isinstance(made, forms.Synthesis) else made
+        height, width, channels = checked_synthesis(bare, task.sample, task.shape).image.shape
         return f"{width}x{height} px, channels: {channels}, {_numbers(made.lattice)}"
 
 
@@ -327,8 +298,8 @@ class DetectorSubject(Subject):
 class MetricSubject(Subject):
     """A metric."""
 
-    kind, unit = "metrics", "pixel of the output"
-    first = ("score", "Every declared column has a value, or None and a reason.")
+    kind = "metrics"
+    first = ("score", "Every declared column has a value in its range, or None and a reason.")
 
     def make_input(self, seed: int = 0, channels: int = 3, known: str = "model") -> forms.Observation:
         """Return a fresh draw as an output. ``known`` is ``"model"``, ``"lattice"`` or ``"nothing"``."""
@@ -351,25 +322,20 @@ class MetricSubject(Subject):
         """Return the score of an observation."""
         return score_observation(given, self.name, self.parameters)
 
-    def values(self, **changes: Any) -> dict[str, Any]:
-        """Return the values of a checked score."""
+    def describe(self, **changes: Any) -> str:
+        """Check that the score is complete and in the declared ranges, and that it can be written."""
         try:
             score = self.call(self.make_input(**changes))
         except (TypeError, ValueError) as error:
-            raise Violated(describe_error(error)) from error
+            raise InvalidOutput(describe_error(error)) from error
         with tempfile.TemporaryDirectory(prefix="nrbench-") as folder:
             write_score(CellFolder(Path(folder)), self.name, score)
-        return dict(score.values)
-
-    def describe(self, **changes: Any) -> str:
-        """Check that the score is complete, and that it can be written."""
-        values = self.values(**changes).values()
-        return f"{sum(value is not None for value in values)} of {len(values)} columns have a value"
-
-    def work(self) -> int:
-        """Score an output."""
-        self.answer()
-        return math.prod(OUTPUT)
+        for name, value in score.values.items():
+            low, high = self.cls.columns[name].range
+            demand(value is None or low <= value <= high, f"{name} is {value}, outside its range {low} to {high}")
+        return (
+            f"{sum(value is not None for value in score.values.values())} of {len(score.values)} columns have a value"
+        )
 
 
 class DatasetSubject(Subject):
@@ -398,7 +364,7 @@ class DatasetSubject(Subject):
         try:
             return draw_texture(self.recipe(shape=shape), shape)[0]
         except BadInput as error:
-            raise Violated(str(error)) from None
+            raise InvalidOutput(str(error)) from None
 
     def describe(self, **changes: Any) -> str:
         """Check the shape, the channels and the range."""
@@ -410,7 +376,7 @@ class DatasetSubject(Subject):
 class ReportSubject(Subject):
     """A report."""
 
-    kind, unit = "reports", "cell"
+    kind = "reports"
     first = ("files", "The report returns the paths of the files that it wrote.")
 
     def make_input(self, seed: int = 0, **changes: Any) -> Path:
@@ -439,11 +405,6 @@ class ReportSubject(Subject):
         demand(files, "wrote no file, or did not return its path")
         return ", ".join(f"{name} ({len(content) / 1024:.1f} KiB)" for name, content in list(files.items())[:3])
 
-    def work(self) -> int:
-        """Write the report."""
-        self.answer()
-        return len(Run(Path(self.run)).cells)
-
 
 SUBJECTS: Mapping[str, type[Subject]] = {
     subject.kind: subject
@@ -463,7 +424,7 @@ def parameters_survive(subject: Subject) -> str:
         back = json.loads(json.dumps(known, allow_nan=False))
         again = plugins.parameters_of(plugins.build(subject.kind, subject.name, back))
     except (TypeError, ValueError) as error:
-        raise Violated(f"do not survive JSON: {error}") from None
+        raise InvalidOutput(f"do not survive JSON: {error}") from None
     demand(again == known, f"read back from JSON as {again}")
     for name, value in known.items():
         text = _as_text(value)
@@ -472,7 +433,7 @@ def parameters_survive(subject: Subject) -> str:
             try:
                 found = plugins.parameters_of(plugins.build(subject.kind, subject.name, given))[name]
             except BadInput as error:
-                raise Violated(f"{name}={text} is refused as text: {error}") from None
+                raise InvalidOutput(f"{name}={text} is refused as text: {error}") from None
             demand(found == value, f"{name}={text} is read as {found!r} instead of {value!r}")
     return f"{len(known)} parameter{'s' * (len(known) != 1)} survive JSON and text"
 
@@ -502,10 +463,10 @@ def paper_is_bibtex(subject: Subject) -> str:
     """Check that the paper, if there is one, is a BibTeX entry."""
     text = inspect.cleandoc(str(getattr(subject.cls, "paper", "")))
     if not text:
-        raise Skipped("declares no paper; if there is one, set `paper: ClassVar[str]` to its BibTeX entry")
+        raise Refused("declares no paper; if there is one, set `paper: ClassVar[str]` to its BibTeX entry")
     found = re.match(r"@\w+\s*\{\s*([^\s,{}]+)\s*,", text)
     if found is None:
-        raise Violated(f"{text[:40]!r} is no BibTeX entry; begin with @article{{key,")
+        raise InvalidOutput(f"{text[:40]!r} is no BibTeX entry; begin with @article{{key,")
     demand(text.count("{") == text.count("}"), "the braces of the BibTeX entry do not match")
     return found[1]
 
@@ -587,7 +548,7 @@ def input_stays(subject: Subject) -> None:
     except ValueError as error:
         if "read-only" not in str(error):
             raise
-        raise Violated(f"writes into its input: {describe_error(error)}; copy the array first") from None
+        raise InvalidOutput(f"writes into its input: {describe_error(error)}; copy the array first") from None
 
 
 @clause("gray", SynthesizerSubject, DetectorSubject, MetricSubject)
@@ -612,13 +573,13 @@ def describe_cases(subject: Subject, cases: Mapping[str, Mapping[str, Any]], ins
     for name, changes in cases.items():
         try:
             subject.describe(**changes)
-        except forms.Refused as refusal:
+        except Refused as refusal:
             demand(isinstance(refusal.reason, str) and refusal.reason, f"{name}: refused without a reason")
             refused += 1
-        except Violated as violated:
-            raise Violated(f"{name}: {violated}") from None
+        except InvalidOutput as invalid:
+            raise InvalidOutput(f"{name}: {invalid}") from None
         except FAULTS as error:
-            raise Violated(f"{name}: raised {describe_error(error)}; {instead} instead") from error
+            raise InvalidOutput(f"{name}: raised {describe_error(error)}; {instead} instead") from error
     return f"{len(cases)} odd inputs: {refused} refused, {len(cases) - refused} valid"
 
 
@@ -629,7 +590,7 @@ def describe_cases(subject: Subject, cases: Mapping[str, Mapping[str, Any]], ins
 def lattice_is_found(method: SynthesizerSubject) -> str:
     """Check that without a given lattice the method finds it or refuses."""
     if not method.uses_lattice:
-        raise Skipped("uses no lattice")
+        raise Refused("uses no lattice")
     return method.describe(lattice=None)
 
 
@@ -639,12 +600,9 @@ def source_map_is_true(method: SynthesizerSubject) -> str:
     task = method.make_input()
     made = method.call(task)
     if made.source is None:
-        raise Skipped("gives no source map")
+        raise Refused("gives no source map")
     source = np.asarray(made.source, np.float32)
-    try:
-        check_source(source, quantize(np.asarray(made.image, np.float32)), task.sample)
-    except InvalidOutput as invalid:
-        raise Violated(str(invalid)) from None
+    check_source(source, quantize(np.asarray(made.image, np.float32)), task.sample)
     return f"{np.mean(source[..., 2] > 1 - 1e-6):.0%} of the pixels are copies, all equal to their sources"
 
 
@@ -671,7 +629,7 @@ def progress_rises(method: SynthesizerSubject) -> str:
     seen: list[float] = []
     method.call(method.make_input(progress=seen.append))
     if not seen:
-        raise Skipped("reports no progress")
+        raise Refused("reports no progress")
     inside = all(isinstance(x, int | float | np.number) and 0 <= x <= 1 for x in seen)
     demand(inside, f"reports {seen[:5]}; pass fractions in [0, 1]")
     demand(seen == sorted(seen), "the fraction goes back; it must not fall")
@@ -706,15 +664,6 @@ def little_is_known(metric: MetricSubject) -> str:
     cases = {"no model, as of a photograph": "lattice", "nothing known of the texture": "nothing"}
     changes = {name: {"known": known} for name, known in cases.items()}
     return describe_cases(metric, changes, "give None and a reason")
-
-
-@clause("range", MetricSubject, after="little known")
-def values_are_in_range(metric: MetricSubject) -> None:
-    """Check that the values are in the declared ranges."""
-    for known in ("model", "lattice"):
-        for name, value in metric.values(known=known).items():
-            low, high = metric.cls.columns[name].range
-            demand(value is None or low <= value <= high, f"{name} is {value}, outside its range {low} to {high}")
 
 
 # ------------------------------------------------------------------------------------------------------ datasets
@@ -767,11 +716,11 @@ def _repetition_error(ideal: NDArray[np.float64], lattice: Lattice) -> float:
 
 @clause("fresh draws", DatasetSubject)
 def fresh_draws_fit(model: DatasetSubject) -> None:
-    """Check that fresh draws have the same lattice and origin."""
+    """Check that fresh draws have the requested shape, and the same lattice and origin."""
     texture = model.valid()
     draws = [model.recipe().again(texture)(OUTPUT, k) for k in (0, 1)]
     if draws[0] is None:
-        raise Skipped("gives no fresh draws; the oracle refuses the texture")
+        raise Refused("gives no fresh draws; the oracle refuses the texture")
     for drawn in draws:
         _check_draw(drawn, texture)
         known, lattice = texture.lattice, cast("forms.Texture", drawn).lattice
@@ -780,24 +729,17 @@ def fresh_draws_fit(model: DatasetSubject) -> None:
             demand(same, f"a draw has another lattice: {lattice} after {known}")
             away = np.hypot(*known.wrap(np.subtract(cast("Lattice", lattice).origin, known.origin)))
             demand(away < 1e-6, f"a draw has another origin: {cast('Lattice', lattice).origin} after {known.origin}")
+    recompose = model.recipe().recompose(texture)
+    if recompose is not None:
+        _check_draw(recompose(OUTPUT, 0), texture)
 
 
 def _check_draw(drawn: object, texture: forms.Texture) -> None:
     if not isinstance(drawn, forms.Texture):
-        raise Violated(f"returned {type(drawn).__name__} instead of a Texture")
+        raise InvalidOutput(f"returned {type(drawn).__name__} instead of a Texture")
     wanted = (*OUTPUT, texture.image.shape[2])
     demand(drawn.image.shape == wanted, f"a draw of {wanted} has the shape {drawn.image.shape}")
     demand(np.isfinite(drawn.image).all(), "a draw has NaN or infinity")
-
-
-@clause("recomposition", DatasetSubject)
-def recomposition_fits(model: DatasetSubject) -> None:
-    """Check that draws of copied elements have the requested shape."""
-    texture = model.valid()
-    recompose = model.recipe().recompose(texture)
-    if recompose is None:
-        raise Skipped("has no method recompose; the reference `copier` refuses the texture")
-    _check_draw(recompose(OUTPUT, 0), texture)
 
 
 # ------------------------------------------------------------------------------------------------------- reports
@@ -828,7 +770,7 @@ def names_are_escaped(report: ReportSubject) -> None:
     """Check that names and messages are escaped."""
     files = {name: content for name, content in report.answer().items() if Path(name).suffix.lower() in MARKUP}
     if not files:
-        raise Skipped(f"writes no {', '.join(MARKUP)}")
+        raise Refused(f"writes no {', '.join(MARKUP)}")
     for name, content in files.items():
         active = MARKUP[Path(name).suffix.lower()]
         pattern = rf'(?m)(^|,)"?{re.escape(active)}' if active.startswith("=") else re.escape(active)
@@ -840,21 +782,11 @@ def names_are_escaped(report: ReportSubject) -> None:
 def terminal_report_is_text(report: ReportSubject) -> str:
     """Check that a report for the terminal returns text."""
     if not getattr(report.cls, "terminal", False):
-        raise Skipped("is not printed after a run; set `terminal: ClassVar[bool] = True` if it is to be")
+        raise Refused("is not printed after a run; set `terminal: ClassVar[bool] = True` if it is to be")
     try:
         made = plugins.build("reports", report.name, {**report.parameters, "width": 80})
     except BadInput as error:
-        raise Violated(f"{error}; a report for the terminal has a parameter `width`") from None
+        raise InvalidOutput(f"{error}; a report for the terminal has a parameter `width`") from None
     text = made.render(Run(Path(report.run)))
     demand(isinstance(text, str), f"render returned {type(text).__name__} instead of text")
     return f"{len(text.splitlines())} lines"
-
-
-@clause("time", *_ALL)
-def time_is_measured(subject: Subject) -> str:
-    """Check that the time is measured."""
-    subject.work()
-    start = time.perf_counter()
-    count = subject.work()
-    seconds = time.perf_counter() - start
-    return f"{seconds / count * 1e6:.3g} µs a {subject.unit} ({seconds * 1e3:.3g} ms)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,13 +13,13 @@ import click
 import numpy as np
 
 from nrbench import plugins
-from nrbench.api import as_lattice, follow_lattice
+from nrbench.api import as_lattice, follow_bent_lattice
 from nrbench.cli.lattice_results import LatticeResult
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import write_image
-from nrbench.imaging.overlays import contact_sheet, draw_lattice, draw_overlay, draw_segments, stack, zoom_panels
+from nrbench.imaging.overlays import contact_sheet, draw_lattice, draw_overlay, draw_segments, stack
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import NoLatticeFound
@@ -29,10 +30,8 @@ from nrbench.suites.surveying import Survey, draw_candidates, lattice_text
 if TYPE_CHECKING:
     from nrbench.tracking.deformation import Deformation
 
-WHOLE = 1024
-"""px; largest side of an image that a comparison of detectors shows as a whole."""
-ZOOM = 480
-"""px; side of the picture that shows the middle of a larger image."""
+LETTERS = 38
+"""Number of letters on a line of a caption."""
 LARGEST = 1024
 """px; a larger image is followed only if ``--straighten`` is given, because it takes long."""
 
@@ -176,14 +175,15 @@ def _run_detector(image: Image, name: str) -> LatticeResult:
 
 
 def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Path) -> None:
-    """Write a sheet with a captioned picture for each candidate of each detector; of a large image, its middle."""
-    lattices = [each.lattice for result in results for each in result.candidates]
-    is_large = max(image.shape[:2]) > WHOLE
-    drawn = zoom_panels(image, lattices, ZOOM) if is_large else [draw_lattice(image, each) for each in lattices]
-    queue, nothing = iter(drawn), image[:1, :1] if is_large else image
-    pictures = [picture for result in results for picture in [next(queue) for _ in result.candidates] or [nothing]]
-    letters = max(32, max(picture.shape[1] for picture in pictures) // 6)
-    captions = [text for result in results for text in result.captions(letters)]
+    """Write a sheet with a captioned picture for each candidate of each detector."""
+    pictures, captions = [], []
+    for result in results:
+        panels, texts = draw_candidates(image, result.candidates)
+        if not panels:
+            lines = textwrap.wrap(result.reason, LETTERS, max_lines=4, placeholder=" ...")
+            panels, texts = [image[:1, :1]], ["\n".join(["no lattice", *lines])]
+        pictures += panels
+        captions += [f"{result.detector}\n{text}" for text in texts]
     write_image(output, contact_sheet(pictures, captions, columns=3))
 
 
@@ -209,7 +209,7 @@ def straighten_picture(
     """
     name, parameters = parse_spec(spec)
     try:
-        followed = follow_lattice(image, as_lattice(lattice), name, parameters)
+        followed = follow_bent_lattice(image, as_lattice(lattice), name, parameters)
     except NoLatticeFound as none:
         click.echo(f"{output}: not written, there is no lattice to straighten by", err=True)
         LatticeResult(name, None, reason=none.reason).print(as_json)
@@ -231,7 +231,7 @@ def find_bent_lattice(image: Image, detector: str) -> LatticeResult | None:
     if max(image.shape[:2]) > LARGEST:
         return None
     try:
-        followed = follow_lattice(image, detector=detector, only_promising=True)
+        followed = follow_bent_lattice(image, detector=detector, only_promising=True)
     except NoLatticeFound:
         return None
     return LatticeResult.of_followed(detector, followed) if followed.deformation.bent else None

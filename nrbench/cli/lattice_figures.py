@@ -11,7 +11,6 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backend_bases import Event, KeyEvent, MouseButton, MouseEvent
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -91,13 +90,10 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
     axes.set_xlabel(curve.label, fontsize=8)
 
 
-STEPS = (
-    "click a corner of a tile, or any point that you will recognize",
-    "click the same point of the next tile: the end of t1",
-    "click the same point of the next tile in another direction: the end of t2",
-)
-MARKS = "cyan"
-KEYS = "Enter accepts, Backspace removes the last point, Escape cancels"
+CLICKS = "click a corner of a tile, the same corner of the next tile (t1), and of the next in another direction (t2)"
+"""The title of the window before the clicks."""
+ACCEPT = "any key accepts this lattice, a click begins again, closing the window cancels"
+"""The title of the window after the clicks."""
 
 
 def lattice_of(points: Sequence[Vector]) -> Lattice:
@@ -112,67 +108,6 @@ def lattice_of(points: Sequence[Vector]) -> Lattice:
     return Lattice((x1 - x, y1 - y), (x2 - x, y2 - y), (x, y))
 
 
-class Picker:
-    """Let the user click three points in a figure, and draw the lattice that they span.
-
-    Parameters
-    ----------
-    figure
-        Shows the image; the picker handles the events of its canvas.
-    image
-        The texture.
-    """
-
-    def __init__(self, figure: Figure, image: Image) -> None:
-        self.lattice: Lattice | None = None
-        self.accepted = False
-        self._image, self._points, self._problem = image, list[Vector](), ""
-        self._figure, self._axes = figure, figure.add_axes((0.02, 0.02, 0.96, 0.88))
-        self._axes.axis("off")
-        shown = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image
-        self._picture = self._axes.imshow(shown, interpolation="nearest")
-        (self._marks,) = self._axes.plot([], [], "+-", color=MARKS, ms=14, mew=2, lw=1)
-        figure.canvas.mpl_connect("button_press_event", self._click)
-        figure.canvas.mpl_connect("key_press_event", self._press)
-        self._show()
-
-    def _click(self, event: Event) -> None:
-        assert isinstance(event, MouseEvent)
-        busy = getattr(getattr(self._figure.canvas, "toolbar", None), "mode", "")
-        is_click = event.inaxes is self._axes and event.button == MouseButton.LEFT and not busy
-        if is_click and len(self._points) < 3 and event.xdata is not None and event.ydata is not None:
-            self._points.append((float(event.xdata), float(event.ydata)))
-            self._update()
-
-    def _press(self, event: Event) -> None:
-        assert isinstance(event, KeyEvent)
-        if event.key == "escape" or (event.key == "enter" and self.lattice is not None):
-            self.accepted = event.key == "enter"
-            plt.close(self._figure)
-        elif event.key == "backspace" and self._points:
-            self._points.pop()
-            self._update()
-
-    def _update(self) -> None:
-        self.lattice, self._problem = None, ""
-        if len(self._points) == 3:
-            try:
-                self.lattice = lattice_of(self._points)
-            except BadInput:
-                self._points.pop()
-                self._problem = "the three points lie on one line; "
-        self._show()
-
-    def _show(self) -> None:
-        title = KEYS if self.lattice else f"{len(self._points) + 1} of 3: {self._problem}{STEPS[len(self._points)]}"
-        self._axes.set_title(title, fontsize=10)
-        drawn = draw_lattice(self._image, self.lattice) if self.lattice else self._image
-        self._picture.set_data(np.repeat(drawn, 3, axis=2) if drawn.shape[2] == 1 else drawn)
-        order = [1, 0, 2] if len(self._points) == 3 else range(len(self._points))
-        self._marks.set_data(*np.reshape([self._points[i] for i in order], (-1, 2)).T)
-        self._figure.canvas.draw_idle()
-
-
 def pick(image: Image) -> Lattice:
     """Open a window, and return the lattice that the user clicks and accepts.
 
@@ -185,17 +120,56 @@ def pick(image: Image) -> Lattice:
         figure = plt.figure("nrbench lattice --pick", figsize=(9, 9))
     except Exception as error:  # of the toolkit: no display, no such module
         raise _no_window(str(error)) from error
-    if getattr(figure.canvas, "required_interactive_framework", None) is None:
+    try:
+        if getattr(figure.canvas, "required_interactive_framework", None) is None:
+            raise _no_window(f"matplotlib's backend is {plt.get_backend()}")
+        return pick_in(figure, image)
+    finally:
         plt.close(figure)
-        raise _no_window(f"matplotlib's backend is {plt.get_backend()}")
-    handler = getattr(figure.canvas.manager, "key_press_handler_id", None)
-    if handler is not None:
-        figure.canvas.mpl_disconnect(handler)
-    picker = Picker(figure, image)
-    plt.show(block=True)
-    if picker.lattice is None or not picker.accepted:
-        raise BadInput("--pick: cancelled, no lattice was picked")
-    return picker.lattice
+
+
+def pick_in(figure: Figure, image: Image) -> Lattice:
+    """Return the lattice that the user clicks and accepts in a figure.
+
+    Parameters
+    ----------
+    figure
+        An empty figure, whose canvas receives the events of the user.
+    image
+        The texture.
+
+    Raises
+    ------
+    BadInput
+        If the user cancels, by Escape or Enter before the third click, or by closing the window.
+    """
+    axes = figure.add_axes((0.02, 0.02, 0.96, 0.88))
+    axes.axis("off")
+    color = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image
+    picture = axes.imshow(color, interpolation="nearest")
+    figure.canvas.mpl_connect("close_event", lambda event: figure.canvas.stop_event_loop())
+    title, cancelled = CLICKS, BadInput("--pick: cancelled, no lattice was picked")
+    while True:
+        picture.set_data(color)
+        axes.set_title(title, fontsize=10)
+        figure.canvas.draw_idle()
+        points = figure.ginput(3, timeout=0)
+        if len(points) < 3:
+            raise cancelled
+        try:
+            lattice = lattice_of(points)
+        except BadInput:
+            title = f"these points lie on one line; {CLICKS}"
+            continue
+        picture.set_data(draw_lattice(color, lattice))
+        axes.set_title(ACCEPT, fontsize=10)
+        figure.canvas.draw_idle()
+        accepted = figure.waitforbuttonpress()
+        if accepted is None:
+            raise cancelled
+        if accepted:
+            return lattice
+        title = CLICKS
 
 
 def _no_window(why: str) -> BadInput:

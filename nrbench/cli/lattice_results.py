@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import textwrap
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -108,21 +107,6 @@ class LatticeResult:
             line = f"{name:<12} {t1:<20} {t2:<20} {candidate.confidence:>10.3f} {cost:>8}  {candidate.relation}"
             lines.append(line.rstrip())
         return lines
-
-    def captions(self, letters: int) -> list[str]:
-        """Return captions of a comparison's pictures, one for each of the first candidates.
-
-        There is one that says why if there is no lattice. A line has at most ``letters`` characters.
-        """
-        if self.detection is None:
-            lines = textwrap.wrap(self.reason, letters, max_lines=4, placeholder=" ...")
-            return ["\n".join([f"{self.detector}: no lattice", *lines])]
-        texts = []
-        for number, candidate in enumerate(self.candidates, 1):
-            name = self.detector if number == 1 else f"{self.detector}, candidate {number}"
-            lines = [f"{name}, confidence {candidate.confidence:.3f}", *textwrap.wrap(candidate.relation, letters)]
-            texts.append("\n".join([*lines, *vector_texts(candidate.lattice, candidate.has_origin)]))
-        return texts
 
 
 def describe_deformation(found: Deformation) -> str:

@@ -66,43 +66,30 @@ def waiting(what: str) -> Iterator[Callable[[float], None]]:
     Callable
         Takes the fraction that is done, in [0, 1].
     """
-    clock = _Clock(what)
-    ticker = threading.Thread(target=clock.tick, daemon=True)
-    ticker.start()
-    try:
-        yield clock.set
-    finally:
-        clock.ended.set()
-        ticker.join()
+    start, ended, fraction = time.monotonic(), threading.Event(), 0.0
 
+    def advance(done: float) -> None:
+        nonlocal fraction
+        fraction = min(1.0, max(fraction, float(done)))
 
-class _Clock:
-    """Writes lines of progress; a line replaces the one before on a terminal."""
-
-    def __init__(self, what: str) -> None:
-        self.what = what
-        self.start = time.monotonic()
-        self.fraction = 0.0
-        self.ended = threading.Event()
-
-    def set(self, fraction: float) -> None:
-        """Note the fraction that is done."""
-        self.fraction = min(1.0, max(self.fraction, float(fraction)))
-
-    def tick(self) -> None:
-        """Write a line now and then until the step ends; on a terminal, remove the last one."""
+    def tick() -> None:
         begin, end, pause = ("\r\x1b[2K", "", 0.5) if sys.stderr.isatty() else ("", "\n", PAUSE)
-        if self.ended.wait(PATIENCE):
+        if ended.wait(PATIENCE):
             return
         while True:
-            print(f"{begin}{self.line(time.monotonic() - self.start)}", end=end, file=sys.stderr, flush=True)
-            if self.ended.wait(pause):
+            passed = time.monotonic() - start
+            state = f"{passed:.0f} s"
+            if fraction:
+                state = f"{100 * fraction:.0f} %, about {max(1, round(passed / fraction * (1 - fraction)))} s left"
+            print(f"{begin}{what}: {state}", end=end, file=sys.stderr, flush=True)
+            if ended.wait(pause):
                 break
-        print(begin, end="", file=sys.stderr, flush=True)
+        print(begin, end="", file=sys.stderr, flush=True)  # removes the last line from a terminal
 
-    def line(self, passed: float) -> str:
-        """Return what is shown after some seconds."""
-        if not self.fraction:
-            return f"{self.what}: {passed:.0f} s"
-        left = passed / self.fraction * (1 - self.fraction)
-        return f"{self.what}: {100 * self.fraction:.0f} %, about {max(1, round(left))} s left"
+    ticker = threading.Thread(target=tick, daemon=True)
+    ticker.start()
+    try:
+        yield advance
+    finally:
+        ended.set()
+        ticker.join()

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -150,7 +151,7 @@ def _tell_as_json(text: str) -> None:
 def _show_steps(as_json: bool) -> Iterator[Callable[[Step], None]]:
     """Show the steps of a run on standard error: as JSON lines, or as :func:`~nrbench.cli.progress.live_progress`."""
     if as_json:
-        yield lambda step: print(json.dumps({"event": "cell", **step.as_dict()}), file=sys.stderr, flush=True)
+        yield lambda step: print(json.dumps({"event": "cell", **asdict(step)}), file=sys.stderr, flush=True)
         return
     with live_progress(estimate=False) as show:
         yield lambda step: show(step.done, step.total, _describe_step(step))

@@ -201,12 +201,12 @@ def _print_terminal_reports(run: Run, columns: Sequence[str]) -> None:
 
     Such a report has the parameter ``width``, and may have ``columns``.
     """
-    width = max(40, shutil.get_terminal_size((120, 40)).columns)
+    shared: dict[str, Any] = {"width": max(40, shutil.get_terminal_size((120, 40)).columns)}
+    if columns:
+        shared["columns"] = tuple(columns)
     for plugin in plugins.inventory("reports"):
         if getattr(plugin.cls, "terminal", False):
-            takes_columns = "columns" in {field.name for field in fields(plugin.cls)}  # type: ignore[arg-type]
-            given = {"width": width, **({"columns": tuple(columns)} if columns and takes_columns else {})}
-            print(plugins.build("reports", plugin.name, given).render(run), end="")
+            print(_build_report(plugin.name, shared, {}).render(run), end="")
 
 
 def _summary(run: Run, written: list[Path]) -> dict[str, Any]:
@@ -247,9 +247,9 @@ def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
 
 def _find_done(plan: Plan, root: Path, retry_failed: bool) -> Callable[[Cell], bool]:
     """Return a function that tells whether a run would reuse the results of a cell."""
-    from nrbench.running.runner import is_cached, metrics_of
+    from nrbench.running.runner import find_metrics, is_cached
 
-    directory, metrics = RunDirectory(root), metrics_of(plan.suite)
+    directory, metrics = RunDirectory(root), find_metrics(plan.suite.metrics)
     return lambda cell: is_cached(directory, cell, metrics, retry_failed)
 
 

@@ -82,13 +82,13 @@ def _moments(channel: NDArray[np.float32], counts: NDArray[np.float32]) -> tuple
     Lags as in :func:`_products`. A deviation is the root of the sum of squares from the overlap's own mean.
     """
     means, deviations = np.empty((2, 2, *counts.shape), np.float32)
-    for half, (one, other), (squares, others) in zip(
+    for half, (sums, others), (squares, other_squares) in zip(
         (0, 1), _corner_sums(channel), _corner_sums(np.square(channel)), strict=True
     ):
-        np.multiply(one, other, out=means[half])
-        variance = np.multiply(one, one, out=deviations[half])
+        np.multiply(sums, others, out=means[half])
+        variance = np.multiply(sums, sums, out=deviations[half])
         variance -= counts * squares
-        variance *= np.square(other) - counts * others
+        variance *= np.square(others) - counts * other_squares
     means /= counts
     np.sqrt(np.maximum(deviations, 0, out=deviations), out=deviations)
     deviations /= counts

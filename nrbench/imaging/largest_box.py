@@ -15,7 +15,7 @@ def largest_box(inside: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     y0, y1, x0, x1 = 0, inside.shape[0], 0, inside.shape[1]
     while y1 - y0 > 1 and x1 - x0 > 1:
         box = inside[y0:y1, x0:x1]
-        worst = [float((~one).mean()) for one in (box[0], box[-1], box[:, 0], box[:, -1])]
+        worst = [float((~border).mean()) for border in (box[0], box[-1], box[:, 0], box[:, -1])]
         side = int(np.argmax(worst))
         if worst[side] == 0:
             break

@@ -77,7 +77,7 @@ class LabelPage:
 
 
 @dataclass(frozen=True)
-class Answer:
+class LabelAnswer:
     """One person's answer to one question about one item.
 
     Parameters
@@ -115,7 +115,7 @@ class Person:
     """
 
     name: str
-    answers: Sequence[Answer]
+    answers: Sequence[LabelAnswer]
 
     def by_cell(self, question: str, again: bool = False) -> dict[str, str]:
         """Return the first answers to a question, or with ``again`` the second answers, by the key of the cell."""
@@ -283,7 +283,7 @@ def _known_items(run: Run) -> dict[str, Item]:
     return {item.id: item for item in items if item.cell in cells}
 
 
-def _read_answers(path: Path, items: Mapping[str, Item]) -> list[Answer]:
+def _read_answers(path: Path, items: Mapping[str, Item]) -> list[LabelAnswer]:
     rows = _read_rows(path)
     answers = [_answer(row, items, f"{path}, line {number}") for number, row in enumerate(rows, 2)]
     counts = Counter((each.item.id, each.question) for each in answers)
@@ -307,7 +307,7 @@ def _read_rows(path: Path) -> list[dict[str, Any]]:
     return [row for row in table if any(row.values())]
 
 
-def _answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> Answer:
+def _answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> LabelAnswer:
     id, question, answer = row["item"], row["question"], row["answer"]
     if id not in items:
         raise BadInput(f"{where}: item {id!r} is on no page of this run; pass answers to a page made for it")
@@ -322,4 +322,4 @@ def _answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> An
         raise BadInput(
             f"{where}: is no answer as the page saves it ({', '.join(COLUMNS[:3])}, seconds >= 0, order >= 1)"
         )
-    return Answer(items[id], question, answer, seconds, order)
+    return LabelAnswer(items[id], question, answer, seconds, order)

@@ -104,7 +104,7 @@ MORE = Question(
     ),
     "quality.score",
 )
-QUESTIONS: Mapping[str, Question] = {one.name: one for one in (LATTICE, ELEMENTS, MORE)}
+QUESTIONS: Mapping[str, Question] = {question.name: question for question in (LATTICE, ELEMENTS, MORE)}
 """All questions by name, in the order in which a page asks them."""
 
 

@@ -426,11 +426,12 @@ def reduce_bases(bases: Points, acute: bool = True) -> Points:
         Turn the vectors to the right, and to make no obtuse angle.
     """
     a, b = bases[:, 0], bases[:, 1]
-    swap = ((a**2).sum(1) > (b**2).sum(1))[:, np.newaxis]
+    swap = (_dot(a, a) > _dot(b, b))[:, np.newaxis]
     for _ in range(MOST_STEPS):
         a, b = np.where(swap, b, a), np.where(swap, a, b)
-        b = b - np.rint((a * b).sum(1) / np.maximum((a**2).sum(1), 1e-300))[:, np.newaxis] * a
-        swap = ((b**2).sum(1) < (a**2).sum(1) * (1 - 1e-12))[:, np.newaxis]
+        square = _dot(a, a)
+        b = b - np.rint(_dot(a, b) / np.maximum(square, 1e-300))[:, np.newaxis] * a
+        swap = (_dot(b, b) < square * (1 - 1e-12))[:, np.newaxis]
         if not swap.any():
             break
     if acute:
@@ -447,8 +448,12 @@ def _point_right(vectors: Points) -> Points:
 
 def _is_obtuse(a: Points, b: Points) -> NDArray[np.bool_]:
     """Return whether the angle between two vectors is obtuse, by more than a rounding error; ``(..., 2)`` each."""
-    dot, square = (a * b).sum(-1), (a * a).sum(-1)
-    return np.asarray(dot < -1e-9 * square)
+    return np.asarray(_dot(a, b) < -1e-9 * _dot(a, a))
+
+
+def _dot(a: Points, b: Points) -> NDArray[np.float64]:
+    """Return the dot products of pairs of vectors ``(..., 2)``; a sum over their axis takes twice as long."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
 
 
 def _break_ties(a: Points, b: Points) -> tuple[Points, Points]:

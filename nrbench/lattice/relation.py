@@ -267,10 +267,10 @@ def count_cells(basis: Points, other: Points, tolerance: float) -> float:
     if index == 0 or apart > CHANCE_RADIUS * shortest:
         return 0.0
     # The errors of the vectors of the finer lattice: the inverse of the change, applied to those of the coarser one.
-    one = math.hypot(q * first[0] - n * second[0], q * first[1] - n * second[1])
-    two = math.hypot(m * second[0] - p * first[0], m * second[1] - p * first[1])
+    first_error = math.hypot(q * first[0] - n * second[0], q * first[1] - n * second[1])
+    second_error = math.hypot(m * second[0] - p * first[0], m * second[1] - p * first[1])
     k = abs(index)
-    if max(one / k, two / k, apart if k == 1 else 0.0) > tolerance:
+    if max(first_error / k, second_error / k, apart if k == 1 else 0.0) > tolerance:
         return 0.0
     return 1 / k if finer else float(k)
 

@@ -422,34 +422,6 @@ class FoundLattice:
     reason: str = ""
     confidence: float | None = None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return a mapping that can be written as JSON.
-
-        Returns
-        -------
-        dict
-            The fields by name.
-        """
-        return {**vars(self), "lattice": self.lattice.as_dict() if self.lattice else None}
-
-    @classmethod
-    def from_dict(cls, mapping: Mapping[str, Any]) -> FoundLattice:
-        """Build the object from the mapping of :meth:`as_dict`; other keys are ignored.
-
-        Parameters
-        ----------
-        mapping
-            A mapping of :meth:`as_dict`.
-
-        Returns
-        -------
-        FoundLattice
-            The object that the mapping was made of.
-        """
-        names = ("seconds", "reason", "confidence")
-        lattice = Lattice.from_dict(mapping["lattice"]) if mapping.get("lattice") else None
-        return cls(lattice, **{name: mapping[name] for name in names if name in mapping})
-
 
 def find_lattice(task: Task, detector: Detector) -> FoundLattice:
     """Return the lattice of the task, or detect that of the sample if none was given.

@@ -7,9 +7,8 @@ import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from types import FrameType
-from typing import Any
 
 from nrbench.runs.store import FAILED
 from nrbench.suites.cell import Cell
@@ -57,10 +56,6 @@ class Step:
         if seconds < 100:
             return f"about {seconds} s left"
         return f"about {round(seconds / 60)} min left" if seconds < 6000 else f"about {round(seconds / 3600)} h left"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the step for JSON."""
-        return asdict(self)
 
 
 Progress = Callable[[Step], None]

@@ -54,23 +54,43 @@ FAULTS = (Exception, SystemExit, GeneratorExit)
 """What a plugin may raise that ends its phase. A keyboard interrupt ends a run that has no children, as it should."""
 
 
+def send_error(error: BaseException, send: Send) -> None:
+    """Send the status and the message of an error that ended a phase.
+
+    The status is ``refused``, ``invalid``, ``memory``, ``storage`` if a disk is full or broken, or else ``error``.
+    """
+    if isinstance(error, Refused):
+        send({"status": "refused", "message": error.reason})
+    elif isinstance(error, InvalidOutput):
+        send({"status": "invalid", "message": str(error)})
+    elif isinstance(error, MemoryError):
+        send({"status": "memory", "message": "ran out of the memory it may use"})
+    else:
+        with contextlib.suppress(OSError):  # the log may lie on the disk that is full
+            traceback.print_exception(error)
+        disk = storage_fault(error)
+        if disk is None:
+            send({"status": "error", "message": describe_error(error)})
+        else:
+            where = f"{disk.filename}: " if disk.filename else ""
+            send({"status": "storage", "message": f"{where}{disk.strerror}"})
+
+
 def render(folder: Path, send: Send) -> None:
     """Draw the texture whose recipe ``cell.json`` holds, write its pixels, and send what is known of it."""
     where = CellFolder(folder)
     wanted = read_json(where.cell_file) or {}
     try:
         texture, again = draw_texture(Recipe.from_dict(wanted["recipe"]), tuple(wanted["shape"]))
-        known = {name: getattr(texture, name) for name in PLAIN}
-        known["lattice"] = texture.lattice.as_dict() if texture.lattice else None
-        known["lattices"] = [lattice.as_dict() for lattice in texture.lattices]
-        write_image(where.sample, texture.image)
-        if again is not None:
-            write_image(where.again, again)
-        send(cast("Message", {"status": "ok", "message": "", "texture": known}))
     except BadInput as error:
-        send({"status": "invalid", "message": str(error)})
-    except FAULTS as error:
-        send_error(error, send)
+        raise InvalidOutput(str(error)) from None
+    known = {name: getattr(texture, name) for name in PLAIN}
+    known["lattice"] = texture.lattice.as_dict() if texture.lattice else None
+    known["lattices"] = [lattice.as_dict() for lattice in texture.lattices]
+    write_image(where.sample, texture.image)
+    if again is not None:
+        write_image(where.again, again)
+    send(cast("Message", {"status": "ok", "message": "", "texture": known}))
 
 
 def read_texture(folder: Path, known: Mapping[str, Any]) -> tuple[Texture, Image | None]:
@@ -87,46 +107,14 @@ def detect(folder: Path, send: Send) -> None:
     where = CellFolder(folder)
     cell = read_json(where.cell_file) or {}
     detector = plugins.build("detectors", cell["detector"], cell["parameters"])
-    try:
-        detection = timed_detection(detector, freeze(read_image(where.sample)))
-    except FAULTS as error:
-        send_error(error, send)
-        return
-    send(cast("Message", {"status": "ok", "message": detection.reason, **detection.as_dict()}))
+    detection = timed_detection(detector, freeze(read_image(where.sample)))
+    send(cast("Message", {"status": "ok", "message": detection.reason, **dataclasses.asdict(detection)}))
 
 
 def synthesize_cell(folder: Path, send: Send) -> None:
-    """Run a cell's method and write its output.
-
-    Sends one message: status ``ok``, ``refused``, ``invalid``, ``memory`` or ``error``, with a message and the costs.
-    """
+    """Run a cell's method, write its output, and send the costs."""
     where = CellFolder(folder)
     cell = _read_cell(where)
-    try:
-        send(cast("Message", _synthesize(where, cell)))
-    except Refused as refusal:
-        send({"status": "refused", "message": refusal.reason})
-    except InvalidOutput as invalid:
-        send({"status": "invalid", "message": str(invalid)})
-    except MemoryError:
-        send({"status": "memory", "message": "ran out of the memory it may use"})
-    except FAULTS as error:
-        send_error(error, send)
-
-
-def send_error(error: BaseException, send: Send) -> None:
-    """Send the message of an error: status ``storage`` if a disk is full or broken, else ``error``."""
-    with contextlib.suppress(OSError):  # the log may lie on the disk that is full
-        traceback.print_exc()
-    disk = storage_fault(error)
-    if disk is not None:
-        where = f"{disk.filename}: " if disk.filename else ""
-        send({"status": "storage", "message": f"{where}{disk.strerror}"})
-    else:
-        send({"status": "error", "message": describe_error(error)})
-
-
-def _synthesize(where: CellFolder, cell: Cell) -> Result:
     method = plugins.build("synthesizers", cell.method, cell.parameters)
     task = _task(where, cell)
     wall, cpu = time.perf_counter(), cpu_seconds()
@@ -134,7 +122,7 @@ def _synthesize(where: CellFolder, cell: Cell) -> Result:
     wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
     synthesis = checked_synthesis(synthesis, task.sample, cell.shape)
     _write(where, synthesis)
-    return {
+    result: Result = {
         "status": "ok",
         "message": "",
         "note": synthesis.note,
@@ -149,41 +137,34 @@ def _synthesize(where: CellFolder, cell: Cell) -> Result:
             if file.is_file()
         },
     }
+    send(cast("Message", result))
 
 
 def _task(where: CellFolder, cell: Cell) -> Task:
     sample = freeze(read_image(where.sample))
     rng = stream("synthesis", cell.seed, pixels_hash(sample), cell.replicate)
-    again = _fresh_draws(where, cell) if cell.reference else None
-    recompose = _recompositions(cell) if cell.reference else None
+    again, recompose = _reference_draws(where, cell) if cell.reference else (None, None)
     return Task(sample, cell.shape, cell.lattice_given, rng, again=again, recompose=recompose)
 
 
-def _fresh_draws(where: CellFolder, cell: Cell) -> Again | None:
-    """Return the fresh draws that a reference method may use; of a photograph, the region that was cut for it."""
+def _reference_draws(where: CellFolder, cell: Cell) -> tuple[Again | None, Again | None]:
+    """Return the fresh draws that a reference method may use, and those made of copies of the sample's elements.
+
+    The fresh draw of a photograph is the region that was cut for it; it has no draws of copies.
+    """
     if cell.procedural:
-        return _frozen_draws(lambda shape, k: cell.recipe.again(cell.recipe.render())(shape, k))
+        texture = freeze(cell.recipe.render())
+        recompose = cell.recipe.recompose(texture)
+        return _frozen_draws(cell.recipe.again(texture)), recompose and _frozen_draws(recompose)
     if not where.again.is_file():
-        return None
+        return None, None
     region = freeze(read_image(where.again))
 
     def draw(shape: Shape, k: int) -> Texture | None:
         fits = k == 0 and region.shape[0] >= shape[0] and region.shape[1] >= shape[1]
         return Texture(region[: shape[0], : shape[1]]) if fits else None
 
-    return draw
-
-
-def _recompositions(cell: Cell) -> Again | None:
-    """Return the draws made of copies of the sample's elements; None for a photograph, or a dataset without them."""
-    if not cell.procedural or not hasattr(cell.recipe.plugin(), "recompose"):
-        return None
-
-    def draw(shape: Shape, k: int) -> Texture | None:
-        recompose = cell.recipe.recompose(cell.recipe.render())
-        return recompose(shape, k) if recompose else None
-
-    return _frozen_draws(draw)
+    return draw, None
 
 
 def leaves(thing: Any) -> Iterator[Any]:
@@ -228,14 +209,10 @@ def report(folder: Path, send: Send) -> None:
     """Write the report of a run that ``cell.json`` names, and send the paths of its files."""
     wanted = read_json(CellFolder(folder).cell_file) or {}
     run = Run(Path(wanted["run"]))
-    try:
-        plugin = plugins.build("reports", wanted["report"], wanted["parameters"])
-        folder = run.root / wanted["folder"]
-        folder.mkdir(parents=True, exist_ok=True)
-        written = [str(path) for path in plugin.write(run, folder)]
-        send({"status": "ok", "message": "", "written": written})
-    except FAULTS as error:
-        send_error(error, send)
+    plugin = plugins.build("reports", wanted["report"], wanted["parameters"])
+    folder = run.root / wanted["folder"]
+    folder.mkdir(parents=True, exist_ok=True)
+    send({"status": "ok", "message": "", "written": [str(path) for path in plugin.write(run, folder)]})
 
 
 def score_cell(folder: Path, send: Send, *metrics: str) -> None:
@@ -252,8 +229,7 @@ def score_cell(folder: Path, send: Send, *metrics: str) -> None:
             write_score(where, metric, score_observation(observation, metric))
         except FAULTS as error:
             if storage_fault(error) is not None:
-                send_error(error, send)
-                return
+                raise
             traceback.print_exc()
             where.write_failed_score(metric, failure_reason(error))
         send({"scored": metric})

@@ -18,16 +18,15 @@ from nrbench.imaging.files import write_image
 from nrbench.plugins.forms import FoundLattice
 from nrbench.running.executors import Executor, executor
 from nrbench.running.output_checks import InvalidOutput
-from nrbench.running.pace import Pace, Progress, Step
+from nrbench.running.pace import Pace, Progress
 from nrbench.running.phases import read_output
 from nrbench.running.supervisor import print_notice
 from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
 from nrbench.storage import write_json
-from nrbench.suites.cell import Cell
+from nrbench.suites.cell import Cell, reader_of
 from nrbench.suites.plan import Plan, PlannedSample
-from nrbench.suites.suite import Suite
 
 T = TypeVar("T")
 TICK = 0.2
@@ -80,10 +79,6 @@ class Options:
     stop: threading.Event = field(default_factory=threading.Event)
 
 
-def _no_progress(step: Step) -> None:
-    """Ignore progress."""
-
-
 def is_cached(directory: RunDirectory, cell: Cell, metrics: Iterable[str], retry_failed: bool = False) -> bool:
     """Return whether a cell's result and all of its scores are on disk."""
     where = directory.cell(cell.key)
@@ -103,18 +98,18 @@ def working_metrics() -> list[str]:
     return [plugin.name for plugin in plugins.inventory("metrics") if plugin.cls is not None]
 
 
-def metrics_of(suite: Suite) -> list[str]:
-    """Return the names of the metrics that score a suite's cells: those that it names, else all that load.
+def find_metrics(names: Iterable[str]) -> list[str]:
+    """Return the names of metrics, each once; if none is named, of all that load.
 
     Raises
     ------
     BadInput
-        When the suite names a metric that is not known or does not load.
+        When a metric is not known or does not load.
     """
-    return [plugins.find("metrics", name).name for name in dict.fromkeys(suite.metrics)] or working_metrics()
+    return [plugins.find("metrics", name).name for name in dict.fromkeys(names)] or working_metrics()
 
 
-def execute(plan: Plan, root: Path, options: Options | None = None, progress: Progress = _no_progress) -> Run:
+def execute(plan: Plan, root: Path, options: Options | None = None, progress: Progress = lambda step: None) -> Run:
     """Run every cell that has no result yet, and return the run.
 
     Parameters
@@ -137,7 +132,7 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     KeyboardInterrupt
         When ``options.stop`` was set before every cell had ended, after the cells that were running have.
     """
-    options, metrics = options or Options(), metrics_of(plan.suite)
+    options, metrics = options or Options(), find_metrics(plan.suite.metrics)
     directory = RunDirectory(root)
     if options.reuse is not None:
         RunDirectory(options.reuse).info()
@@ -281,7 +276,7 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
     why = result["message"] or "no reason given"
     if result["status"] != "ok":
         return dataclasses.replace(cell, fault=f"{cell.lattice_source}: failed: {why}", fault_status="error")
-    detected = FoundLattice.from_dict(result)
+    detected = reader_of(FoundLattice).validate_python({"lattice": None, **result})
     cell = dataclasses.replace(cell, detected=detected, lattice_given=detected.lattice)
     needed = getattr(plugins.find("synthesizers", cell.method).cls, "needs_lattice", True)
     if detected.lattice is not None or not needed:

@@ -272,7 +272,7 @@ class InProcessRunner:
     """The twin of :class:`Supervisor` for the debugger: runs each request in this process, without limits."""
 
     def run(self, request: Request) -> Reply:
-        """Run one request here; raise what the phase raises."""
+        """Run one request here."""
         messages: list[Message] = []
         with np.errstate():  # so that no plugin changes it for the next one
             perform(request, messages.append)

@@ -38,6 +38,7 @@ from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import Send
 from nrbench.runs.store import CellFolder
 from nrbench.storage import leave_user_folder, read_json, remove_folder, working_folder
+from nrbench.suites.cell import Cell, Recipe, reader_of
 
 SCORER_ROOM = 256.0
 """MiB that the scorer may hold between two cells, beyond what the worker holds. Above it, a new one takes its place."""
@@ -133,7 +134,7 @@ class Request:
 
 
 def perform(request: Request, send: Callable[[Message], None]) -> None:
-    """Run one phase in this process, sending messages."""
+    """Run one phase in this process, sending messages; an error that ends it is the last one."""
     before = guard.peak_bytes()
 
     def send_with_memory(message: Message) -> None:
@@ -144,7 +145,10 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
 
     module, _, name = request.phase.rpartition(".")
     phase = getattr(importlib.import_module(module or phases.__name__), name)
-    phase(Path(request.folder), send_with_memory, *request.metrics)
+    try:
+        phase(Path(request.folder), send_with_memory, *request.metrics)
+    except phases.FAULTS as error:
+        phases.send_error(error, send_with_memory)
 
 
 def warm(compiling: Callable[[], None]) -> None:
@@ -160,6 +164,8 @@ def warm(compiling: Callable[[], None]) -> None:
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
         for plugin in plugins.inventory(kind):
             prepare_conversion(plugin.cls)
+    for read in (Cell, Recipe):
+        reader_of(read)
     load_kernels(compiling)
     gc.collect()
     gc.freeze()  # a collection in a child would write into all objects of the worker, and so copy their memory

@@ -347,7 +347,7 @@ def _read_cell(where: CellFolder, entry: Mapping[str, Any]) -> Cell:
     """Return a cell of ``run.json``, with the lattice that was found for it after the plan was made."""
     started = read_json(where.cell_file) or entry
     for found in (started, entry):
-        with contextlib.suppress(LookupError, TypeError, ValueError, AttributeError):
+        with contextlib.suppress(AttributeError, TypeError, ValueError):
             return Cell.from_dict({**entry, **{name: found.get(name) for name in ("lattice_given", "detected")}})
     raise BadInput(f"{where.path.parents[1]}: {RUN_FILE} is damaged; run the same command again")
 

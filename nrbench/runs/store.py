@@ -190,12 +190,7 @@ class CellFolder:
 
     def failed_scores(self, metrics: Iterable[str]) -> list[Path]:
         """Return the files of the scores that failed."""
-        failed = [
-            metric
-            for metric in metrics
-            if any(str(reason).startswith("failed:") for reason in self.score(metric).get("reasons", {}).values())
-        ]
-        return [self.score_file(metric) for metric in failed]
+        return [self.score_file(metric) for metric in metrics if self.failure(metric_key(metric))]
 
     def write_failed_score(self, metric: str, reason: str) -> None:
         """Write the score of a metric that failed: None in every column, with the reason."""

@@ -7,43 +7,25 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cache, cached_property
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, PlainSerializer, TypeAdapter
 
 from nrbench import plugins
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
+from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.streams import stream
 
 RESULTS_VERSION = 10
 """Increased whenever a change of the code changes an output or a score. Results of other versions are never reused."""
 
+Size = Annotated[Shape, BeforeValidator(parse_size), PlainSerializer(size_text)]
+"""A shape (height, width), which files may hold as ``WIDTHxHEIGHT``."""
+
 DetectorIdentity = tuple[str, str, Mapping[str, Any]]
 """Name, full version and parameters of a detector: all that decides its results."""
-
-_TYPES: dict[str, tuple[type, ...]] = {
-    "str": (str,),
-    "str | None": (str, type(None)),
-    "int": (int,),
-    "bool": (bool,),
-    "float | None": (float, int, type(None)),
-    "Mapping[str, Any]": (Mapping,),
-}
-"""Types of the values for fields that are declared so."""
-
-
-def _check_types(cls: type, values: Mapping[str, Any]) -> None:
-    """Raise TypeError if a value for a field of plain type, or a number of the shape or region, has another type.
-
-    Importing pydantic for it would slow down short commands, as ``nrbench status``.
-    """
-    for field in dataclasses.fields(cls):
-        kinds = _TYPES.get(str(field.type))
-        if kinds and field.name in values and not isinstance(values[field.name], kinds):
-            raise TypeError(f"{field.name} is {values[field.name]!r}, not {field.type}")
-    for name in ("shape", "region"):
-        if not all(isinstance(number, int) for number in values.get(name) or ()):
-            raise TypeError(f"{name} is {values[name]!r}")
 
 
 @dataclass(frozen=True)
@@ -65,11 +47,11 @@ class Recipe:
     seed: int
     texture: str
     replicate: int
-    shape: Shape
+    shape: Size
 
     def as_dict(self) -> dict[str, Any]:
         """Return the recipe as a mapping that can be written as JSON."""
-        return {**vars(self), "parameters": dict(self.parameters), "shape": list(self.shape)}
+        return dataclasses.asdict(self)
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Recipe:
@@ -77,12 +59,11 @@ class Recipe:
 
         Raises
         ------
-        KeyError, TypeError
+        ValueError
             If it is not such a mapping.
         """
-        values = {**mapping, "shape": tuple(mapping["shape"])}
-        _check_types(cls, values)
-        return cls(**values)
+        recipe: Recipe = reader_of(cls).validate_python(mapping)  # type: ignore[arg-type]
+        return recipe
 
     def plugin(self) -> Any:
         """Return the dataset plugin's instance."""
@@ -209,10 +190,7 @@ class Cell:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the cell as a mapping that can be written as JSON."""
-        mapping = {"key": self.key, **vars(self), "recipe": self.recipe.as_dict()}
-        for name in ("lattice_given", "lattice_truth", "detected"):
-            mapping[name] = mapping[name].as_dict() if mapping[name] else None
-        return mapping
+        return {"key": self.key, **dataclasses.asdict(self)}
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Cell:
@@ -220,18 +198,14 @@ class Cell:
 
         Raises
         ------
-        LookupError, TypeError, ValueError, AttributeError
+        ValueError
             If it is not such a mapping.
         """
-        values = {key: value for key, value in mapping.items() if key != "key"}
-        _check_types(cls, values)
-        values["recipe"] = Recipe.from_dict(values["recipe"])
-        for name in ("lattice_given", "lattice_truth"):
-            values[name] = Lattice.from_dict(values[name]) if values[name] else None
-        values["detected"] = FoundLattice.from_dict(values["detected"]) if values.get("detected") else None
-        values["shape"] = tuple(values["shape"])
-        for name in ("detector", "finder"):
-            known = values.get(name)
-            values[name] = (str(known[0]), str(known[1]), dict(known[2])) if known else None
-        values["region"] = tuple(values["region"]) if values["region"] else None
-        return cls(**values)
+        cell: Cell = reader_of(cls).validate_python(mapping)  # type: ignore[arg-type]
+        return cell
+
+
+@cache
+def reader_of(cls: type[Any]) -> TypeAdapter[Any]:
+    """Return the converter of mappings to objects of a class. A worker makes it before its children need it."""
+    return TypeAdapter(cls)

@@ -119,10 +119,11 @@ class Claim(BaseModel):
     @model_validator(mode="after")
     def _check_names(self) -> Claim:
         levels = {series.name: series.levels for series in self.series}
-        for one in self.expect:
-            numbers = [(one.series, one.at)]
-            if one.value is None:
-                numbers.append((one.other or one.series, one.at if one.other_at is None else one.other_at))
+        for wanted in self.expect:
+            numbers = [(wanted.series, wanted.at)]
+            if wanted.value is None:
+                level = wanted.at if wanted.other_at is None else wanted.other_at
+                numbers.append((wanted.other or wanted.series, level))
             for name, level in numbers:
                 if level not in levels.get(name, ()):
                     raise ValueError(f"claim {self.name!r}: there is no series {name!r} with the level {level:g}")

@@ -15,12 +15,12 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.plugins.forms import Shape
-from nrbench.plugins.parameters import nearest, parse_size, size_text
+from nrbench.plugins.parameters import nearest
+from nrbench.suites.cell import Recipe, Size
 from nrbench.suites.claims import Claim, Expectation, Series
 
 DEFAULT = "default"
@@ -30,20 +30,7 @@ PICTURE_SIZES = {"sample": "256x256", "size": "256x256"}
 """Sizes for those pictures of a directory whose rows have none."""
 
 
-Size = Annotated[Shape, BeforeValidator(parse_size), PlainSerializer(size_text)]
 _Name = Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]*[^/\\\x00-\x1f.][^/\\\x00-\x1f]*$", max_length=200)]
-
-
-class Drawing(BaseModel):
-    """The recipe from which a picture in a file was drawn: see :class:`~nrbench.suites.cell.Recipe`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    dataset: str
-    parameters: dict[str, Any]
-    seed: int = Field(ge=0)
-    texture: str
-    replicate: int = Field(ge=0)
-    shape: Size
 
 
 class TextureRow(BaseModel):
@@ -65,7 +52,7 @@ class TextureRow(BaseModel):
     parameters: dict[str, Any] = {}
     sample: Size | None = None
     size: Size | None = None
-    recipe: Drawing | None = None
+    recipe: Recipe | None = None
     departure: str = ""
     level: float | None = None
 
@@ -270,7 +257,7 @@ _TABLES: dict[str, type[BaseModel]] = {
 
 
 def _first(error: ValidationError) -> str:
-    first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+    first = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")
     place = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         tables = [part for part in first["loc"][:-1] if part in _TABLES]

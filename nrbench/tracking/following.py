@@ -17,7 +17,7 @@ from nrbench.tracking.growth import Knots, Start, grow_from, grow_on
 from nrbench.tracking.renumbering import renumber, similarity
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
-__all__ = ["follow_lattice", "follow_on", "merit", "probe", "score", "straighten_pixels"]
+__all__ = ["find_knots", "follow_on", "merit", "probe", "rate_knots", "straighten_pixels"]
 
 _FINEST: Final = 14.0
 """px; an image is shrunk as far as its s stays above this. Time then does not grow with s."""
@@ -48,7 +48,7 @@ _GAIN = 0.01
 """Gain of the score below which they are not found again."""
 
 
-def follow_lattice(image: Image, lattice: Lattice, near: Points | None = None) -> Knots | None:
+def find_knots(image: Image, lattice: Lattice, near: Points | None = None) -> Knots | None:
     """Return where the points of a lattice lie in an image, however it is bent; None if they are not found.
 
     The mean tile is at first that of a track by :func:`~nrbench.tracking.tracker.track_lattice`, or that of a few
@@ -65,13 +65,12 @@ def follow_lattice(image: Image, lattice: Lattice, near: Points | None = None) -
         (x, y) px: the place, from which alone the lattice is followed at first; None: several places are tried.
     """
     lattice = Lattice.from_basis(lattice.reduced().matrix)
-    factor = _factor(lattice)
-    small, shrunk = _shrink(image, lattice, factor)
+    small, shrunk, factor = _shrink(image, lattice)
     best, highest = None, 0.0
     at = None if near is None else (near - (factor - 1) / 2) / factor
     for start in _starts(small, shrunk) if at is None else (_local_start(small, shrunk, at),):
         knots = grow_from(small, start, (_FIRST_LEVEL,), fine=False)
-        worth = score(knots, small)
+        worth = rate_knots(knots, small)
         if worth > highest:
             best, highest = knots, worth
         if highest > _GOOD:
@@ -82,11 +81,9 @@ def follow_lattice(image: Image, lattice: Lattice, near: Points | None = None) -
     for number in range(1 + _MOST_ROUNDS):
         if not _are_enough(best):
             return None
-        start = _restart(small, best, best.mean_lattice())
-        median = float(np.median(best.correlation[best.known]))
-        levels = _LEVELS if number else (_FIRST_SHARE,)
-        found = grow_from(small, start, tuple(one * median for one in levels), fine=number > 0)
-        worth = score(found, small)
+        levels = _levels_of(best, _LEVELS if number else (_FIRST_SHARE,))
+        found = grow_from(small, _restart(small, best), levels, fine=number > 0)
+        worth = rate_knots(found, small)
         if number > 1 and worth < highest + _GAIN:
             best = found if worth > highest else best
             break
@@ -100,13 +97,12 @@ def probe(image: Image, lattice: Lattice, near: Points) -> float:
     Parameters
     ----------
     image, lattice, near
-        As for :func:`follow_lattice`.
+        As for :func:`find_knots`.
     """
     lattice = Lattice.from_basis(lattice.reduced().matrix)
-    factor = _factor(lattice)
-    small, shrunk = _shrink(image, lattice, factor)
+    small, shrunk, factor = _shrink(image, lattice)
     start = _local_start(small, shrunk, (near - (factor - 1) / 2) / factor)
-    return score(grow_from(small, start, (_FIRST_LEVEL,), fine=False), small)
+    return rate_knots(grow_from(small, start, (_FIRST_LEVEL,), fine=False), small)
 
 
 def follow_on(image: Image, knots: Knots, basis: Points) -> Knots | None:
@@ -123,18 +119,15 @@ def follow_on(image: Image, knots: Knots, basis: Points) -> Knots | None:
     """
     mean = knots.mean_lattice()
     lattice = Lattice.from_basis(basis @ mean.matrix).reduced()
-    factor = _factor(lattice)
-    small, _ = _shrink(image, lattice, factor)
+    small, _, factor = _shrink(image, lattice)
     places = (knots.places - (factor - 1) / 2) / factor
     first = Knots(knots.parts, knots.first, places, knots.slopes / factor, knots.correlation)
     change = lattice.matrix @ np.linalg.inv(mean.matrix)
-    start = _restart(small, first, first.mean_lattice(), change)
-    median = float(np.median(knots.correlation[knots.known]))
-    found = grow_from(small, start, tuple(one * median for one in _LEVELS))
+    found = grow_from(small, _restart(small, first, change), _levels_of(first))
     return _renumbered(small, found).resized(factor) if _are_enough(found) else None
 
 
-def score(knots: Knots, image: Values) -> float:
+def rate_knots(knots: Knots, image: Values) -> float:
     """Return the share of an image that knots cover, times their mean correlation."""
     height, width = image.shape[:2]
     return float(min(knots.area / (height * width), 1.0) * knots.quality)
@@ -167,16 +160,18 @@ def _are_enough(knots: Knots) -> bool:
     return bool(knots.known.sum() >= _LEAST_KNOTS and knots.spans_plane)
 
 
-def _factor(lattice: Lattice) -> int:
-    return max(1, int(lattice.s / _FINEST))
+def _levels_of(knots: Knots, shares: tuple[float, ...] = _LEVELS) -> tuple[float, ...]:
+    """Return correlations that are given as shares of the median over the known knots."""
+    median = float(np.median(knots.correlation[knots.known]))
+    return tuple(share * median for share in shares)
 
 
-def _shrink(image: Image, lattice: Lattice, factor: int) -> tuple[Values, Lattice]:
-    """Return the image shrunk by a factor and smoothed, and the lattice in its pixels."""
-    small = shrink(image, factor)
+def _shrink(image: Image, lattice: Lattice) -> tuple[Values, Lattice, int]:
+    """Return the image, shrunk and smoothed, the lattice in its pixels, and the factor."""
+    factor = max(1, int(lattice.s / _FINEST))
     sigma = _SMOOTH * lattice.s / factor
-    smooth = scipy.ndimage.gaussian_filter(small, (sigma, sigma, 0))
-    return smooth, Lattice.from_basis(lattice.matrix / factor)
+    smooth = scipy.ndimage.gaussian_filter(shrink(image, factor), (sigma, sigma, 0))
+    return smooth, Lattice.from_basis(lattice.matrix / factor), factor
 
 
 def _starts(image: Values, lattice: Lattice) -> Iterator[Start]:
@@ -221,17 +216,18 @@ def _tracked_start(track: Track) -> Start:
     return Start(tile, lattice.to_cell(places[best]), at[best], slopes @ lattice.matrix.T)
 
 
-def _restart(image: Values, knots: Knots, lattice: Lattice, change: Points | None = None) -> Start:
+def _restart(image: Values, knots: Knots, change: Points | None = None) -> Start:
     """Return the start whose tile is that of the straightened image, at the knot with the best surroundings.
 
     Parameters
     ----------
-    image, knots, lattice
-        The image, the places of a lattice in it, and the mean lattice.
+    image, knots
+        The image, and the places of a lattice in it.
     change
         2 x 2: rows: cell coordinates of the vectors of the lattice to follow; None: it is the same one.
     """
     change = np.eye(2) if change is None else change
+    lattice = knots.mean_lattice()
     other = Lattice.from_basis(change @ lattice.matrix, lattice.origin)
     straight, corner, inside = straighten_pixels(image, knots, lattice)
     tile = fold(straight, other.shifted(-corner), inside)
@@ -251,10 +247,8 @@ def _renumbered(image: Values, knots: Knots) -> Knots:
     for _ in range(_MOST_RENUMBERED):
         if parts is None or not _are_enough(parts):
             break
-        tile = _restart(image, parts, parts.mean_lattice()).tile
-        median = float(np.median(parts.correlation[parts.known]))
-        found = grow_on(image, tile, parts, tuple(one * median for one in _LEVELS))
-        before, after = (similarity(one, image.shape[:2]) for one in (knots, found))
+        found = grow_on(image, _restart(image, parts).tile, parts, _levels_of(parts))
+        before, after = (similarity(each, image.shape[:2]) for each in (knots, found))
         parts = renumber(found)
         if after <= before * (_KEPT if parts is None else 1):
             break

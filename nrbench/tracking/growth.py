@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import scipy
@@ -13,17 +13,19 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.mean_tile import Tile, Values, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.growth_kernels import grow_knots, register
+from nrbench.tracking import growth_kernels
 from nrbench.tracking.tracker import cell_covariance
 
-__all__ = ["Knots", "Start", "grow_from", "grow_on"]
+__all__ = ["TRUNCATED", "Knots", "Start", "Window", "fit_basis", "grow_from", "grow_on", "spread_window"]
 
 PARTS: Final = 2
 """Parts into which each step of about s is divided by knots, if they are fine."""
 MOST_KNOTS: Final = 12000
 """Most knots that an image may hold; where there are more, only every second one, every fourth one ... is used."""
-_WIDTH, _TRUNCATED = 1.2, 1.9
-"""Width in tiles of the window of a knot, and its radius in standard deviations."""
+_WIDTH = 1.2
+"""Width in tiles of the window of a knot."""
+TRUNCATED = 1.9
+"""Radius of a window in standard deviations."""
 _MOST_SAMPLES = 450
 """Most points of a window that are read."""
 _MARGIN = 0.0
@@ -110,8 +112,7 @@ class Knots:
 
     def _fit(self) -> Points:
         """Return the vectors and the origin of :meth:`mean_lattice`, ``(3, 2)`` px."""
-        design = np.column_stack([self.cells[self.known], np.ones(self.known.sum())])
-        return np.asarray(np.linalg.lstsq(design, self.places[self.known], rcond=None)[0])
+        return fit_basis(self.cells[self.known], self.places[self.known])
 
     def resized(self, factor: int) -> Knots:
         """Return the knots in an image of which each pixel here was the mean of ``factor`` x ``factor`` px."""
@@ -163,6 +164,18 @@ class Knots:
         return values[..., :2]
 
 
+def fit_basis(cells: Points, places: Points) -> Points:
+    """Return the vectors and the origin, ``(3, 2)`` px, of the lattice whose points lie nearest to places.
+
+    Parameters
+    ----------
+    cells, places
+        ``(n, 2)`` each: cell coordinates, and (x, y) px where they were found.
+    """
+    design = np.column_stack([cells, np.ones(len(cells))])
+    return np.asarray(np.linalg.lstsq(design, places, rcond=None)[0])
+
+
 @dataclass(frozen=True)
 class Start:
     """A place from which a lattice is followed.
@@ -191,26 +204,16 @@ class Window:
 
     Parameters
     ----------
-    offsets, weights
-        ``(n, 2)`` px from the middle, and ``(n,)``, of sum 1.
-    templates
-        ``(p, C, n)``: the tile, of mean 0 in each channel and of variance 1.
-    rows
-        ``(p, 6, C, n)``: its derivatives by place and affine map.
-    normals, sums
-        ``(p, 6, 6)`` and ``(p, C + 1, 6)``: means under the window, see :func:`~.growth_kernels.register`.
+    points, templates
+        See :data:`~.growth_kernels.Window` and :data:`~.growth_kernels.Templates`.
     s
         Length of the shortest lattice vector, px.
     spread
         Standard deviation of a knot's departure from its prediction: of the place, in s, and of the affine map.
     """
 
-    offsets: Points
-    weights: NDArray[np.float64]
-    templates: Values
-    rows: NDArray[np.float32]
-    normals: NDArray[np.float64]
-    sums: NDArray[np.float64]
+    points: growth_kernels.Window
+    templates: growth_kernels.Templates
     s: float
     spread: float = _SPREAD
 
@@ -224,11 +227,11 @@ class Window:
         spread: float = _SPREAD,
     ) -> Window:
         """Return the window for the tile and its slopes along x and y, ``(p, n, C)`` each."""
-        planes = [np.moveaxis(one, -1, 1) for one in tiles]
+        planes = [np.moveaxis(plane, -1, 1) for plane in tiles]
         mean = planes[0] @ weights
         centered = planes[0] - mean[..., np.newaxis]
         deviation = np.sqrt(np.maximum(((centered**2) @ weights).sum(1), 1e-12))
-        template, across, down = (one / deviation[:, np.newaxis, np.newaxis] for one in (centered, *planes[1:]))
+        template, across, down = (plane / deviation[:, np.newaxis, np.newaxis] for plane in (centered, *planes[1:]))
         dx, dy = offsets.T
         rows = np.stack([across, down, across * dx, across * dy, down * dx, down * dy], 1)
         weighted = rows * weights
@@ -237,12 +240,8 @@ class Window:
         products = (weighted * template[:, np.newaxis]).sum((2, 3))
         sums = np.concatenate([np.swapaxes(weighted.sum(-1), 1, 2), products[:, np.newaxis]], 1)
         return cls(
-            np.ascontiguousarray(offsets, np.float64),
-            np.ascontiguousarray(weights, np.float64),
-            np.ascontiguousarray(template, np.float32),
-            np.ascontiguousarray(rows, np.float32),
-            np.ascontiguousarray(normals, np.float64),
-            np.ascontiguousarray(sums, np.float64),
+            (_contiguous(offsets), _contiguous(weights), np.abs(offsets).max(0)),
+            (_contiguous(template, np.float32), _contiguous(rows, np.float32), _contiguous(normals), _contiguous(sums)),
             s,
             spread,
         )
@@ -254,21 +253,10 @@ class Window:
 
     def register(self, image: Values, phase: int, state: Points) -> float:
         """Fit a place and an affine map in place, and return the correlation, see :func:`~.growth_kernels.register`."""
-        return register(
-            np.ascontiguousarray(image, np.float32),
-            self.templates[phase],
-            self.rows[phase],
-            self.normals[phase],
-            self.sums[phase],
-            self.offsets,
-            self.weights,
-            np.abs(self.offsets).max(0),
-            state,
-            state.copy(),
-            self._prior,
-            _LEAST_SEEN,
-            _STEPS,
-        )
+        values, rows, normals, sums = (part[phase] for part in self.templates)
+        template, start = (values, rows, normals, sums), state.copy()
+        pixels = _contiguous(image, np.float32)
+        return growth_kernels.register(pixels, template, self.points, state, start, self._prior, _LEAST_SEEN, _STEPS)
 
     def grow(
         self,
@@ -282,25 +270,26 @@ class Window:
         margin: float,
     ) -> None:
         """Find the places of knots, see :func:`~.growth_kernels.grow_knots`."""
-        grow_knots(
-            np.ascontiguousarray(image, np.float32),
+        growth_kernels.grow_knots(
+            _contiguous(image, np.float32),
             self.templates,
-            self.rows,
-            self.normals,
-            self.sums,
-            np.ascontiguousarray(phases, np.int64),
-            self.offsets,
-            self.weights,
-            np.ascontiguousarray(points, np.float64),
+            _contiguous(phases, np.int64),
+            self.points,
+            _contiguous(points),
             states,
             correlation,
-            np.ascontiguousarray(seed, np.int64),
+            _contiguous(seed, np.int64),
             self._prior,
             np.array(levels, np.float64),
             _FARTHEST * self.s,
             margin,
             _LEAST_SEEN,
         )
+
+
+def _contiguous(values: NDArray[Any], dtype: Any = np.float64) -> NDArray[Any]:
+    """Return values as the kernels need them."""
+    return np.ascontiguousarray(values, dtype)
 
 
 def grow_from(image: Values, start: Start, levels: tuple[float, ...], fine: bool = True) -> Knots:
@@ -376,7 +365,7 @@ def _grow(
     """Find the places of knots on a grid whose first one has the numbers ``first``, see :meth:`Window.grow`."""
     matrix = tile.lattice.matrix
     rows, columns = correlation.shape
-    offsets, weights = _window(tile.lattice)
+    offsets, weights = spread_window(_WIDTH**2 * cell_covariance(tile.lattice), 1.0, _MOST_SAMPLES)
     periods = np.maximum(parts, 1).astype(np.int64)
     u, v = np.meshgrid(*(np.arange(n) / n for n in periods))
     middles = np.stack([u, v], -1).reshape(-1, 1, 2)
@@ -388,7 +377,7 @@ def _grow(
     half_pixel = np.float32(0.5)
     slopes = half_pixel * (read(1, 0) - read(-1, 0)), half_pixel * (read(0, 1) - read(0, -1))
     window = Window.of(offsets, weights, (read(0, 0), *slopes), tile.lattice.s)
-    a, b = ((np.arange(n) + one) % period for n, one, period in zip((columns, rows), first, periods, strict=True))
+    a, b = ((np.arange(n) + number) % period for n, number, period in zip((columns, rows), first, periods, strict=True))
     # Only differences of the points count. Small ones are exact.
     middle = np.array([columns // 2, rows // 2])
     numbers = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1) - middle
@@ -436,14 +425,23 @@ def _parts(lattice: Lattice, shape: tuple[int, int], fine: bool) -> NDArray[np.f
     return np.asarray(parts, np.float64)
 
 
-def _window(lattice: Lattice) -> tuple[Points, NDArray[np.float64]]:
-    """Return the points of a window, (x, y) px from its middle, and their weights, of sum 1."""
-    covariance = _WIDTH**2 * cell_covariance(lattice)
-    reach = np.ceil(_TRUNCATED * np.sqrt(np.diag(covariance)))
-    x, y = np.meshgrid(*(np.arange(-one, one + 1) for one in reach))
+def spread_window(covariance: Points, spacing: float, most: int | None = None) -> tuple[Points, NDArray[np.float64]]:
+    """Return the points of a Gaussian window, (x, y) px from its middle, and their weights, of sum 1.
+
+    Parameters
+    ----------
+    covariance
+        2 x 2, px^2. The window ends at :data:`TRUNCATED` standard deviations.
+    spacing
+        px; distance of the points along x and y.
+    most
+        Every second, third ... point is left out if there are more than this number.
+    """
+    reach = np.ceil(TRUNCATED * np.sqrt(np.diag(covariance)) / spacing)
+    x, y = np.meshgrid(*(np.arange(-end, end + 1) * spacing for end in reach))
     offsets = np.stack([x, y], -1).reshape(-1, 2)
     distance = np.einsum("ni,ij,nj->n", offsets, np.linalg.inv(covariance), offsets)
-    inside = np.flatnonzero(distance <= _TRUNCATED**2)
-    chosen = inside[:: math.ceil(len(inside) / _MOST_SAMPLES)]
+    inside = np.flatnonzero(distance <= TRUNCATED**2)
+    chosen = inside[:: math.ceil(len(inside) / most) if most else 1]
     weights = np.exp(-distance[chosen] / 2)
-    return np.ascontiguousarray(offsets[chosen]), weights / weights.sum()
+    return offsets[chosen], weights / weights.sum()

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image, subtract_color
 from nrbench.imaging.mean_tile import Values, interpolate
 from nrbench.lattice.geometry import Points
-from nrbench.tracking.growth import Window
+from nrbench.tracking.growth import TRUNCATED, Window, spread_window
 from nrbench.tracking.tracker import MeanTile, cell_covariance, correlation_surfaces, label_displacements
 
 __all__ = ["FollowedImage", "follow_texture"]
 
-_WIDTH, _TRUNCATED = 1.1, 1.9
-"""Width in tiles of the window of a knot, and its radius in standard deviations."""
+_WIDTH = 1.1
+"""Width in tiles of the window of a knot."""
 _SAMPLES: Final = 120
 """Number of points of a window that are read, if it holds as many pixels."""
 _SPREAD = 0.3
@@ -133,7 +133,10 @@ class _Following:
         lattice = tile.harmonics.lattice
         size = np.array(image.shape[1::-1])
         covariance = cell_covariance(lattice)
-        offsets, weights, spacing = _window(covariance)
+        spread = _WIDTH**2 * covariance
+        area = math.pi * TRUNCATED**2 * math.sqrt(float(np.linalg.det(spread)))
+        spacing = max(math.sqrt(area / _SAMPLES), 1.0)
+        offsets, weights = spread_window(spread, spacing)
         planes = subtract_color(image, image.mean((0, 1), dtype=np.float64).astype(np.float32)) @ tile.colors
         blur = _BLUR * spacing
         planes = scipy.ndimage.gaussian_filter(planes, (blur, blur, 0), mode="nearest")
@@ -179,14 +182,14 @@ class _Following:
         seed, state = start
         states, correlation = np.zeros((*self.phases.shape, 6)), np.zeros(self.phases.shape)
         states[seed] = state[:6]
-        levels = tuple(one * max(float(state[6]), _LEAST_LEVEL) for one in _LEVELS)
+        levels = tuple(level * max(float(state[6]), _LEAST_LEVEL) for level in _LEVELS)
         self.window.grow(self.planes, self.phases, self.points, states, correlation, np.array(seed), levels, _MARGIN)
         return np.concatenate([states, correlation[..., np.newaxis]], -1)
 
     def _starts(self) -> list[tuple[tuple[int, int], Points]]:
         """Return seeds, the best first: the row and column of a node; its state, and the correlation."""
-        lattice, offsets, weights = self.tile.harmonics.lattice, self.window.offsets, self.window.weights
-        size, reach = np.array(self.planes.shape[1::-1]), np.abs(offsets).max(0)
+        lattice, (offsets, weights, reach) = self.tile.harmonics.lattice, self.window.points
+        size = np.array(self.planes.shape[1::-1])
         middles = self._middles(size, reach, 1.5 * lattice.s)
         read = interpolate(self.planes, middles[:, np.newaxis] + offsets)
         read -= np.tensordot(read, weights, (1, 0))[:, np.newaxis]
@@ -209,7 +212,7 @@ class _Following:
             state = np.array([*(self.points[seed] + displacements[k]), 1.0, 0.0, 0.0, 1.0])
             value = self.window.register(self.planes, int(self.phases[seed]), state)
             found.append(((int(seed[0]), int(seed[1])), np.append(state, value)))
-        found.sort(key=lambda one: -one[1][6])
+        found.sort(key=lambda seed_and_state: -seed_and_state[1][6])
         return found[:_STARTS]
 
     def _middles(self, size: Points, reach: Points, step: float) -> Points:
@@ -217,8 +220,8 @@ class _Following:
         room = np.maximum(size - 1 - 2 * reach, 0)
         step = max(step, math.sqrt(float(np.prod(room + step)) / _MOST_PLACES))
         sides = [
-            np.linspace(low, low + one, 1 + int(one / step))
-            for low, one in zip((size - 1 - room) / 2, room, strict=True)
+            np.linspace(low, low + length, 1 + int(length / step))
+            for low, length in zip((size - 1 - room) / 2, room, strict=True)
         ]
         return np.stack(np.meshgrid(*sides), -1).reshape(-1, 2)
 
@@ -246,21 +249,7 @@ class _Following:
 
 def _grid(first: Points, last: Points) -> Points:
     """Return the pairs of whole numbers (x, y) from ``first`` to ``last``, ``(rows, columns, 2)``."""
-    return np.stack(np.meshgrid(*(np.arange(one, other + 1) for one, other in zip(first, last, strict=True))), -1)
-
-
-def _window(cell: Points) -> tuple[Points, NDArray[np.float64], float]:
-    """Return the points of a window, (x, y) px from its middle, their weights, of sum 1, and their spacing, px."""
-    covariance = _WIDTH**2 * cell
-    area = math.pi * _TRUNCATED**2 * math.sqrt(float(np.linalg.det(covariance)))
-    spacing = max(math.sqrt(area / _SAMPLES), 1.0)
-    reach = np.ceil(_TRUNCATED * np.sqrt(np.diag(covariance)) / spacing)
-    x, y = np.meshgrid(*(np.arange(-one, one + 1) * spacing for one in reach))
-    offsets = np.stack([x, y], -1).reshape(-1, 2)
-    distance = np.einsum("ni,ij,nj->n", offsets, np.linalg.inv(covariance), offsets)
-    inside = distance <= _TRUNCATED**2
-    weights = np.exp(-distance[inside] / 2)
-    return offsets[inside], weights / weights.sum(), spacing
+    return np.stack(np.meshgrid(*(np.arange(low, high + 1) for low, high in zip(first, last, strict=True))), -1)
 
 
 def _read_tile(tile: MeanTile, middles: Points, offsets: Points, blur: float) -> tuple[Values, Values, Values]:
@@ -272,7 +261,7 @@ def _read_tile(tile: MeanTile, middles: Points, offsets: Points, blur: float) ->
     across, down = 1j * waves[:, :1] * values, 1j * waves[:, 1:] * values
 
     def read(terms: NDArray[np.complex128]) -> Values:
-        planes = [((there * one) @ beside).real for one in terms.T]
+        planes = [((there * term) @ beside).real for term in terms.T]
         return np.asarray(np.stack(planes, -1), np.float32)
 
     return read(values), read(across), read(down)

@@ -64,7 +64,7 @@ def renumber(knots: Knots) -> Knots | None:
     near = _NEAR * knots.mean_lattice().s
     index = np.argwhere(labels > 0)
     owner = labels[labels > 0]
-    places, slopes, cells = (one[labels > 0] for one in (knots.places, knots.slopes, knots.cells))
+    places, slopes, cells = (values[labels > 0] for values in (knots.places, knots.slopes, knots.cells))
     while waiting:
         numbered = np.flatnonzero(np.isin(owner, list(shifts)))
         tree = KDTree(places[numbered])

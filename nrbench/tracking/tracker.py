@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -42,8 +41,6 @@ _FIRST_STEPS, _NEXT_STEPS = 4, 2
 """Newton steps after unwrapping, and in each refinement."""
 _LONGEST_STEP = 0.12
 """Longest Newton step, in units of s."""
-_PADDING = 12
-"""Number of nodes that are added at each border before a field is interpolated, as many as ``ndimage`` adds."""
 _REACH = 3.0
 """Width of the padding of the image, in standard deviations of a window."""
 _NODES_PER_TILE = 2.0
@@ -117,9 +114,9 @@ class Nodes:
         cell = cell_covariance(lattice)
         covariance = width**2 * cell
         spread, box = np.sqrt(np.diag(covariance))[::-1], np.sqrt(12 * np.diag(cell))[::-1]
-        padded = [scipy.fft.next_fast_len(math.ceil(n + _REACH * one)) for n, one in zip(shape, spread, strict=True)]
+        padded = [scipy.fft.next_fast_len(math.ceil(n + _REACH * sd)) for n, sd in zip(shape, spread, strict=True)]
         step = np.minimum(box / _NODES_PER_TILE, np.array(shape) / 3)
-        rows, columns = (scipy.fft.next_fast_len(math.ceil(n / one)) for n, one in zip(padded, step, strict=True))
+        rows, columns = (scipy.fft.next_fast_len(math.ceil(n / px)) for n, px in zip(padded, step, strict=True))
         return cls(shape, covariance, (rows, columns), (padded[0], padded[1]), width)
 
     def narrowed(self, width: float) -> Nodes:
@@ -179,23 +176,10 @@ class Nodes:
 
     def interpolate(self, field: Field, points: Points) -> Field:
         """Return the field at points (x, y) px by cubic splines; beyond the last node it is constant."""
-        return self.splines(field)(points)
-
-    def splines(self, field: Field) -> Callable[[Points], Field]:
-        """Return the function of points (x, y) px that interpolates the field as :meth:`interpolate` does."""
-        step = [n / count for n, count in zip(self.padded, self.counts, strict=True)]
-        # ndimage pads by as many values before it filters, because the filter itself does not know this border.
-        padded = np.pad(field, ((_PADDING, _PADDING), (_PADDING, _PADDING), (0, 0)), mode="edge")
-        planes = [scipy.ndimage.spline_filter(axis, mode="nearest") for axis in np.moveaxis(padded, -1, 0)]
-
-        def interpolate_at(points: Points) -> Field:
-            at = [points[..., 1] / step[0] + _PADDING, points[..., 0] / step[1] + _PADDING]
-            found = [
-                scipy.ndimage.map_coordinates(plane, at, order=3, mode="nearest", prefilter=False) for plane in planes
-            ]
-            return np.stack(found, -1)
-
-        return interpolate_at
+        down, across = (n / count for n, count in zip(self.padded, self.counts, strict=True))
+        at = [points[..., 1] / down, points[..., 0] / across]
+        planes = np.moveaxis(field, -1, 0)
+        return np.stack([scipy.ndimage.map_coordinates(plane, at, order=3, mode="nearest") for plane in planes], -1)
 
 
 def cell_covariance(lattice: Lattice) -> Points:
@@ -448,9 +432,9 @@ def _newton_step(slope: Field, bend: Field, longest: float) -> Field:
 
 def _invert_field(nodes: Nodes, displaced: Field) -> Field:
     """Return the displacements at undisturbed positions, from the displacements at positions in the image."""
-    field, displacement = displaced, nodes.splines(displaced)
+    field = displaced
     for _ in range(8):
-        field = (field + displacement(nodes.places + field)) / 2
+        field = (field + nodes.interpolate(displaced, nodes.places + field)) / 2
     return field
 
 

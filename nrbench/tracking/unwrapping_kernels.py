@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
+import heapq
+
 import numpy as np
 
-from nrbench.jit import Float32x4, Float64x2, Float64x3, Int64x1, kernel
-
-
-@kernel
-def pop_most_trusted(trust: Float64x2, front: Int64x1, waiting: int) -> int:
-    """Return the flat index of the most trusted of the first ``waiting`` nodes in ``front``, and remove it there."""
-    columns, best = trust.shape[1], 0
-    for k in range(1, waiting):
-        if trust[front[k] // columns, front[k] % columns] > trust[front[best] // columns, front[best] % columns]:
-            best = k
-    node = int(front[best])
-    front[best] = front[waiting - 1]
-    return node
+from nrbench.jit import Float32x4, Float64x2, Float64x3, kernel
 
 
 @kernel
@@ -26,8 +16,7 @@ def grow(
     """Return a continuous displacement (x, y) px of each node, ``(rows, columns, 2)``.
 
     The field grows from the most trusted node. Of the nodes next to the field, the most trusted one is added first.
-    Then every node is revised ``sweeps`` times. The time is linear in nodes times displacements. The scan for the next
-    node is fast, but quadratic in the nodes.
+    Then every node is revised ``sweeps`` times. The time is linear in nodes times displacements.
 
     Parameters
     ----------
@@ -47,13 +36,12 @@ def grow(
     rows, columns, n = surfaces.shape[0], surfaces.shape[1], surfaces.shape[2]
     count = rows * columns
     field, state = np.zeros((rows, columns, 2)), np.zeros((rows, columns), np.int64)
-    order, front, waiting = np.zeros(count, np.int64), np.zeros(count, np.int64), 1
-    front[0] = np.argmax(trust)
+    order = np.zeros(count, np.int64)
+    front = [(0.0, int(np.argmax(trust)))]
     determinant = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
     for turn in range(count * (1 + sweeps)):
         if turn < count:
-            order[turn] = pop_most_trusted(trust, front, waiting)
-            waiting -= 1
+            order[turn] = heapq.heappop(front)[1]
         y, x = order[turn % count] // columns, order[turn % count] % columns
         state[y, x] = 1
         total, near_x, near_y = 0.0, 0.0, 0.0
@@ -61,8 +49,7 @@ def grow(
             for a in range(max(x - 1, 0), min(x + 2, columns)):
                 if state[b, a] == 0:
                     state[b, a] = 2
-                    front[waiting] = b * columns + a
-                    waiting += 1
+                    heapq.heappush(front, (-trust[b, a], b * columns + a))
                 elif state[b, a] == 1 and (a != x or b != y):
                     total += trust[b, a]
                     near_x += trust[b, a] * field[b, a, 0]

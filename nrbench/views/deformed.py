@@ -19,8 +19,8 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.relation import lattice_error, relate
 from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
 from nrbench.tracking.deformation import LEAST_AMPLITUDE, Deformation
-from nrbench.tracking.following import follow_lattice, follow_on, merit, probe, score
-from nrbench.tracking.growth import Knots
+from nrbench.tracking.following import find_knots, follow_on, merit, probe, rate_knots
+from nrbench.tracking.growth import Knots, fit_basis
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
 
 __all__ = ["Followed", "find_deformation"]
@@ -79,7 +79,7 @@ def find_deformation(
     The detector looks at the whole image; fine detail of large elements is left out, because the lattice is measured
     when it is followed. If the lattice that it finds lies in the image without deformation, this is the answer.
     Otherwise lattices of the whole image and of overlapping views, from half the image's size down, are followed
-    through the image (:func:`~nrbench.tracking.following.follow_lattice`), and the straightened image is shown to the
+    through the image (:func:`~nrbench.tracking.following.find_knots`), and the straightened image is shown to the
     detector again. The answer is the first one that the detector confirms with a high confidence and whose knots
     cover most of the image, else the one of the highest confidence times score.
 
@@ -133,9 +133,9 @@ def find_deformation(
 def _followed(deformation: Deformation, detection: Detection) -> Followed:
     """Return a lattice with the alternatives of a detection, named by their relation to the mean lattice."""
     alternatives = []
-    for one in detection.alternatives:
-        change = relate(one.lattice, deformation.lattice)
-        alternatives.append(replace(one, relation=change.name if change else "unrelated"))
+    for alternative in detection.alternatives:
+        change = relate(alternative.lattice, deformation.lattice)
+        alternatives.append(replace(alternative, relation=change.name if change else "unrelated"))
     return Followed(deformation, replace(detection, alternatives=tuple(alternatives)))
 
 
@@ -153,7 +153,9 @@ class _Shrinking:
             raise NoLatticeFound(none.reason, none.best and self._enlarged(none.best)) from None
 
     def _enlarged(self, detection: Detection) -> Detection:
-        alternatives = tuple(replace(one, lattice=self._enlarge(one.lattice)) for one in detection.alternatives)
+        alternatives = tuple(
+            replace(alternative, lattice=self._enlarge(alternative.lattice)) for alternative in detection.alternatives
+        )
         return replace(detection, lattice=self._enlarge(detection.lattice), alternatives=alternatives)
 
     def _enlarge(self, lattice: Lattice) -> Lattice:
@@ -224,23 +226,25 @@ def _proposals(
 def _rank(image: Image, proposals: Sequence[_Proposal]) -> list[tuple[float, _Proposal]]:
     """Return the promising ones among lattices of views with how far they can be followed at first, the best first."""
     found = [(probe(image, lattice, middle), (lattice, middle)) for lattice, middle in proposals if middle is not None]
-    return sorted((one for one in found if one[0] >= _PROMISING), key=lambda one: -one[0])
+    return sorted((rated for rated in found if rated[0] >= _PROMISING), key=lambda rated: -rated[0])
 
 
 def _follow_all(image: Image, proposals: list[_Proposal]) -> list[Knots]:
     """Follow lattices through an image until two of them agree, and return the knots of each, the best first."""
     found: list[tuple[float, int, Knots]] = []
     for number, (lattice, middle) in enumerate(proposals):
-        knots = follow_lattice(image, lattice, middle)
-        if knots is None or score(knots, image) < _LEAST:
+        knots = find_knots(image, lattice, middle)
+        if knots is None or rate_knots(knots, image) < _LEAST:
             continue
         mean = knots.mean_lattice()
-        agree = score(knots, image) >= _COMPLETE and any(_is_same(mean, other.mean_lattice()) for _, _, other in found)
+        agree = rate_knots(knots, image) >= _COMPLETE and any(
+            _is_same(mean, other.mean_lattice()) for _, _, other in found
+        )
         found.append((-merit(image, knots), number, knots))
         if agree:
             break
     kept: list[Knots] = []
-    for _, _, knots in sorted(found, key=lambda one: one[:2]):
+    for _, _, knots in sorted(found, key=lambda ranked: ranked[:2]):
         if not any(_is_same(knots.mean_lattice(), other.mean_lattice()) for other in kept):
             kept.append(knots)
     return kept
@@ -300,7 +304,7 @@ def _confirm(image: Image, detector: Detector, knots: Knots) -> tuple[_Answer | 
     if detection is None:
         return None, None
     if _is_same(detection.lattice, lattice):
-        return _Answer(knots, detection, score(knots, image)), None
+        return _Answer(knots, detection, rate_knots(knots, image)), None
     vectors = detection.lattice.matrix @ np.linalg.inv(knots.mean_lattice().matrix)
     return None, vectors
 
@@ -315,7 +319,7 @@ def _follow_given(image: Image, lattice: Lattice) -> Deformation:
     still = _still(image, lattice, None)
     if still is not None:
         return still
-    knots = follow_lattice(image, lattice)
+    knots = find_knots(image, lattice)
     if knots is None:
         raise NoLatticeFound("the given lattice cannot be followed through the image")
     deformation = Deformation.of(image, knots)
@@ -347,8 +351,7 @@ def _track(image: Image, lattice: Lattice) -> Track | None:
 def _from_track(track: Track, confidence: float | None) -> Deformation:
     numbers = track.numbers.astype(np.float64)
     places = track.locate(numbers)
-    design = np.column_stack([numbers, np.ones(len(numbers))])
-    fit = np.linalg.lstsq(design, places, rcond=None)[0]
+    fit = fit_basis(numbers, places)
     lattice = Lattice.from_basis(fit[:2], fit[2])
     correlation = np.full(len(numbers), float(np.median(track.correlation)))
     return Deformation(track.image, lattice, numbers, places, correlation, track.tracked_share(0.5), confidence)

@@ -7,16 +7,16 @@ import hashlib
 import io
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, wraps
 from pathlib import Path
 
 import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from nrbench.storage import write_bytes
+from nrbench.storage import read_arrays, write_bytes
 
 from ..plots.marks import find_marks, worst_place
 
@@ -68,9 +68,25 @@ class PagePicture:
         return min(1.0, LARGEST / self.width)
 
 
+def _once(make: Callable[..., PagePicture | None]) -> Callable[..., PagePicture | None]:
+    """Let a method of a store make the picture of some files once, and return None if a file is None or unreadable."""
+
+    @wraps(make)
+    def made(store: PictureStore, *paths: Path | None) -> PagePicture | None:
+        key = (make, *paths)
+        if key not in store._made:
+            try:
+                store._made[key] = None if None in paths else make(store, *paths)
+            except _UNREADABLE:
+                store._made[key] = None
+        return store._made[key]
+
+    return made
+
+
 @dataclass(frozen=True)
 class PictureStore:
-    """The pictures of a page. Each is made once.
+    """The pictures of a page. Each is made once; it is None if there is no readable file.
 
     Parameters
     ----------
@@ -86,54 +102,32 @@ class PictureStore:
     _made: dict[tuple[object, ...], PagePicture | None] = field(default_factory=dict)
     _pixels: Callable[[Path], Pixels] = field(default_factory=lambda: lru_cache(maxsize=8)(_read_pixels))
 
-    def _once(self, make: Callable[..., PagePicture | None], *paths: Path | None) -> PagePicture | None:
-        """Return the picture that is made of some files, which is made once; None if one cannot be read."""
-        key = (make, *paths)
-        if key not in self._made:
-            try:
-                self._made[key] = None if None in paths else make(*paths)
-            except _UNREADABLE:
-                self._made[key] = None
-        return self._made[key]
-
-    def load(self, path: Path | None) -> PagePicture | None:
-        """Return the picture in a PNG file; None if there is no readable picture."""
-        return self._once(self._load, path)
-
-    def _load(self, path: Path) -> PagePicture:
+    @_once
+    def load(self, path: Path) -> PagePicture | None:
+        """Return the picture in a PNG file."""
         pixels = self._pixels(path)
         height, width = pixels.shape[:2]
         if self.single_file or width <= 64:
             return PagePicture(_webp(pixels, 30, lossless=True), width, height)
         return PagePicture(_webp(pixels, _QUALITY, effort=2), width, height, self._keep(path.read_bytes(), ".png"))
 
-    def overlay(self, output: Path, layer: Path | None) -> PagePicture | None:
-        """Return the marks of a metric's picture over an output, transparent elsewhere.
-
-        Returns
-        -------
-        PagePicture or None
-            None if there is no readable picture, or it has another size than the output: then it is no overlay.
-        """
-        return self._once(self._overlay, output, layer)
-
-    def _overlay(self, output: Path, layer: Path) -> PagePicture | None:
+    @_once
+    def overlay(self, output: Path, layer: Path) -> PagePicture | None:
+        """Return the marks of a metric's picture over an output, transparent elsewhere; None if the sizes differ."""
         marks, below = self._pixels(layer), self._pixels(output)
         if marks.shape != below.shape:
             return None
         return PagePicture(_webp(_marks(marks, below), _LAYER_QUALITY), marks.shape[1], marks.shape[0])
 
+    @_once
     def source_map(self, source: Path) -> PagePicture | None:
-        """Return the map of the sample's places that the pixels of an output come from, by color; None without one."""
-        return self._once(self._source_map, source)
-
-    def _source_map(self, source: Path) -> PagePicture:
-        with np.load(source, allow_pickle=False) as arrays:
-            colors = _place_colors(np.asarray(arrays["source"][..., :2], np.float32))
+        """Return the map of the sample's places that the pixels of an output come from, by color."""
+        colors = _place_colors(np.asarray(read_arrays(source)["source"][..., :2], np.float32))
         return PagePicture(_webp(colors, _MAP_QUALITY), colors.shape[1], colors.shape[0])
 
-    def worst_crop(self, output: Path, layers: Sequence[Path]) -> PagePicture | None:
-        """Return the square of an output with the most marks of defects, its middle without marks; None if unreadable.
+    @_once
+    def worst_crop(self, output: Path, *layers: Path) -> PagePicture | None:
+        """Return the square of an output with the most marks of defects, its middle without marks.
 
         Parameters
         ----------
@@ -142,9 +136,6 @@ class PictureStore:
         layers
             Pictures of defects over the output; the first with any marks decides.
         """
-        return self._once(self._worst_crop, output, *layers)
-
-    def _worst_crop(self, output: Path, *layers: Path) -> PagePicture:
         pixels = self._pixels(output)
         height, width = pixels.shape[:2]
         side = min(CROP, height, width)

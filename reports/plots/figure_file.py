@@ -34,9 +34,9 @@ _STYLE: Any = {
 }
 
 
-def make_figure(width: float, height: float) -> Figure:
-    """Return an empty figure; width in inches, height in points."""
-    figure = Figure(figsize=(width, height / 72), dpi=72)
+def make_figure(width: float, height: float, **more: Any) -> Figure:
+    """Return an empty figure; width in inches, height in points, and further arguments of ``Figure``."""
+    figure = Figure(figsize=(width, height / 72), dpi=72, **more)
     FigureCanvasAgg(figure)
     return figure
 

@@ -28,6 +28,7 @@ from nrbench.suites.plan import PlannedMethod
 from nrbench.suites.suite import validated_suite
 
 from .estimates import (
+    NO_ESTIMATE,
     Estimate,
     estimate_mean,
     estimate_rate,
@@ -167,7 +168,7 @@ def _select(claim: Claim, series: Series, level: float, cells: pd.DataFrame) -> 
 
 def _estimate(claim: Claim, cells: pd.DataFrame) -> Estimate:
     if cells.empty:
-        return Estimate(None)
+        return NO_ESTIMATE
     return success_rate(cells) if claim.score == PRESERVED else means_over_textures(cells, ["value"])["value"]
 
 
@@ -196,7 +197,7 @@ def _subtract(mean: Estimate, value: float) -> Estimate:
 
 def _difference(first: pd.DataFrame, second: pd.DataFrame) -> Estimate:
     if first.empty or second.empty:
-        return Estimate(None)
+        return NO_ESTIMATE
     if not set(first["texture"]) & set(second["texture"]):
         first, second = first.assign(texture=first["family"]), second.assign(texture=second["family"])
     return paired_differences(first, second, ["value"])["value"]
@@ -354,6 +355,8 @@ class PublishedComparison:
         The methods that the report ran and the run has.
     figures
         The figures of which the run has an analogue.
+    verdicts
+        One row a figure and method: the published verdict and the measured share of preserved replicates.
     rates, classes
         Rates over groups of figures, and the agreement by class of texture.
     kappa
@@ -366,6 +369,7 @@ class PublishedComparison:
 
     methods: Sequence[Method]
     figures: Sequence[FigureRow]
+    verdicts: pd.DataFrame
     rates: Sequence[RateRow]
     classes: Sequence[ClassRow]
     kappa: float | None
@@ -403,17 +407,20 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
     figures = [
         FigureRow(figure, names[figure.number], [own.get(names[figure.number]) for own in shares]) for figure in known
     ]
-    pairs = _pair_verdicts(figures, methods)
+    verdicts = _tabulate_verdicts(figures, methods)
+    pairs = verdicts.dropna(subset="published").astype({"measured_share": float})
+    pairs["published"] = pairs["published"].eq("preserved").astype(float)
     observed, chance = _compare_cells(pairs)
     return PublishedComparison(
         methods=methods,
         figures=figures,
+        verdicts=verdicts,
         rates=[
             _compare_rates(group, method, part)
             for group, (first, last, names_of_group) in GROUPS.items()
             for method in methods
             if method.base in names_of_group
-            and not (part := pairs[pairs["number"].between(first, last) & pairs["method"].eq(method.base)]).empty
+            and not (part := pairs[pairs["figure"].between(first, last) & pairs["method"].eq(method.name)]).empty
         ],
         classes=[
             _class_agreement(kind, figures, pairs) for kind in [*dict.fromkeys(figure.kind for figure in known), "all"]
@@ -441,16 +448,18 @@ def _measured_shares(cells: pd.DataFrame) -> dict[str, float]:
     return {str(texture): float(share) for texture, share in shares.items()}
 
 
-def _pair_verdicts(figures: Sequence[FigureRow], methods: Sequence[Method]) -> pd.DataFrame:
-    """Return one row a published verdict: figure, class, method, 1 if it is preserved, and the measured share."""
+def _tabulate_verdicts(figures: Sequence[FigureRow], methods: Sequence[Method]) -> pd.DataFrame:
+    """Return one row a figure and method: the published verdict and the measured share of preserved replicates."""
     rows = [
-        [row.figure.number, row.figure.kind, row.figure.description, method.base, float(word == "preserved"), share]
+        {
+            **{"figure": row.figure.number, "description": row.figure.description, "class": row.figure.kind},
+            **{"texture": row.texture, "method": method.name, "lattice_source": method.lattice_source},
+            **{"published": row.figure.verdicts.get(method.base), "measured_share": share},
+        }
         for row in figures
         for method, share in zip(methods, row.measured, strict=True)
-        if (word := row.figure.verdicts.get(method.base))
     ]
-    pairs = pd.DataFrame(rows, columns=["number", "class", "description", "method", "published", "measured"])
-    return pairs.astype({"measured": float})
+    return pd.DataFrame(rows)
 
 
 def _compare_rates(group: str, method: Method, pairs: pd.DataFrame) -> RateRow:
@@ -460,14 +469,14 @@ def _compare_rates(group: str, method: Method, pairs: pd.DataFrame) -> RateRow:
         method=method,
         published=estimate_rate(pairs["published"], of),
         same=estimate_rate(same["published"], of),
-        measured=estimate_rate(same["measured"], of),
-        difference=estimate_mean(same["measured"] - same["published"], of),
+        measured=estimate_rate(same["measured_share"], of),
+        difference=estimate_mean(same["measured_share"] - same["published"], of),
     )
 
 
 def _class_agreement(kind: str, figures: Sequence[FigureRow], pairs: pd.DataFrame) -> ClassRow:
     known = pairs[pairs["class"].eq(kind) | (kind == "all")].dropna()
-    means = (1 - (known["published"] - known["measured"]).abs()).groupby(known["number"]).mean()
+    means = (1 - (known["published"] - known["measured_share"]).abs()).groupby(known["figure"]).mean()
     of = sum(kind in (row.figure.kind, "all") for row in figures)
     return ClassRow(kind, len(known), estimate_mean(means, of))
 
@@ -475,7 +484,7 @@ def _class_agreement(kind: str, figures: Sequence[FigureRow], pairs: pd.DataFram
 def _compare_cells(pairs: pd.DataFrame) -> tuple[float | None, tuple[float, float] | None]:
     """Return kappa figure by figure, and its mean and 95th percentile under random pairing within a description."""
     known = pairs.dropna()
-    published, measured = known["published"].to_numpy() > 0, known["measured"].to_numpy() >= 0.5
+    published, measured = known["published"].to_numpy() > 0, known["measured_share"].to_numpy() >= 0.5
     observed = float(_kappa_of(published, measured))
     if not np.isfinite(observed):
         return None, None
@@ -495,20 +504,6 @@ def _kappa_of(published: NDArray[np.bool_], measured: NDArray[np.bool_]) -> NDAr
     """Return Cohen's kappa of published verdicts, ``(..., n)``, with the measured ones, ``(n,)``."""
     first, second = (np.stack([words, ~words], -1).astype(float) for words in (published, measured))
     return kappa(np.einsum("...ni,nj->...ij", first, second))
-
-
-def published_table(published: PublishedComparison) -> pd.DataFrame:
-    """Return one row a figure and method: the published verdict and the measured share of preserved replicates."""
-    rows = [
-        {
-            **{"figure": row.figure.number, "description": row.figure.description, "class": row.figure.kind},
-            **{"texture": row.texture, "method": method.name, "lattice_source": method.lattice_source},
-            **{"published": row.figure.verdicts.get(method.base), "measured_share": share},
-        }
-        for row in published.figures
-        for method, share in zip(published.methods, row.measured, strict=True)
-    ]
-    return pd.DataFrame(rows)
 
 
 def published_rates_table(published: PublishedComparison) -> pd.DataFrame:

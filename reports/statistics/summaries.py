@@ -13,7 +13,7 @@ import pandas as pd
 
 from nrbench import plugins
 from nrbench.plugins.forms import Column
-from nrbench.runs.records import Run
+from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
 from .estimates import Estimate, estimate_means, success_rate
@@ -86,31 +86,24 @@ class Method:
         return method_label(self.name, self.lattice_source)
 
 
-@dataclass(frozen=True)
-class PatchTerms:
-    """How a method that copies patches works: a row of the table of patches (Lin et al. 2004, table 1).
-
-    Parameters
-    ----------
-    method
-        The name of the plugin.
-    shape, placement, stitching
-        What a patch is, how its place is chosen, and how it is joined to the others, as the plugin says.
-    """
-
-    method: str
-    shape: str
-    placement: str
-    stitching: str
-
-
-def list_patch_terms(run: Run) -> list[PatchTerms]:
-    """Return the terms of each installed patch-copying method of a run, in the order of the run."""
-    names = dict.fromkeys(record.cell.method for record in run.cells if not record.cell.reference)
+def method_classes(cells: Iterable[CellRecord]) -> dict[str, type | None]:
+    """Return the class of each installed method of some cells by its name, in the order of the cells."""
+    names = dict.fromkeys(record.cell.method for record in cells)
     installed = set(plugins.names("synthesizers"))
-    classes = {name: plugins.find("synthesizers", name).cls for name in names if name in installed}
-    said = {name: [getattr(cls, term, "") for term in plugins.PATCH_TERMS] for name, cls in classes.items()}
-    return [PatchTerms(name, *terms) for name, terms in said.items() if all(terms)]
+    return {name: plugins.find("synthesizers", name).cls for name in names if name in installed}
+
+
+def list_patch_terms(run: Run) -> list[tuple[str, ...]]:
+    """Return the rows of the table of patches (Lin et al. 2004, table 1), as the methods that copy patches declare.
+
+    Returns
+    -------
+    list of tuple
+        The name of the method, what a patch is, how its place is chosen, and how it is joined to the others.
+    """
+    classes = method_classes(record for record in run.cells if not record.cell.reference)
+    rows = [(name, *(getattr(cls, term, "") for term in plugins.PATCH_TERMS)) for name, cls in classes.items()]
+    return [row for row in rows if all(row)]
 
 
 @dataclass(frozen=True)
@@ -326,20 +319,20 @@ def summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRo
     if not summaries:
         return []
     refused = any(one.counts["refused"] for one in summaries)
-    rates = [_row("preserved", RATE, RATE_MEANING, [one.success for one in summaries], rate=True)]
+    rates = [SummaryRow("preserved", RATE, RATE_MEANING, _known(one.success for one in summaries), rate=True)]
     if refused:
         note = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out. Failures count")
-        estimates = [one.success_answered for one in summaries]
-        rates.append(_row("preserved (without refusals)", RATE, note, estimates, rate=True, variant=True))
+        estimates = _known(one.success_answered for one in summaries)
+        rates.append(SummaryRow("preserved (without refusals)", RATE, note, estimates, rate=True, variant=True))
     columns = headline_columns(run)
     means = []
     for name, column in columns.items():
         undecided = " Undecided cells are left out." if name in (SCORE, *HEADLINES) else ""
-        means.append(_row(name, column, MEAN_MEANING + undecided, [one.means[name] for one in summaries]))
+        means.append(SummaryRow(name, column, MEAN_MEANING + undecided, _known(one.means[name] for one in summaries)))
         if name == RANKING and (refused or any(one.counts["failed"] for one in summaries)):
-            estimates = [one.means[QUALITY] for one in summaries]
+            estimates = _known(one.means[QUALITY] for one in summaries)
             note = f"{MEAN_MEANING} Failures, refusals and undecided cells are left out."
-            means.append(_row("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
+            means.append(SummaryRow("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
     seconds = len(means) - 1 if RANKING in columns else 0
     return [*means[:seconds], *rates, *means[seconds:]]
 
@@ -352,23 +345,16 @@ def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[Summa
     shown = {*headline_columns(run), PRESERVED, QUALITY, STRUCTURE, *(f"cost.{name}" for name in COSTS)}
     columns = describe_scores(run)
     rows = [
-        _row(name, columns[name], MEAN_MEANING, [one.means[name] for one in summaries])
+        SummaryRow(name, columns[name], MEAN_MEANING, _known(one.means[name] for one in summaries))
         for name in sort_headlines_first(columns)
         if name not in shown
     ]
     return [row for row in rows if any(row.estimates)]
 
 
-def _row(
-    name: str,
-    column: Column,
-    note: str,
-    estimates: Sequence[Estimate | None],
-    rate: bool = False,
-    variant: bool = False,
-) -> SummaryRow:
-    known = [estimate if estimate and estimate.n else None for estimate in estimates]
-    return SummaryRow(name, column, note, known, rate, variant)
+def _known(estimates: Iterable[Estimate]) -> list[Estimate | None]:
+    """Return None for each estimate that counts no texture."""
+    return [estimate if estimate.n else None for estimate in estimates]
 
 
 def describe_scores(run: Run) -> dict[str, Column]:

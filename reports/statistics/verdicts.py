@@ -23,29 +23,20 @@ from nrbench.runs.store import FAILED
 from .estimates import as_numbers
 
 PRESERVED, SCORE = "regularity.preserved", "regularity.score"
-MARKS: Mapping[str, str] = {
-    "preserved": "✓",
-    "lost": "✗",
-    "undecided": "?",
-    "not applicable": "–",
-    "refused": "N/A",
-    "failed": "!",
-    "unscored": "(!)",
-    "missing": "·",
-    "mixed": "~",
-}
+_VERDICTS = (
+    ("preserved", "✓", "the lattice is preserved"),
+    ("lost", "✗", "the lattice is lost"),
+    ("undecided", "?", "faults could not have been detected at this regular share"),
+    ("not applicable", "–", "the texture has no lattice"),
+    ("refused", "N/A", "the method refused this input as outside its domain"),
+    ("failed", "!", "the method failed"),
+    ("unscored", "(!)", "the regularity score failed or is absent"),
+    ("missing", "·", "not run yet"),
+    ("mixed", "~", "replicates disagree"),
+)
+MARKS: Mapping[str, str] = {name: mark for name, mark, _ in _VERDICTS}
 """Each verdict's mark. The marks differ without color."""
-MEANINGS: Mapping[str, str] = {
-    "preserved": "the lattice is preserved",
-    "lost": "the lattice is lost",
-    "undecided": "faults could not have been detected at this regular share",
-    "not applicable": "the texture has no lattice",
-    "refused": "the method refused this input as outside its domain",
-    "failed": "the method failed",
-    "unscored": "the regularity score failed or is absent",
-    "missing": "not run yet",
-    "mixed": "replicates disagree",
-}
+MEANINGS: Mapping[str, str] = {name: meaning for name, _, meaning in _VERDICTS}
 _EXPLAINED = frozenset(("refused", "undecided", "failed", "unscored"))
 QUALITY = "quality.score"
 REGULARITY, INTEGRITY, RANDOMNESS = PERILS = ("quality.regularity", "quality.integrity", "quality.randomness")
@@ -237,11 +228,3 @@ def count_valid_textures(cells: pd.DataFrame) -> BaselineValidity:
     """
     valid = cells.groupby("texture")["baseline_valid"].any()
     return BaselineValidity(int(valid.sum()), len(valid))
-
-
-def explain_valid_baseline(record: CellRecord) -> str:
-    """Return the sentence that a cell's baseline is valid on its texture; empty if it is not."""
-    if not is_valid_baseline(record):
-        return ""
-    kind = "a stochastic texture" if record.kind == "stochastic" else f"a texture of type {record.kind}"
-    return f"valid baseline: what this baseline does is correct on {kind}"

@@ -1,1 +1,1 @@
-"""Helper of the baselines tiling, supertile and shuffle: the Voronoi cell of a lattice."""
+"""Helper of the baselines tiling, supertile and shuffle, with the Voronoi cell of a lattice."""

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any, Final, Literal
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.box_sums import box_sums_from, integral_image
@@ -21,7 +20,8 @@ from nrbench.imaging.convert import Image, to_bytes
 from nrbench.lattice.geometry import Points
 
 from ..sampling.equal_places import search_shape
-from .blocks import Box
+from ..sampling.fourier_products import FourierProducts, Spectra
+from .block_canvas import Box
 from .matching_kernels import correlate_at
 
 Match = Literal["ncc", "color"]
@@ -95,11 +95,8 @@ class FrameMatcher:
         Array
             Of :attr:`search_shape`, exact.
         """
-        product = np.einsum("chw,chw->hw", self._spectrum, self._transform(template.astype(np.float64)).conj())
-        rows, columns = self.search_shape
-        return np.rint(
-            scipy.fft.irfft(scipy.fft.ifft(product, axis=0)[:rows], self._fast_shape[1], axis=1)[:, :columns]
-        )
+        spectra = self._products.transform(np.moveaxis(template, -1, 0))
+        return self._products.correlate(self._spectra, spectra, self.search_shape)
 
     def _ratings(self, products: Array, sums: Array, spread: Array, template: NDArray[np.float32], hole: Box) -> Array:
         """Compute ratings from sums of products ``(...)``: equation 10 expanded, or equation 4."""
@@ -117,18 +114,12 @@ class FrameMatcher:
         return sums, np.sqrt(np.maximum(n * squares - sums**2, 0))
 
     @cached_property
-    def _fast_shape(self) -> tuple[int, int]:
-        height, width, _ = self.values.shape
-        return scipy.fft.next_fast_len(height, real=True), scipy.fft.next_fast_len(width, real=True)
+    def _products(self) -> FourierProducts:
+        return FourierProducts(self.values.shape)
 
     @cached_property
-    def _spectrum(self) -> NDArray[np.complex128]:
-        return self._transform(self.values.astype(np.float64))
-
-    def _transform(self, pixels: Array) -> NDArray[np.complex128]:
-        """Return the spectra ``(C, rows, columns)`` of ``(h, w, C)``, padded with zeros after the rows' transforms."""
-        lines = scipy.fft.rfft(np.ascontiguousarray(np.moveaxis(pixels, -1, 0)), self._fast_shape[1], axis=2)
-        return np.asarray(scipy.fft.fft(lines, self._fast_shape[0], axis=1))
+    def _spectra(self) -> Spectra:
+        return self._products.transform(np.moveaxis(self.values, -1, 0))
 
     @cached_property
     def _integrals(self) -> tuple[Array, Array]:

@@ -20,9 +20,8 @@ from nrbench.tracking.deformation import LEAST_AMPLITUDE
 
 from ..sampling.equal_places import pixel_grid
 from ..sampling.patches import Patches
-from .deformed_lattice import DeformedLattice, find_deformed_lattice
+from .deformed_lattice import Deform, DeformedLattice, find_deformed_lattice, output_field
 from .free_form import FreeForm
-from .vertex_field import Deform, Update, output_field
 
 Geometry = Literal["as-is", "straighten"]
 """Whether a method takes the sample as it is, or straightens it first and deforms the output again."""
@@ -131,13 +130,11 @@ class Bend:
     field: FreeForm | None
 
     @classmethod
-    def of(
-        cls, straight: StraightSample, shape: tuple[int, int], deform: Deform, update: Update, rng: np.random.Generator
-    ) -> Bend:
+    def of(cls, straight: StraightSample, shape: tuple[int, int], deform: Deform, rng: np.random.Generator) -> Bend:
         """Return the deformation of an output; the warp is that of the sample, from the displaced vertices back."""
         if deform == "none":
             return cls(shape, None)
-        places, moved, nearest = output_field(straight.deformed, shape, deform, update, rng)
+        places, moved, nearest = output_field(straight.deformed, shape, deform, rng)
         return cls(shape, FreeForm.fit(places + moved, -moved, nearest))
 
     def locate(self, pixels: Points) -> Points:
@@ -178,7 +175,7 @@ def synthesize_straight(task: Task, lattice: Lattice, synthesize: Callable[[Task
     straight = StraightSample.of(task.sample, lattice)
     if not straight.departs:
         return synthesize(replace(task, lattice=lattice))
-    bend = Bend.of(straight, task.shape, "synthesize", "sample", task.rng)
+    bend = Bend.of(straight, task.shape, "normal", task.rng)
     margin = _MARGIN + math.ceil(lattice.covering_radius)
     low, high = np.floor(bend.extent[0]) - margin, np.ceil(bend.extent[1]) + margin
     width, height = (high - low).astype(int) + 1

@@ -8,12 +8,10 @@ from nrbench.jit import Float64x2, Float64x3, kernel
 
 
 @kernel
-def move_vertices(
-    start: Float64x3, maps: Float64x3, step: float, moves: Float64x2, chances: Float64x3, sweeps: int
-) -> Float64x3:
-    """Return the displacements of the vertices after some rounds (report, appendix A, equations 2 and 3).
+def move_vertices(start: Float64x3, maps: Float64x3, step: float, moves: Float64x2, sweeps: int) -> Float64x3:
+    """Return the displacements of the vertices after some rounds (report, appendix A, equation 3).
 
-    In each round every vertex, in the order of rows, takes one of its possible moves. The likelihood of a move is the
+    In each round every vertex, in the order of rows, takes its most likely move. The likelihood of a move is the
     product of the densities of the offsets to the neighbors that exist. O(rows columns sweeps moves).
 
     Parameters
@@ -27,9 +25,6 @@ def move_vertices(
         Step of the maps, px.
     moves
         ``(m, 2)``: the possible moves (x, y) px.
-    chances
-        ``(sweeps, rows, columns)``: uniform numbers in [0, 1), by which moves are drawn by their likelihood; empty:
-        the most likely move is taken (equation 3).
     sweeps
         Number of rounds.
     """
@@ -38,7 +33,7 @@ def move_vertices(
     side, count = maps.shape[1], len(moves)
     middle = (side - 1) / 2
     likelihood = np.empty(count)
-    for sweep in range(sweeps):
+    for _ in range(sweeps):
         for y in range(rows):
             for x in range(columns):
                 likelihood[:] = 0
@@ -60,19 +55,6 @@ def move_vertices(
                                 likelihood[m] += (1 - v) * above + v * below
                         number += 1
                 best = int(np.argmax(likelihood))
-                if chances.size > 0:
-                    highest = likelihood[best]
-                    total = 0.0
-                    for m in range(count):
-                        likelihood[m] = np.exp(likelihood[m] - highest)
-                        total += likelihood[m]
-                    left = chances[sweep, y, x] * total
-                    best = count - 1
-                    for m in range(count):
-                        left -= likelihood[m]
-                        if left < 0:
-                            best = m
-                            break
                 field[y, x, 0] += moves[best, 0]
                 field[y, x, 1] += moves[best, 1]
     return field

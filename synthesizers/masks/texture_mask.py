@@ -13,14 +13,14 @@ import numpy as np
 import skimage
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import require
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.plugins.parameters import append_parameters
 from nrbench.spectra.harmonics import Channels, Harmonic, Signal, WaveAnalysis, analyze
 
-from ..sampling.two_periods import shows_two_periods
+from ..sampling.equal_places import shows_two_periods
 
 FINEST = 2.5
 """px: lattices with s up to this are ignored. They have at most one wave well below the Nyquist frequency."""
@@ -78,12 +78,9 @@ class MaskParameters:
         append_parameters(cls, MaskParameters)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.threshold < 255:
-            raise BadInput(
-                f"threshold {self.threshold}; choose 0 (automatic) or an amplitude below 255, units of 1/255"
-            )
-        if self.tileable and self.harmonics == "free":
-            raise BadInput("tileable with harmonics 'free', which have no common period; choose harmonics 'tied'")
+        require(0 <= self.threshold < 255, f"threshold {self.threshold}; choose 0 (automatic), or below 255")
+        periodic = not self.tileable or self.harmonics == "tied"
+        require(periodic, "tileable with harmonics 'free', which have no common period; choose harmonics 'tied'")
 
     def find_mask(self, sample: Image, lattice: Lattice | None = None) -> TextureMask:
         """Return the mask of a sample; :func:`nrbench.spectra.harmonics.analyze` finds its frequencies.

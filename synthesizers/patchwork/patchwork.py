@@ -1,33 +1,137 @@
-"""A patchwork: patches of a sample, cut into an output along the least visible seams.
+"""A patchwork: patches of a sample, cut into an output along the least visible seams, and the choice of patches.
 
-Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), sections 3, 4.
+Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts). Sections 3 and
+5: seams; section 4: comparison of an output with the sample at every translation.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.box_sums import box_sums
+from nrbench.imaging.box_sums import Table, box_sums, box_sums_from, integral_image
 from nrbench.imaging.convert import Image
 
+from ..sampling.fourier_products import FourierProducts, Spectra
 from ..sampling.patches import Source
 from ..seams.seam_kernels import cut_links
-from .feather_kernels import feather_seams
-from .patchwork_kernels import UNIT, link_choices, show_patch
-from .translations import Features, Mask, Translations, draw_translation
+from .patchwork_kernels import UNIT, feather_seams, link_choices, show_patch
 
+Mask = NDArray[np.bool_]
+Features = NDArray[np.int32]
+"""``int32 (H, W, F)``: the values of the pixels that are compared. They are integers, so that sums are exact."""
+Costs = NDArray[np.float64]
+"""``float64 (rows, columns)``: the cost of each place (y, x) of the window's first pixel in the sample."""
+_FARTHEST = 746.0
+"""exp of less than minus this is 0."""
 Window = tuple[int, int, int, int]
 """(y0, y1, x0, x1), half-open: rows and columns of the output."""
 Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
-
 BLOCKS_PER_SIDE = 6
 """Number of blocks along the shorter side of a window; the search for the worst window moves in steps of a block."""
+
+
+def to_gray_levels(image: Image, weight: float = 1.0) -> Features:
+    """Return an image, times a weight, rounded to integer gray levels, ``int32 (H, W, C)``."""
+    return np.ascontiguousarray(np.rint(image.astype(np.float64) * (255 * weight)), np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Translations:
+    """The translations of a sample that cover a window (sub-patch matching), with the sample's precomputed spectra.
+
+    Parameters
+    ----------
+    values
+        ``int32 (H, W, F)``: the sample, for example its colors and the values of a mask. Sums of squares over it must
+        be below 2^47.
+    colors
+        The number of leading channels that are compared at known pixels only. The others are compared at all pixels.
+    """
+
+    values: Features
+    colors: int
+
+    def compute_costs(self, window: Features, known: Mask) -> Costs:
+        """Return the sum of squared differences between a window and the part of the sample at each place.
+
+        Parameters
+        ----------
+        window
+            ``int32 (h, w, F)``, not larger than the sample.
+        known
+            ``bool (h, w)``: the pixels at which the leading channels are compared.
+
+        Returns
+        -------
+        Costs
+            ``(H - h + 1, W - w + 1)``, exact.
+
+        Notes
+        -----
+        The square of the difference is expanded (section 5 of the paper). Fourier transforms compute the products.
+        Integral images compute the sums of squares, or transforms if not all pixels are compared. The time is
+        O(F H W log(H W)) for windows of any size.
+        """
+        size, sides = (known.shape[0], known.shape[1]), self.values.shape
+        counts = sides[0] - size[0] + 1, sides[1] - size[1] + 1
+        seen = np.moveaxis(window, -1, 0).astype(np.float64)
+        seen[: self.colors] *= known
+        total = float((seen**2).sum()) + box_sums_from(self._tables[1], size)
+        planes, spectra = -2 * seen, self._spectra
+        if known.all():
+            total, spectra = total + box_sums_from(self._tables[0], size), spectra[:-1]
+        else:
+            planes = np.concatenate([planes, known[np.newaxis]])
+        return np.asarray(total + self._products.correlate(spectra, self._products.transform(planes), counts))
+
+    @cached_property
+    def _squares(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The squares, summed over the leading channels and over the others."""
+        squares = self.values.astype(np.int64) ** 2
+        return squares[..., : self.colors].sum(-1), squares[..., self.colors :].sum(-1)
+
+    @cached_property
+    def _tables(self) -> tuple[Table, Table]:
+        return integral_image(self._squares[0]), integral_image(self._squares[1])
+
+    @cached_property
+    def _products(self) -> FourierProducts:
+        return FourierProducts(self.values.shape)
+
+    @cached_property
+    def _spectra(self) -> Spectra:
+        """The spectra of all channels, and last that of the squares of the leading ones."""
+        return self._products.transform(np.stack([*np.moveaxis(self.values, -1, 0), self._squares[0]]))
+
+
+def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tuple[int, int]:
+    """Draw a place, (x, y) px, with a probability proportional to exp(-cost / scale).
+
+    Parameters
+    ----------
+    costs
+        Costs of the places, for example from :meth:`Translations.compute_costs`. Places of infinite cost are never
+        drawn; at least one cost is finite.
+    scale
+        The paper's k sigma^2 (section 4) in the unit of the costs: times the number of the window's pixels if the costs
+        are sums. 0: one of the places of least cost is drawn.
+    rng
+        The generator; one number is drawn from it.
+    """
+    above = costs - costs.min()
+    near = np.flatnonzero(above <= _FARTHEST * scale)  # the weights of all others are 0
+    weights = np.exp(-above.ravel()[near] / scale) if scale > 0 else np.ones(len(near))
+    cumulative = np.cumsum(weights)
+    index = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], "right"))
+    y, x = divmod(int(near[min(index, len(near) - 1)]), costs.shape[1])
+    return x, y
 
 
 class Patchwork:
@@ -292,72 +396,8 @@ class SeamHeat:
         return np.unique(pixels // self.block)
 
 
-class PatchPlacer:
-    """Covers windows of an output with patches that match their known pixels (sub-patch matching, section 4).
-
-    Parameters
-    ----------
-    work
-        The output.
-    colors
-        ``int32 (H, W, C)``: the values of the sample's pixels that are compared with known pixels.
-    randomness
-        The paper's k: places are drawn with a probability proportional to exp(-cost / (k sigma^2)). The cost is the
-        mean squared difference of the window's pixels; sigma is the standard deviation of the sample's colors. Both
-        are summed over channels. 0: one of the places of least cost is drawn.
-    rng
-        The generator that draws places.
-    guide
-        Values that are compared at all pixels, known or not: ``int32 (H, W, M)`` of the output, and the same of the
-        sample.
-    reach
-        See :meth:`Patchwork.lay_patch`.
-    """
-
-    def __init__(
-        self,
-        work: Patchwork,
-        colors: Features,
-        randomness: float,
-        rng: np.random.Generator,
-        guide: tuple[Features, Features],
-        reach: int = 0,
-    ) -> None:
-        self.work, self.colors, self.randomness, self.rng = work, colors, randomness, rng
-        self.guide, self.reach, self._variance = guide, reach, summed_variance(colors)
-        self._translations = Translations(np.concatenate([colors, guide[1]], -1), colors.shape[2])
-
-    def cover_window(self, window: Window) -> int:
-        """Lay a patch into a window, and return the number of replaced pixels; 0 if no replacement reduces the cost."""
-        pixels = self.work.pixels(window)
-        known = self.work.known[pixels]
-        values = np.concatenate([self.work.read(self.colors, window), self.guide[0][pixels]], -1)
-        costs = self._translations.compute_costs(values, known)
-        scale = self.randomness * self._variance * known.size
-        return self.work.lay_patch(window, draw_translation(costs, scale, self.rng), self.reach)
-
-    def improve_worst_window(self, heat: SeamHeat) -> int:
-        """Cover the window whose seams cost most again, and return the number of replaced pixels."""
-        window = heat.find_worst()
-        new = self.cover_window(window)
-        heat.update(window, self.reach)
-        return new
-
-
 def summed_variance(colors: Features) -> float:
     """Return the variance, summed over channels, from integer sums so that it is the same on every machine."""
     values = colors.reshape(-1, colors.shape[2]).astype(np.int64)
     count, squares = len(values), int((values**2).sum())
     return (count * squares - sum(int(total) ** 2 for total in values.sum(0))) / count**2
-
-
-def scan_windows(shape: tuple[int, int], size: tuple[int, int], step: tuple[int, int], wrap: bool) -> Iterator[Window]:
-    """Yield windows of a size that cover an output, line by line, at distances of ``step`` (rows, columns).
-
-    The last window of a line and the windows of the last line are cropped at the output's edge. If the output wraps,
-    they cross the edge instead.
-    """
-    for top in range(0, shape[0] if wrap else max(shape[0] - size[0] + step[0], 1), step[0]):
-        for left in range(0, shape[1] if wrap else max(shape[1] - size[1] + step[1], 1), step[1]):
-            bottom, right = top + size[0], left + size[1]
-            yield top, bottom if wrap else min(bottom, shape[0]), left, right if wrap else min(right, shape[1])

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import checker
+from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.forms import Refused, SourceMap, Task
 from nrbench.plugins.parameters import append_parameters
@@ -62,12 +62,8 @@ class SearchParameters:
         append_parameters(cls, SearchParameters)
 
     def __post_init__(self) -> None:
-        allowed = self.coherence == 0 or 1 <= self.coherence < np.inf
-        _check(allowed, f"coherence {self.coherence}; choose 0, or 1 or more")
-        _check(self.dimensions >= 0, f"dimensions {self.dimensions}; choose 1 or more, or 0 for all")
-
-
-_check = checker("pixels")
+        require_ranges(self, coherence=(0, np.inf), dimensions=(0, np.inf))
+        require(not 0 < self.coherence < 1, f"coherence {self.coherence}; choose 0, or 1 or more")
 
 
 @dataclass(frozen=True, eq=False)

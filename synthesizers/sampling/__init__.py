@@ -1,1 +1,1 @@
-"""Read patches of a sample at real-valued places, and find the places that a lattice makes equal."""
+"""Read patches of a sample at real-valued places, find the places that a lattice makes equal, and correlate images."""

@@ -1,1 +1,1 @@
-"""Seams between overlapping pictures: exact minimum cuts and dynamic programming."""
+"""Seams between overlapping pictures: minimum cuts and dynamic programming."""

@@ -24,7 +24,10 @@ from nrbench.jit import (
     Int64x1,
     UInt8View2,
     UInt8x1,
+    UInt8x2,
+    UInt8x3,
     UInt64x1,
+    inlined_kernel,
     kernel,
     step_kernel,
 )
@@ -206,7 +209,7 @@ def touch_trees(residual: Float64x2, offset: Int64x1, nodes: Nodes, queue: Int64
         current = -1
 
 
-@step_kernel
+@inlined_kernel
 def send_flow(
     residual: Float64x2,
     terminal: Float64x1,
@@ -269,7 +272,7 @@ def send_flow(
     return count
 
 
-@step_kernel
+@inlined_kernel
 def reattach_orphans(
     residual: Float64x2,
     offset: Int64x1,
@@ -467,3 +470,41 @@ def link_costs(old: Float32x3, new: Float32x3, squared: bool) -> Float64x3:
                 cost = apart * apart if squared else apart
                 costs[axis, y, x] = cost / (gradient[axis, y, x] + gradient[axis, v, u] + GRAY_LEVEL)
     return costs
+
+
+@kernel
+def squared_differences(old: UInt8x3, new: UInt8x3) -> Float64x2:
+    """Return the squared difference of two pictures ``(h, w, C)`` at each pixel, summed over channels: ``(h, w)``."""
+    height, width, channels = old.shape
+    error = np.empty((height, width))
+    for y in range(height):
+        for x in range(width):
+            total = 0
+            for c in range(channels):
+                difference = int(old[y, x, c]) - int(new[y, x, c])
+                total += difference * difference
+            error[y, x] = total
+    return error
+
+
+@kernel
+def cut_corner(error: Float64x2, overlap: int) -> tuple[UInt8x2, float]:
+    """Return the mask and the cost of an L-shaped cut, as ``l_shaped_seam`` describes them. O((h + w) overlap).
+
+    Of meeting pixels of equal cost the first one is chosen, row by row.
+    """
+    height, width = error.shape
+    upright, level = path_costs(error[:, :overlap]), path_costs(error[:overlap].T)
+    cost, row, column = np.inf, 0, 0
+    for i in range(overlap):
+        for j in range(overlap):
+            both = upright[i, j] + level[j, i] - error[i, j]
+            if both < cost:
+                cost, row, column = both, i, j
+    first, below = follow_path(upright, row, column), follow_path(level, column, row)
+    mask = np.ones((height, width), np.uint8)
+    for y in range(height):
+        for x in range(width):
+            if (y < row and x < column) or (y >= row and x < first[y - row]) or (x >= column and y < below[x - column]):
+                mask[y, x] = 0
+    return mask, cost

@@ -1,20 +1,220 @@
-"""An output of texels: which one stands where, in the order in which the lattice grows, and what a point shows."""
+"""Texels: their shape, those that a sample holds, and the mosaic of them that an output shows."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
 
-from .texel_shape import NEIGHBORS
-from .texel_stock import TexelStock
-
+Step = tuple[int, int]
+"""A lattice vector, in steps along the first and the second vector, from a texel to another one."""
+NEIGHBORS: Final[tuple[Step, ...]] = tuple((u, v) for u in (-1, 0, 1) for v in (-1, 0, 1) if u or v)
+_CHUNK = 1 << 16
+"""Number of points of the sample that are read at a time."""
+_KEPT = 1 << 22
+"""Number of differences that are kept, 32 MiB."""
 Grid = NDArray[np.int64]
 """``(columns, rows)``: number of the texel at each place of the output."""
+
+
+@dataclass(frozen=True, eq=False)
+class TexelShape:
+    """A convex texel, symmetric about its middle, that tiles the plane when a lattice repeats it.
+
+    Parameters
+    ----------
+    lattice
+        Its points are the middles of the texels. All texels that meet are one step along either or both vectors apart.
+    normals
+        ``(k, 2)``: unit vectors across the pairs of parallel sides, two or three.
+    halves
+        ``(k,)`` px: distance of each side from the middle.
+    zone
+        Breadth, px, of the zone that two neighbors share: each reaches half of it beyond its sides.
+    """
+
+    lattice: Lattice
+    normals: Points
+    halves: NDArray[np.float64]
+    zone: float
+
+    @classmethod
+    def of(cls, lattice: Lattice, corners: Points, zone: float) -> TexelShape:
+        """Return the texel with some corners.
+
+        Parameters
+        ----------
+        lattice
+            Its points are the middles.
+        corners
+            ``(2 k, 2)`` px: the corners from the middle, in order around it; two may coincide.
+        zone
+            As in the class. It is made no broader than the texel.
+        """
+        sides = np.roll(corners, -1, 0)[: len(corners) // 2] - corners[: len(corners) // 2]
+        lengths = np.hypot(*sides.T)
+        kept = lengths > 1e-6
+        normals = np.column_stack([-sides[:, 1], sides[:, 0]])[kept] / lengths[kept, np.newaxis]
+        halves = np.abs((normals * corners[: len(corners) // 2][kept]).sum(1))
+        return cls(lattice, normals, halves, min(zone, 2 * float(halves.min())))
+
+    def ramp(self, points: Points) -> NDArray[np.float64]:
+        """Return how far points ``(..., 2)`` px from the middle are inside: 0 to 1 across the zone, 1/2 on a side."""
+        inside = (self.halves - np.abs(points @ self.normals.T)).min(-1)
+        return np.asarray(np.clip(0.5 + inside / max(self.zone, 1e-9), 0, 1))
+
+    def weights(self, points: Points) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+        """Yield cell coordinates of texels near points ``(n, 2)`` px, ``(n, 2)``, and their weights there, ``(n,)``.
+
+        The weights of all texels at a point add up to 1. They fall linearly across the zone of two neighbors. If each
+        new texel were feathered onto those pasted before, the weights would be the same, but for the corners where
+        three meet.
+        """
+        near = np.rint(self.lattice.to_cell(points)).astype(np.int64)
+        numbers = [near + step for step in ((0, 0), *NEIGHBORS)]
+        ramps = [self.ramp(points - self.lattice.from_cell(number)) for number in numbers]
+        total = np.sum(ramps, 0)
+        for number, ramp in zip(numbers, ramps, strict=True):
+            yield number, ramp / total
+
+    @cached_property
+    def pixels(self) -> Points:
+        """``(n, 2)``: the whole-pixel points from the middle that the texel and its zone hold."""
+        reach = int(np.ceil(2 * np.hypot(*self.lattice.matrix.T).max() + self.zone))
+        side = np.arange(-reach, reach + 1.0)
+        points = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
+        return points[self.ramp(points) > 0]
+
+    @cached_property
+    def rim(self) -> Points:
+        """``(n, 2)`` px: the outermost of :attr:`pixels`."""
+        steps = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
+        return np.asarray(self.pixels[(self.ramp(self.pixels[:, np.newaxis] + steps) == 0).any(1)])
+
+    def shared_zone(self, step: Step) -> Points:
+        """Return the :attr:`pixels` of the zone that a texel shares with the one at a step, ``(n, 2)``."""
+        return np.asarray(self.pixels[self.ramp(self.pixels - np.array(step) @ self.lattice.matrix) > 0])
+
+
+@dataclass(frozen=True, eq=False)
+class TexelStock:
+    """The texels that a sample holds with their zones.
+
+    Parameters
+    ----------
+    shape
+        Their shape, and the lattice of their middles.
+    middles
+        ``(n, 2)``: the middle (x, y) px of each texel.
+    read
+        Returns the values of the sample at points ``(..., 2)``, as ``(..., C)``.
+    """
+
+    shape: TexelShape
+    middles: Points
+    read: Callable[[Points], Image]
+
+    @classmethod
+    def of(
+        cls,
+        shape: TexelShape,
+        box: tuple[Points, Points],
+        holds: Callable[[Points], NDArray[np.bool_]],
+        read: Callable[[Points], Image],
+    ) -> TexelStock:
+        """Return all texels that the sample holds.
+
+        Parameters
+        ----------
+        shape, read
+            As in the class.
+        box
+            Least and greatest (x, y) px of the middles that are tried.
+        holds
+            Whether the sample shows points, ``(..., 2)`` to ``(...)``.
+        """
+        middles = shape.lattice.from_cell(shape.lattice.cell_numbers(*box))
+        middles = middles[holds(middles[:, np.newaxis] + shape.rim).all(1)]
+        return cls(shape, middles, read)
+
+    def zone_size(self, step: Step) -> int:
+        """Return the number of points of the zone that a texel shares with the one at a step."""
+        return len(self._zones[min(step, _opposite(step))][0])
+
+    def differences(self, step: Step, there: int) -> NDArray[np.float64]:
+        """Return how each texel differs from one beside it, in the zone that they share, ``(n,)``.
+
+        Squared differences are summed over the points of the zone and averaged over channels. All texels lie on the
+        lattice, so that these numbers hold wherever the two meet.
+
+        Parameters
+        ----------
+        step
+            From each texel to the one beside it.
+        there
+            The number of the texel beside it.
+
+        Notes
+        -----
+        The first call for a step and a texel takes O(n zone). At most :data:`_KEPT` numbers are kept for later calls;
+        n x n tables would take hundreds of MiB where the sample holds thousands of texels.
+        """
+        return self._differences(step, there)
+
+    @cached_property
+    def _differences(self) -> Callable[[Step, int], NDArray[np.float64]]:
+        return lru_cache(max(1, _KEPT // max(len(self.middles), 1)))(self._compute_differences)
+
+    def _compute_differences(self, step: Step, there: int) -> NDArray[np.float64]:
+        """Compute :meth:`differences`; a step and its opposite share a zone, so that they agree on every pair."""
+        forward = min(step, _opposite(step))
+        points, own, other = self._zones[forward]
+        if not len(points):
+            return np.zeros(len(self.middles))
+        here, beside = (own, other) if step == forward else (other, own)
+        squares = scipy.spatial.distance.cdist(beside[there : there + 1], here, "sqeuclidean")[0]
+        return np.asarray(squares / (here.shape[1] // len(points)))
+
+    @cached_property
+    def _zones(self) -> dict[Step, tuple[Points, NDArray[np.float64], NDArray[np.float64]]]:
+        """For each forward step: points of the shared zone, their values in each texel, and in each as the other."""
+        zones = {}
+        for step in NEIGHBORS:
+            if step < _opposite(step):
+                points = self.shape.shared_zone(step)
+                beside = points - np.array(step) @ self.shape.lattice.matrix
+                zones[step] = points, self._values(points), self._values(beside)
+        return zones
+
+    def _values(self, offsets: Points) -> NDArray[np.float64]:
+        """Return the values of each texel at offsets ``(m, 2)`` from its middle, as ``(n, m C)``."""
+        if not len(offsets):
+            return np.zeros((len(self.middles), 0))
+        step = max(1, _CHUNK // len(offsets))
+        parts = [
+            self.read(self.middles[first : first + step, np.newaxis] + offsets)
+            for first in range(0, len(self.middles), step)
+        ]
+        values = np.concatenate(parts).astype(np.float64)
+        return values.reshape(len(values), -1)
+
+    @cached_property
+    def power(self) -> float:
+        """Mean square of the values on the rims."""
+        values = self._values(self.shape.rim)
+        return float((values**2).mean())
+
+
+def _opposite(step: Step) -> Step:
+    return -step[0], -step[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +317,6 @@ def growth_order(size: tuple[int, int]) -> Iterator[tuple[int, int]]:
     found = np.maximum(np.maximum(middle[0] - u, u - middle[0] - 1), 0)
     found = found + np.maximum(np.maximum(middle[1] - v, v - middle[1] - 1), 0)
     last = np.maximum(np.maximum(found[:-1, :-1], found[1:, :-1]), np.maximum(found[:-1, 1:], found[1:, 1:]))
-    column, row = (one.ravel() for one in np.indices(size))
+    column, row = (part.ravel() for part in np.indices(size))
     for n in np.lexsort((column, row, last.ravel())):
         yield int(column[n]), int(row[n])

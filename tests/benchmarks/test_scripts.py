@@ -33,5 +33,5 @@ def test_every_script_can_be_imported(load: Load, name: str) -> None:
 def test_the_list_names_every_script(load: Load) -> None:
     """`make benchmark` starts each script of the folder but helpers and `make soak`'s, and none that does not exist."""
     listed = {command.split()[0] for command in load("all").BENCHMARKS}
-    helpers = {"all.py", "unit.py", "texture_kinds.py", "trivial_cells.py", "soak.py"}
+    helpers = {"all.py", "unit.py", "edits.py", "texture_kinds.py", "trivial_cells.py", "soak.py"}
     assert listed == {f"{name}.py" for name in NAMES} - helpers

@@ -5,12 +5,13 @@ from __future__ import annotations
 import matplotlib
 import numpy as np
 import pytest
-from matplotlib.backend_bases import KeyEvent, MouseEvent
+from matplotlib.backend_bases import CloseEvent, KeyEvent, MouseEvent
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from nrbench.cli.lattice_figures import Picker, diagram, lattice_of
+from nrbench.cli.lattice_figures import diagram, lattice_of, pick_in
 from nrbench.errors import BadInput
+from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Curve, Surface
 
 PEAKS = np.array([(3.0, -4.0), (6.0, 2.0)])
@@ -70,31 +71,33 @@ def test_no_global_state() -> None:
 IMAGE = np.random.default_rng(0).random((60, 80, 1), np.float32)
 
 
-class Hand:
-    """A user before a figure."""
+CLICKS = ((10, 10), (30, 12), (12, 35))
 
-    def __init__(self, *clicked: tuple[float, float]) -> None:
-        self.figure = Figure(figsize=(6, 6))
-        self.canvas = FigureCanvasAgg(self.figure)
-        self.picker = Picker(self.figure, IMAGE)
-        self.canvas.draw()
-        for x, y in clicked:
-            self.click(x, y)
 
-    def click(self, x: float, y: float, button: int = 1) -> None:
-        """Click on a point of the image, px."""
-        left, top = self.figure.axes[0].transData.transform((x, y))
-        event = MouseEvent("button_press_event", self.canvas, left, top, button=button)
-        self.canvas.callbacks.process("button_press_event", event)
+class Hand(FigureCanvasAgg):
+    """A user before a figure, who clicks points (x, y) px of the image and presses keys."""
 
-    def press(self, key: str) -> None:
-        """Press a key."""
-        self.canvas.callbacks.process("key_press_event", KeyEvent("key_press_event", self.canvas, key))
+    def __init__(self, *actions: tuple[float, float] | str) -> None:
+        super().__init__(Figure(figsize=(6, 6)))
+        self.actions, self.titles, self.pictures = iter(actions), list[str](), list[np.ndarray]()
 
-    @property
-    def title(self) -> str:
-        """What the figure says."""
-        return self.figure.axes[0].get_title()
+    def flush_events(self) -> None:
+        """Do the next thing; the loop that waits for events calls this."""
+        axes, action = self.figure.axes[0], next(self.actions)
+        self.titles.append(axes.get_title())
+        self.pictures.append(np.asarray(axes.images[0].get_array()).copy())
+        self.draw()
+        if action == "close":
+            self.callbacks.process("close_event", CloseEvent("close_event", self))
+        elif isinstance(action, str):
+            self.callbacks.process("key_press_event", KeyEvent("key_press_event", self, action))
+        else:
+            x, y = axes.transData.transform(action)
+            self.callbacks.process("button_press_event", MouseEvent("button_press_event", self, x, y, button=1))
+
+    def pick(self) -> Lattice:
+        """Return the lattice."""
+        return pick_in(self.figure, IMAGE)
 
 
 def test_three_points_are_origin_and_ends() -> None:
@@ -105,46 +108,37 @@ def test_three_points_are_origin_and_ends() -> None:
         lattice_of([(0.0, 0.0), (8.0, 8.0), (16.0, 16.0)])
 
 
-@pytest.mark.parametrize("key", ["enter", "escape"])
-def test_clicks_give_the_lattice_and_enter_accepts(key: str) -> None:
-    """Three left clicks give the lattice in px, Enter accepts it, Escape does not; a fourth click changes nothing."""
-    hand = Hand((10, 10), (30, 12), (12, 35), (70, 50))
-    hand.press(key)
-    assert hand.picker.lattice is not None and hand.picker.accepted == (key == "enter")
-    np.testing.assert_allclose(hand.picker.lattice.matrix, [(20, 2), (2, 25)], atol=1e-9)
+@pytest.mark.parametrize(
+    "before",
+    [
+        (),
+        ((50, 10), "backspace"),
+        ((-500, 10),),
+        (*CLICKS, (40, 40)),
+        ((10, 10), (20, 10), (40, 10)),
+    ],
+    ids=["at once", "backspace", "beside the image", "again", "one line"],
+)
+def test_clicks_give_the_lattice_and_a_key_accepts(before: tuple[tuple[float, float] | str, ...]) -> None:
+    """Three clicks give the lattice in px, and a key accepts it.
+
+    Backspace takes a point back, a click beside the image is none, a fourth click or points on one line begin again.
+    """
+    lattice = Hand(*before, *CLICKS, "enter").pick()
+    np.testing.assert_allclose(lattice.matrix, [(20, 2), (2, 25)], atol=1e-9)
 
 
 def test_the_lattice_is_drawn_over_the_image() -> None:
-    """With the third point the shown picture changes, along the lattice's lines only."""
-    hand = Hand()
-    before = np.asarray(hand.figure.axes[0].images[0].get_array()).copy()
-    for point in ((10, 10), (30, 10), (10, 35)):
-        hand.click(*point)
-    changed = (np.asarray(hand.figure.axes[0].images[0].get_array()) != before).any(-1)
+    """With the third point the picture changes, along the lattice's lines only, and the title names what follows."""
+    hand = Hand((10, 10), (30, 10), (10, 35), "enter")
+    hand.pick()
+    changed = (hand.pictures[3] != hand.pictures[2]).any(-1)
     assert changed[10, 10] and changed[10, 20] and changed[20, 30] and not changed[20, 20]
+    assert "t2" in hand.titles[0] and "accepts" in hand.titles[3]
 
 
-def test_backspace_takes_a_point_back() -> None:
-    """After Backspace the third point may be clicked again."""
-    hand = Hand((10, 10), (30, 12), (12, 35))
-    hand.press("backspace")
-    assert hand.picker.lattice is None and "t2" in hand.title
-    hand.click(14, 40)
-    assert hand.picker.lattice is not None and hand.picker.lattice.t2 == pytest.approx((4, 30))
-
-
-def test_points_on_one_line_are_not_taken() -> None:
-    """A third point on the line of the first two is refused, and the title says why."""
-    hand = Hand((10, 10), (20, 10), (40, 10))
-    assert hand.picker.lattice is None and "on one line" in hand.title
-    hand.click(10, 40)
-    assert hand.picker.lattice is not None
-
-
-def test_what_does_not_count() -> None:
-    """Other buttons, clicks beside the image, and Enter before the third point do nothing."""
-    hand = Hand()
-    hand.click(10, 10, button=3)
-    hand.click(-500, 10)
-    hand.press("enter")
-    assert "1 of 3" in hand.title and not hand.picker.accepted
+@pytest.mark.parametrize("actions", [("escape",), ("close",), ((10, 10), "enter"), (*CLICKS, "close")])
+def test_the_choice_can_be_cancelled(actions: tuple[tuple[float, float] | str, ...]) -> None:
+    """Escape and Enter before the third point, and closing the window at any time, cancel."""
+    with pytest.raises(BadInput, match="cancelled"):
+        Hand(*actions).pick()

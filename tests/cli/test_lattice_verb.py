@@ -202,7 +202,7 @@ def test_candidates_in_a_comparison(ranked: None, capsys: pytest.CaptureFixture[
     assert "double along t1" in lines[2] and "half along t1" in lines[3]
     sheet = read_image("sheet.png")
     drawn = np.abs(sheet - (1, 0.1, 0.6)).max(-1) < 0.01
-    columns = [drawn[:200, left : left + 48].mean() for left in (8, 196, 384)]
+    columns = [drawn[:280, left : left + 240].mean() for left in (8, 256, 504)]
     assert columns[1] < columns[0] < columns[2]  # double has fewer lines, half has more
 
 

@@ -249,11 +249,11 @@ def test_rendered(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("file,t1x,t1y,t2x\na.png,1,2,3\n", r"truth\.csv line 1: column 't2y' is missing"),
-        (HEADER + "a.png,12,0,0,9\nb.png,12,zero,0,9\n", r"line 3: .*'12,zero,0,9' are not four numbers"),
+        (HEADER + "a.png,12,0,0,9\nb.png,12,zero,0,9\n", r"line 3: lattice '12,zero,0,9': give four numbers"),
         (HEADER + "a.png,12,0,nan,0\n", r"line 2: .*finite"),
         (HEADER + "c.png,12,0,0,9\n", r"line 2: there is no file 'c\.png'"),
         (HEADER + "a.png,,,,\n\na.png ,12,0,0,9\n", r"line 4: 'a\.png' occurs a second time; keep one"),
-        (HEADER + "a.png,12,0,,\n", r"line 2: '12,0,,' are not four numbers; give all of t1x,t1y,t2x,t2y, or none"),
+        (HEADER + "a.png,12,0,,\n", r"line 2: lattice '12,0,,': give four numbers"),
         (HEADER + "a.png,0,0,0,9\n", r"line 2: .*parallel or zero; give two independent vectors"),
         (HEADER + "a.png,12,0,0,9,3\n", r"line 2: has 6 fields for 5 columns; quote fields that contain a comma"),
         (HEADER + "./a.png,12,0,0,9\n", r"line 2: './a\.png' is a path; give the name of a picture in the folder"),
@@ -261,10 +261,13 @@ def test_rendered(tmp_path: Path) -> None:
         (HEADER + ",12,0,0,9\n", r"line 2: has no file name; give it, or delete the line"),
         ("file,t1x,t1y,t2x,t2y,t1x\n", r"line 1: column 't1x' occurs a second time; keep one"),
         ("file,t1x,t1y,t2x,t2y,originx\n", r"line 1: has only 'originx'; give both columns originx,originy, or neit"),
-        (ORIGINS + "a.png,12,0,0,9,3,\n", r"line 2: '3,' are not two numbers; give all of originx,originy, or none"),
+        (
+            ORIGINS + "a.png,12,0,0,9,3,\n",
+            r"line 2: lattice '12,0,0,9,3,': give four numbers .*, or six, x1,y1,x2,y2,x,y, with the origin",
+        ),
         (ORIGINS + "a.png,12,0,0,9,nan,3\n", r"line 2: .*finite"),
-        (ORIGINS + "a.png,,,,,x,y\n", r"line 2: 'x,y' are not two numbers"),
-        (ORIGINS + "a.png,,,,,1,2\n", r"line 2: has an origin without vectors; give t1x,t1y,t2x,t2y, or delete"),
+        (ORIGINS + "a.png,,,,,1,2\n", r"line 2: lattice ',,,,1,2': give four numbers"),
+        (HEADER + "a.png,1,0,0,9\n", r"line 2: lattice '1,0,0,9': repeats every 1 px"),
     ],
 )
 def test_malformed(tmp_path: Path, text: str, message: str) -> None:

@@ -70,6 +70,20 @@ def test_tiny_images_are_refused_with_a_reason(name: str, shape: tuple[int, int]
             detector.detect(np.random.default_rng(seed).random((*shape, 3)).astype(np.float32))
 
 
+@pytest.mark.parametrize("shape", [(8, 8), (8, 200), (200, 9), (33, 16)])
+@pytest.mark.parametrize("name", NAMES)
+def test_tiny_images_are_answered_without_a_test(name: str, shape: tuple[int, int]) -> None:
+    """Without a test against chance, an image too small for a lattice is refused or gets a lattice that it can hold."""
+    for seed in range(3):
+        try:
+            found = plugins.build("detectors", name, {"reject": "none"}).detect(
+                np.random.default_rng(seed).random((*shape, 3)).astype(np.float32)
+            )
+        except NoLatticeFound:
+            continue
+        assert 0 < found.lattice.area < shape[0] * shape[1] and 0 <= found.confidence <= 1
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_detection_repeats_and_travels(name: str) -> None:
     """Two detections of one image agree to the last bit, copies included; they and refusals survive pickling."""

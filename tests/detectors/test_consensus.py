@@ -39,11 +39,12 @@ THREADS = {"color": 0.6, "noise": 0.05, "rotation": 31.7}
     [
         *(("weave", 160, seed, THREADS) for seed in range(4)),
         *(("weave", 128, seed, {"color": c, "noise": c / 4}) for seed, c in ((1, 0.4), (3, 0.2), (3, 0.6), (7, 0.4))),
+        *((model, 160, 2, {"color": 0.5, "noise": 0.04}) for model in ("squares", "hexagon")),
         ("brick", 160, 2, {"color": 0.3, "jitter": 0.3}),
     ],
 )
 def test_chance_makes_neither_super_nor_subcell(model: str, side: int, seed: int, departures: dict[str, float]) -> None:
-    """Neither threads whose colors match by chance, few or many, nor joints that stay in line change the lattice."""
+    """Neither threads whose colors match by chance, nor tiles dyed at random, nor joints in line change the lattice."""
     drawn = texture(model, (side, side), seed, **departures)
     assert is_exact(Consensus().detect(quantize(drawn.image)), drawn.lattice, drawn.image)
 
@@ -172,6 +173,13 @@ def test_a_cell_of_similar_halves_is_among_the_first_three(difference: float, se
     found = Consensus().detect(halves(difference, seed))
     listed = [found.lattice, *(other.lattice for other in found.alternatives[:2])]
     assert any(lattice.is_equivalent(Lattice((30, 0), (0, 19)), 0.2) for lattice in listed)
+
+
+def test_similar_halves_are_no_stripes() -> None:
+    """The correlation at half of the cell is nearly as high as at the cell, and the lattice is found all the same."""
+    image = halves(0.45, 1)
+    assert not next(rate_levels(image)).is_striped()
+    assert Consensus().detect(image).lattice.is_equivalent(Lattice((30, 0), (0, 19)), 0.2)
 
 
 def test_a_faint_alternation_lowers_the_confidence() -> None:

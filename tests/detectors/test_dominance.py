@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.api import texture
-from nrbench.detectors.autocorrelation.pair_kernels import count_hits
+from nrbench.detectors.autocorrelation.vector_pair_kernels import count_hits
 from nrbench.detectors.dominance import Dominance, dominance_radii
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
+from nrbench.detectors.autocorrelation.vector_pair_kernels import mean_correlations
 from nrbench.detectors.consensus_rating.lattice_evidence import PAD, REACH, LatticeEvidence
 from nrbench.detectors.consensus_rating.lattice_evidence_kernels import between
 from nrbench.detectors.consensus_rating.sublattice_search import finer_bases, highest_added, ridge_height

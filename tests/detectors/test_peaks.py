@@ -113,17 +113,12 @@ def lattice_surface(noise: float = 0.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])
-def test_multiples_make_a_vector_precise(noise: float) -> None:
-    """From whole pixels, 0.7 px off, a vector is fitted to 0.02 px over its multiples."""
-    fitted = fit_multiples(lattice_surface(noise), np.array([[17.0, 4.0], [13.0, 18.0]]), REACH)
+def test_multiples_make_vectors_precise(noise: float) -> None:
+    """From whole pixels, 0.7 px off, a vector is fitted to 0.02 px over its multiples, and a pair to 0.01 px."""
+    surface = lattice_surface(noise)
+    fitted = fit_multiples(surface, np.array([[17.0, 4.0], [13.0, 18.0]]), REACH)
     np.testing.assert_allclose(fitted, [TRUE[0], TRUE[0] + TRUE[1]], atol=0.02)
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.05])
-def test_a_pair_is_fitted_to_all_multiples(noise: float) -> None:
-    """From whole pixels both vectors are fitted to 0.01 px."""
-    fitted = fit_pair(lattice_surface(noise), np.array([[17.0, 4.0], [-4.0, 15.0]]), REACH)
-    np.testing.assert_allclose(fitted, TRUE, atol=0.01)
+    np.testing.assert_allclose(fit_pair(surface, np.array([[17.0, 4.0], [-4.0, 15.0]]), REACH), TRUE, atol=0.01)
 
 
 def test_a_vector_without_peaks_stays_in_place() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import warnings
 import zlib
@@ -12,12 +11,10 @@ import numpy as np
 import PIL.Image
 import pytest
 import skimage.io
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.files import read_image, read_shape, write_image
+from nrbench.imaging.files import read_image, write_image
 
 RAMP = np.arange(16 * 12, dtype=np.uint8).reshape(12, 16)
 
@@ -192,16 +189,6 @@ def _png(width: int, height: int, *chunks: tuple[bytes, bytes]) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(framed)
 
 
-def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
-    """A small file of 100 million pixels is refused by its header; the message names the limit."""
-    path = tmp_path / "bomb.png"
-    path.write_bytes(_png(10_000, 10_000))
-    assert path.stat().st_size < 200_000
-    for read in (read_image, read_shape):
-        with pytest.raises(BadInput, match=r"10000x10000 px; at most 67108864 px in all"):
-            read(path)
-
-
 @pytest.mark.parametrize(
     "kind", [b"acTL", b"fcTL", b"cHRM", b"pHYs", b"gAMA", b"iCCP", b"zTXt", b"iTXt", b"tRNS", b"PLTE"]
 )
@@ -215,34 +202,6 @@ def test_crafted_chunks_are_bad_input_or_ignored(tmp_path: Path, kind: bytes) ->
             assert read_image(path).shape == (16, 16, 1)
         except BadInput as error:
             assert str(path) in str(error) and "\n" not in str(error)
-
-
-@settings(max_examples=150)
-@given(st.data())
-def test_garbled_files_are_bad_input_or_pictures(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    """Whatever bytes of a PNG, JPEG, TIFF or BMP file are changed, it is a picture or one clear line."""
-    content = bytearray(_EXAMPLES[data.draw(st.sampled_from(sorted(_EXAMPLES)))])
-    for _ in range(data.draw(st.integers(1, 6))):
-        at = data.draw(st.integers(0, min(len(content), 600) - 1))
-        content[at] = data.draw(st.integers(0, 255))
-    path = tmp_path_factory.getbasetemp() / "garbled.png"
-    path.write_bytes(content)
-    try:
-        assert read_image(path).ndim == 3
-    except BadInput as error:
-        assert "\n" not in str(error)
-
-
-def _examples() -> dict[str, bytes]:
-    picture, made = PIL.Image.fromarray(np.repeat(RAMP[..., None], 3, axis=2)), {}
-    for kind in ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "GIF"):
-        file = io.BytesIO()
-        picture.save(file, kind)
-        made[kind] = file.getvalue()
-    return made
-
-
-_EXAMPLES = _examples()
 
 
 @pytest.mark.parametrize("kind", ["gif", "tiff"])

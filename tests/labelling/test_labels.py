@@ -7,7 +7,6 @@ import csv
 import itertools
 import json
 import re
-import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import PIL.Image
 import pytest
+from commands import call
 from PIL.PngImagePlugin import PngInfo
 
-from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.imaging.files import read_image
 from nrbench.labelling.labels import (
@@ -34,13 +33,6 @@ from nrbench.labelling.questions import ANSWERS, ELEMENTS, LATTICE, MORE, PRESER
 from nrbench.metrics import integrity
 from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import pixels_hash
-
-
-def call(line: str) -> int:
-    """Run a command line in this process and return its exit code."""
-    with pytest.raises(SystemExit) as left:
-        main(shlex.split(line))
-    return int(left.value.code or 0)
 
 
 def _answer(path: Path, sheet: LabelPage, answers: Sequence[Sequence[str]]) -> Path:
@@ -222,17 +214,6 @@ def test_files_of_pages_with_other_questions_can_be_joined(run: Run, tmp_path: P
     assert person.by_cell("lattice") == {}
 
 
-def test_pages_of_several_seeds_meet(run: Run, tmp_path: Path) -> None:
-    """Two people with pages of their own are compared output by output."""
-    files = []
-    for seed, name in ((1, "a"), (2, "b")):
-        sheet = make_page(run, seed=seed)
-        write_key(run.root, sheet)
-        files.append(_answer(tmp_path / f"{name}.csv", sheet, _verdicts(run, sheet)))
-    one, other = read_people(run, files)
-    assert all(one.by_cell(name) == other.by_cell(name) != {} for name in QUESTIONS)
-
-
 HEAD = "item,question,answer,seconds,order\n"
 BAD = {
     f"{HEAD}qqqqqqqqqq,more,no,1,1\n": "on no page of this run",
@@ -297,10 +278,13 @@ def test_label_writes_page_and_key(run: Run, capsys: pytest.CaptureFixture[str])
 
 
 def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    """`report RUN --labels A B` adds the agreement to page and tables; one answer throughout has no kappa."""
-    sheet = make_page(run)
-    write_key(run.root, sheet)
-    for name in ("a", "b"):
+    """`report RUN --labels A B` adds the agreement to page and tables; one answer throughout has no kappa.
+
+    Two people with pages of their own are compared output by output.
+    """
+    for seed, name in enumerate("ab"):
+        sheet = make_page(run, seed=seed)
+        write_key(run.root, sheet)
         _answer(Path(f"{name}.csv"), sheet, _verdicts(run, sheet))
     assert call("report run --format html,csv --labels a.csv b.csv") == 0
     with Path("run/tables/agreement.csv").open() as file:

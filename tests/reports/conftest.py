@@ -46,7 +46,8 @@ def _picture(path: Path, side: int, seed: int) -> Path:
 def cell_maker(root: Path) -> MakeCell:
     """Return a maker of records: ``make_cell(texture, method, preserved=..., score=..., status=..., ...)``.
 
-    ``perils`` gives ``regularity``, ``integrity`` and ``randomness``; the quality is the smallest of them.
+    ``perils`` gives ``regularity``, ``integrity`` and ``randomness``, or one number for all three; the quality is the
+    smallest of them.
     """
 
     def make(
@@ -59,7 +60,7 @@ def cell_maker(root: Path) -> MakeCell:
         status: str = "ok",
         values: Mapping[str, float | bool | None] | None = None,
         reasons: Mapping[str, str] | None = None,
-        perils: Mapping[str, float | None] | None = None,
+        perils: Mapping[str, float | None] | float | None = None,
         reference: bool = False,
         lattice_used: Lattice | None = TRUTH,
         lattice_truth: Lattice | None = TRUTH,
@@ -103,6 +104,8 @@ def cell_maker(root: Path) -> MakeCell:
         result["lattice_used"] = lattice_used.as_dict() if lattice_used else None
         scores = {"regularity.preserved": preserved, "regularity.score": score, **(values or {})}
         records: dict[str, Any] = {}
+        if isinstance(perils, float):
+            perils = dict.fromkeys(PERILS, perils)
         if perils is not None:
             known = {name: value for name, value in perils.items() if value is not None}
             worst = min(known, key=lambda name: known[name], default=None)
@@ -196,7 +199,7 @@ def ranked(makers: tuple[MakeCell, MakeRun]) -> Run:
             make_cell(texture, "refuser", perils=good) if i else make_cell(texture, "refuser", status="refused"),
             make_cell(texture, "close", perils={**good, "randomness": 0.65 + 0.04 * i}),
             make_cell(texture, "good", perils=good),
-            make_cell(texture, "oracle", "none", reference=True, perils=dict.fromkeys(PERILS, 1.0)),
+            make_cell(texture, "oracle", "none", reference=True, perils=1.0),
             make_cell(texture, "copier", "none", reference=True, perils={**good, "integrity": 1.0}),
             make_cell(texture, "tiling", "none", reference=True, perils={**good, "randomness": 0.0}),
         ]

@@ -13,12 +13,11 @@ import pytest
 from nrbench.api import run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
-from nrbench.reports.changes import Changes
-from nrbench.reports.statistics.run_changes import RunChanges, compare_runs
+from nrbench.reports.changes import Changes, RunChanges, compare_runs
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 
-from .conftest import HOSTILE, PERILS, cell_maker, run_maker
+from .conftest import HOSTILE, cell_maker, run_maker
 
 Compare = Callable[..., RunChanges]
 
@@ -31,10 +30,7 @@ def runs(tmp_path: Path) -> Callable[..., tuple[Run, Run]]:
         made = []
         for name, values in (("A", first), ("B", second)):
             make_cell, make_run = cell_maker(tmp_path / name), run_maker(tmp_path / name)
-            cells = [
-                make_cell(f"t{i}", method, perils=dict.fromkeys(PERILS, value), **more)
-                for i, value in enumerate(values)
-            ]
+            cells = [make_cell(f"t{i}", method, perils=value, **more) for i, value in enumerate(values)]
             made.append(make_run(cells))
         return made[0], made[1]
 

@@ -12,7 +12,7 @@ import pytest
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
-from nrbench.reports.plots.series_plot import plot_claim
+from nrbench.reports.plots.method_plots import plot_claim
 from nrbench.reports.statistics.expectations import (
     GROUPS,
     ClaimResult,

@@ -18,15 +18,23 @@ from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures
 from nrbench.reports.page.forest_plot import forest_axes
 from nrbench.reports.page.pictures import PictureStore
 from nrbench.reports.perils import PerilsPlane
-from nrbench.reports.plots.captions import MOST_NAMES, choose_named, describe_unnamed, spread
-from nrbench.reports.plots.comparison_plots import hardest_first, plot_cost, plot_heat_map, plot_ranks, timed_methods
 from nrbench.reports.plots.marks import find_marks, worst_place
-from nrbench.reports.plots.perils_plane import caption_text, plot_perils_plane
+from nrbench.reports.plots.method_plots import (
+    MOST_NAMES,
+    caption_text,
+    choose_named,
+    describe_unnamed,
+    hardest_first,
+    plot_cost,
+    plot_heat_map,
+    plot_perils_plane,
+    plot_ranks,
+    spread,
+    timed_methods,
+)
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.reports.statistics.summaries import PerilsPoint, perils_points
 from nrbench.runs.records import Run
-
-from .conftest import PERILS
 
 Make = Callable[..., Any]
 
@@ -134,7 +142,7 @@ def long_run(make_cell: Make, make_run: Make) -> Run:
     """Return a run of three methods on 12 textures."""
     rng = np.random.default_rng(0)
     return make_run([
-        make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, float(rng.uniform(0.6, 0.8) - worse)))
+        make_cell(f"t{i}", name, perils=float(rng.uniform(0.6, 0.8) - worse))
         for i in range(12)
         for name, worse in (("a", 0.0), ("b", 0.01), ("c", 0.5))
     ])  # fmt: skip
@@ -165,11 +173,7 @@ def test_the_best_methods_and_all_references_have_names(references: list[bool]) 
 def test_names_of_the_rank_diagram_lie_in_it(make_cell: Make, make_run: Make) -> None:
     """No name leaves the diagram, however long, in a page and in a column."""
     names = ["regularized-patch with a long label", "representative-tile of another one", *"abcdefghi"]
-    cells = [
-        make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, 0.9 - 0.05 * j))
-        for i in range(12)
-        for j, name in enumerate(names)
-    ]
+    cells = [make_cell(f"t{i}", name, perils=0.9 - 0.05 * j) for i in range(12) for j, name in enumerate(names)]
     comparison = compare_methods(make_run(cells))
     for width in (3.4, 5.5):
         with PIL.Image.open(io.BytesIO(plot_ranks("png", comparison, width))) as image:
@@ -180,8 +184,8 @@ def test_names_of_the_rank_diagram_lie_in_it(make_cell: Make, make_run: Make) ->
 def test_textures_without_a_score_are_not_the_hardest(make_cell: Make, make_run: Make) -> None:
     """The heat map lists the hardest textures first, and last those that were not run."""
     cells = [make_cell("absent", "a", status="missing"), make_cell("absent", "b", status="missing")]
-    cells += [make_cell("easy", name, perils=dict.fromkeys(PERILS, 0.9)) for name in "ab"]
-    cells += [make_cell("hard", name, perils=dict.fromkeys(PERILS, 0.1)) for name in "ab"]
+    cells += [make_cell("easy", name, perils=0.9) for name in "ab"]
+    cells += [make_cell("hard", name, perils=0.1) for name in "ab"]
     rows, _ = hardest_first(compare_methods(make_run(cells)))
     assert [row.texture for row in rows] == ["hard", "easy", "absent"]
 
@@ -192,7 +196,7 @@ def test_the_grid_chooses_textures_by_the_methods_that_it_shows(make_cell: Make,
     for i in range(6):
         shown = {name: 0.9 - (0.05 * j if i > 1 else 0.0) for j, name in enumerate("abcde")}
         for name, quality in {**shown, "f": 0.0 if i < 2 else 0.5}.items():
-            cells.append(make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, quality)))
+            cells.append(make_cell(f"t{i}", name, perils=quality))
     comparison = compare_methods(make_run(cells))
     methods = choose_methods(comparison, ())
     assert [one.name for one in methods] == list("abcde")

@@ -14,12 +14,12 @@ from typing import Any
 
 import psutil
 import pytest
+from commands import call
 from faults import registered_faults
 from machines import Machines, machines
-from suites import wall_suite
+from suites import scores, wall_suite, write_sleepers
 
 from nrbench.api import run
-from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.running import cluster
 from nrbench.running.pace import Step
@@ -28,14 +28,6 @@ from nrbench.runs.records import Run
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="sends POSIX signals")
-
-
-def told(found: Run) -> list[tuple[object, ...]]:
-    """Return all that a table says of each cell, but what it cost and where it ran."""
-    table = found.table()
-    kept = [name for name in table.columns if not name.startswith("cost.") and name not in ("seconds", "peak_mib")]
-    kept = [name for name in kept if name not in ("note", "side_by_side")]
-    return list(table[kept].astype(object).where(table[kept].notna(), None).itertuples(index=False, name=None))
 
 
 def outputs(found: Run) -> list[bytes]:
@@ -82,7 +74,7 @@ def test_a_run_survives_its_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert steps[0].remaining is not None
         away = run(suite, out=tmp_path / "away", options=options)
         assert {record.status for record in away.cells} == {"ok"}
-        assert told(away) == told(local)
+        assert scores(away, "note") == scores(local, "note")
         assert outputs(away) == outputs(local)
         faults = wall_suite([f"faulty:how={how}" for how in ("stubborn", "segfault", "litter")], "cost", "source")
         limited = run(faults, out=tmp_path / "limited", options=dataclasses.replace(options, timeout=3))
@@ -120,9 +112,7 @@ def test_a_cluster_that_dies_ends_the_run(
     )
     with machines(tmp_path) as made:
         words = ["run", str(suite), "--out", "run", "--no-report", "--scheduler", made.address]
-        with pytest.raises(SystemExit) as left:
-            main([*words, "--worker-wait", "2"])
-        assert left.value.code == 1
+        assert call(*words, "--worker-wait", "2") == 1
         seen = capfd.readouterr()
         assert "has no worker; waiting for one up to 2 s" in seen.err
         assert "had no worker for 2 s; run the same command again to resume" in seen.err
@@ -131,28 +121,20 @@ def test_a_cluster_that_dies_ends_the_run(
         assert "3 missing" in seen.out
         threading.Thread(target=kill_once_connected, args=(made, tmp_path / "run"), daemon=True).start()
         start = time.monotonic()
-        with pytest.raises(SystemExit) as left:
-            main(words)
-        assert left.value.code == 1
+        assert call(*words) == 1
         assert time.monotonic() - start < 20
         seen = capfd.readouterr()
         assert "has ended or cannot be reached any more; run the same command again" in seen.err
         assert len(seen.err.splitlines()) <= 3
-        with pytest.raises(SystemExit) as left:
-            monkeypatch.setattr(cluster, "CONNECT", 1.0)
-            main(words)
-        assert left.value.code == 2
+        monkeypatch.setattr(cluster, "CONNECT", 1.0)
+        assert call(*words) == 2
         assert "cannot be reached" in capfd.readouterr().err
 
 
 def test_a_run_that_is_stopped_takes_its_jobs_back(tmp_path: Path) -> None:
     """After a second interrupt the worker kills the cell that runs, and is ready for the next run."""
     with registered_faults() as faults, machines(tmp_path, "only") as made:
-        suite = tmp_path / "s.toml"
-        suite.write_text(
-            f'name = "s"\nsample = "64x64"\nsize = "64x64"\nmethods = ["sleeper:until={tmp_path / "awake"}"]\n'
-            'metrics = ["cost"]\nreplicates = 3\ntexture = [{ name = "wall", dataset = "brick" }]\n'
-        )
+        suite = write_sleepers(tmp_path, 3)
         words = ["--plugin", str(faults), "run", str(suite), "--out", "run", "--no-report", "--scheduler", made.address]
         running = subprocess.Popen(
             [sys.executable, "-c", "import sys; from nrbench.cli.main import main; main(sys.argv[1:])", *words],
@@ -177,7 +159,5 @@ def test_a_run_that_is_stopped_takes_its_jobs_back(tmp_path: Path) -> None:
         assert len(children) >= 3
         assert not psutil.wait_procs(children, timeout=10)[1]
         (tmp_path / "awake").touch()
-        with pytest.raises(SystemExit) as left:
-            main(words)
-        assert not left.value.code
+        assert call(*words) == 0
         assert [record.status for record in Run(tmp_path / "run").cells] == ["ok"] * 3

@@ -13,12 +13,12 @@ from typing import Any
 
 import psutil
 import pytest
+from commands import call
 from faults import FAULTS, registered_faults
 from suites import wall_suite
 
 from nrbench import plugins
 from nrbench.api import run
-from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.running import guard, runner
 from nrbench.running.runner import Options
@@ -262,9 +262,7 @@ def test_a_plugin_that_does_not_load(how: str, tmp_path: Path, capsys: pytest.Ca
     """A file of plugins that cannot be imported is one line and exit code 2."""
     text, message = BROKEN[how]
     (tmp_path / "broken.py").write_text(text)
-    with pytest.raises(SystemExit) as left:
-        main(["--plugin", "broken.py", "list"])
-    assert left.value.code == 2
+    assert call("--plugin broken.py list") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line
 

@@ -13,9 +13,9 @@ from contextlib import redirect_stderr
 from pathlib import Path
 
 import pytest
+from commands import call
 
 from nrbench import api, texture
-from nrbench.cli.main import main
 from nrbench.imaging.files import write_image
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
@@ -39,13 +39,6 @@ NAMES = (
     "[link](javascript:alert(1)) | `code` **bold**",
     "n" * 150,
 )
-
-
-def call(*words: str) -> int:
-    """Run a command line in this process and return its exit code."""
-    with pytest.raises(SystemExit) as left:
-        main(list(words))
-    return int(left.value.code or 0)
 
 
 class Elements(html.parser.HTMLParser):

@@ -18,9 +18,10 @@ import psutil
 import pytest
 import skimage.data
 import skimage.io
+from commands import call
+from suites import scores
 
 from nrbench.api import changed, run
-from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.running.executors import Executor
 from nrbench.running.pace import Step
@@ -56,13 +57,6 @@ def outputs(found: Run) -> dict[str, bytes]:
         for name in ("output.png", "source.npz")
         if (path := record.folder / name).is_file()
     }
-
-
-def scores(found: Run) -> list[tuple[object, ...]]:
-    """Return every score but the costs, in the table's order."""
-    table = found.table()
-    kept = [name for name in table.columns if not name.startswith("cost.") and name not in ("seconds", "peak_mib")]
-    return list(table[kept].astype(object).where(table[kept].notna(), None).itertuples(index=False, name=None))
 
 
 @pytest.fixture(scope="module")
@@ -157,9 +151,7 @@ def test_killed_halfway_it_resumes_to_the_same_table(whole: Run, tmp_path: Path)
     assert len(workers) >= 2
     assert not psutil.wait_procs(workers, timeout=10)[1]
     assert len(list(cells.glob("*/result.json"))) < len(whole.cells)
-    with pytest.raises(SystemExit) as left:
-        main(words)
-    assert not left.value.code
+    assert call(*words) == 0
     assert scores(Run(tmp_path / "broken")) == scores(whole)
     assert outputs(Run(tmp_path / "broken")) == outputs(whole)
 

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from commands import call
 from faults import registered_faults
-from suites import wall_suite
+from suites import wall_suite, write_sleepers
 
 from nrbench import plugins
 from nrbench.api import run
-from nrbench.cli.main import main
 from nrbench.imaging.files import read_image, write_image
 from nrbench.running import guard, phases, runner
 from nrbench.running.pace import Step
@@ -164,10 +164,10 @@ def test_an_error_is_sent_where_the_log_has_no_room(monkeypatch: pytest.MonkeyPa
     """An error of a full disk arrives as such, although its traceback cannot be written."""
     full, messages = OSError(errno.ENOSPC, "No space left on device"), []
 
-    def fail() -> None:
-        raise full
+    def fail(error: BaseException) -> None:
+        raise error
 
-    monkeypatch.setattr("traceback.print_exc", fail)
+    monkeypatch.setattr("traceback.print_exception", fail)
     phases.send_error(full, messages.append)
     assert messages == [{"status": "storage", "message": "No space left on device"}]
 
@@ -250,11 +250,7 @@ def test_an_interrupted_run_ends_at_once_and_resumes(
 ) -> None:
     """Ctrl-C twice ends a run at once with exit code 130; no process and no result of its cells remain."""
     choose_way(way, monkeypatch, warm_executor)
-    suite = tmp_path / "s.toml"
-    suite.write_text(
-        f'name = "s"\nsample = "64x64"\nsize = "64x64"\nmethods = ["sleeper:until={tmp_path / "awake"}"]\n'
-        'metrics = ["cost"]\nreplicates = 2\ntexture = [{ name = "wall", dataset = "brick" }]\n'
-    )
+    suite = write_sleepers(tmp_path, 2)
     words = ["--plugin", str(faulty), "run", str(suite), "--jobs", "2", "--out", "run", "--no-report"]
     running = subprocess.Popen(
         [sys.executable, "-c", "import sys; from nrbench.cli.main import main; main(sys.argv[1:])", *words],
@@ -280,9 +276,7 @@ def test_an_interrupted_run_ends_at_once_and_resumes(
     assert not psutil.wait_procs(children, timeout=5)[1]
     assert {file.name for file in cells.glob("*/*")} == {"cell.json", "sample.png", "log.txt"}
     (tmp_path / "awake").touch()
-    with pytest.raises(SystemExit) as left:
-        main(words)
-    assert not left.value.code
+    assert call(*words) == 0
     assert [record.status for record in Run(tmp_path / "run").cells] == ["ok", "ok"]
 
 

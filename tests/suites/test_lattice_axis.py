@@ -9,7 +9,7 @@ import pytest
 from nrbench.api import run
 from nrbench.errors import BadInput
 from nrbench.reports.statistics.detections import tabulate_answers
-from nrbench.running.runner import Options, metrics_of
+from nrbench.running.runner import Options, find_metrics
 from nrbench.runs.records import Run
 from nrbench.suites.plan import LatticeSource, make_plan
 from nrbench.suites.suite import Suite, load_suite, validated_suite
@@ -129,8 +129,8 @@ def test_a_finished_run_is_resumed(gncc_run: Run) -> None:
 
 def test_metrics_are_the_suites_choice(tmp_path: Path) -> None:
     """A suite can name its metrics; for an unknown one the error names the nearest, and nothing is written."""
-    assert metrics_of(suite("own", metrics=["cost", "cost"])) == ["cost"]
-    assert {"regularity", "cost"} <= set(metrics_of(suite("own", metrics=[])))
+    assert find_metrics(["cost", "cost"]) == ["cost"]
+    assert {"regularity", "cost"} <= set(find_metrics([]))
     with pytest.raises(BadInput, match="did you mean 'cost'"):
         run(suite("own", metrics=["costs"]), out=tmp_path / "r", options=Options(jobs=0))
     assert not (tmp_path / "r").exists()

@@ -183,7 +183,7 @@ def test_an_interrupted_render_goes_on(folder: Path) -> None:
     [
         ("truth.csv", "file,t1x,t1y,t2x,t2y\n", r"truth\.csv: was not written by `nrbench render` \(it lacks column"),
         ("truth.csv", "name,city\nAda,London\n", r"truth\.csv line 1: column 'file' is missing"),
-        ("truth.csv", None, r"line 2: '12,zero,0,9' are not four numbers.*Fix truth.csv first"),
+        ("truth.csv", None, r"line 2: lattice '12,zero,0,9': give four numbers.*Fix truth.csv first"),
         ("truth.json", "{", r"truth\.json: is no JSON .*pass another -o, or move it away"),
         ("truth.json", "[1]", r"truth\.json: was not written by `nrbench render`; pass another -o"),
         ("truth.json", '{"sheet": "contact-sheet.png", "textures": {"wall.png": {"recipe": 3}}}', "was not written by"),

@@ -10,7 +10,7 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused
 from nrbench.running.output_checks import checked_synthesis
-from nrbench.synthesizers.baselines.voronoi_cell import half_extent
+from nrbench.synthesizers.baselines.lattice_baseline import half_extent
 from nrbench.synthesizers.random_phase import RandomPhase, _periodic
 from nrbench.synthesizers.scatter import Scatter
 from nrbench.synthesizers.shuffle import Shuffle

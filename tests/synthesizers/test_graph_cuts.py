@@ -9,9 +9,8 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Refused, Task, Texture
 from nrbench.running.output_checks import checked_synthesis
-from nrbench.synthesizers.graph_cuts import GraphCuts
+from nrbench.synthesizers.graph_cuts import GraphCuts, WholePatches
 from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat, Window
-from nrbench.synthesizers.patchwork.whole_patches import WholePatches
 
 
 def smooth(height: int, width: int, seed: int = 0) -> Image:
@@ -108,7 +107,7 @@ def test_regular_samples_stay_regular(name: str) -> None:
     sample = quantize(made.image)
     truth = Texture(sample, made.lattice)
     for placement, preserved in (("entire", True), ("random", False)):
-        method = GraphCuts(placement=placement, refine="none")  # type: ignore[arg-type]
+        method = GraphCuts(placement=placement, passes=0)  # type: ignore[arg-type]
         output = quantize(synthesize(method, sample, (160, 160)).image)
         verdict = Regularity().score(Observation(sample, output, truth)).values
         assert verdict["preserved"] is preserved

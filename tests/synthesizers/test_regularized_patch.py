@@ -3,7 +3,6 @@
 import math
 import tracemalloc
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,18 +11,15 @@ from hypothesis import strategies as st
 from synthesis_cases import noise, synthesize
 
 import nrbench
-from nrbench import plugins
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation, Refused, Texture
 from nrbench.running.output_checks import check_source
+from nrbench.synthesizers.geometry.deformed_lattice import Deform
 from nrbench.synthesizers.regularized_patch import RegularizedPatch
 from nrbench.synthesizers.sampling.patches import Patches
 from nrbench.synthesizers.texel_pasting.quiet_borders import parallelogram, quiet_texels
-from nrbench.synthesizers.texel_pasting.texel_mosaic import TexelMosaic, growth_order
-from nrbench.synthesizers.texel_pasting.texel_shape import NEIGHBORS, TexelShape
-from nrbench.synthesizers.texel_pasting.texel_stock import TexelStock
+from nrbench.synthesizers.texel_pasting.texel_mosaic import NEIGHBORS, TexelMosaic, TexelShape, TexelStock, growth_order
 
 
 def bent(bend: float, model: str = "brick", seed: int = 0, **departures: float) -> Texture:
@@ -44,21 +40,15 @@ def test_the_map_points_at_what_is_shown(bend: float) -> None:
     assert np.abs(shown - made.image).mean() < 0.05
 
 
-def test_deformations_are_synthesized_kept_or_left_out() -> None:
-    """The amplitude is that of the sample if synthesized or kept, a third or less by argmax, and nearly 0 without."""
+def test_deformations_are_synthesized_or_left_out() -> None:
+    """The amplitude is that of the sample by default, a third or less by argmax, and nearly 0 without."""
     texture, ratios = bent(0.5, "weave"), {}
-    settings: dict[str, dict[str, Any]] = {
-        "sample": {},
-        "argmax": {"update": "argmax"},
-        "keep": {"deform": "keep"},
-        "none": {"deform": "none"},
-    }
-    for name, parameters in settings.items():
-        made = synthesize(RegularizedPatch(**parameters), texture.image, (256, 256), texture.lattice)
+    ways: list[Deform] = ["normal", "argmax", "none"]
+    for way in ways:
+        made = synthesize(RegularizedPatch(deform=way), texture.image, (256, 256), texture.lattice)
         observation = Observation(texture.image, quantize(made.image), texture)
-        ratios[name] = nrbench.plugins.build("metrics", "deformation").score(observation).values["amplitude_ratio"]
-    assert ratios["sample"] == pytest.approx(1, abs=0.25)
-    assert ratios["keep"] == pytest.approx(1, abs=0.25)
+        ratios[way] = nrbench.plugins.build("metrics", "deformation").score(observation).values["amplitude_ratio"]
+    assert ratios["normal"] == pytest.approx(1, abs=0.25)
     assert ratios["argmax"] < 0.35 and ratios["none"] < 0.1
 
 
@@ -82,14 +72,6 @@ def test_tolerance_trades_fit_for_variety() -> None:
         assert made.source is not None
         joints.append((np.abs(np.diff(made.source[..., :2], axis=1)).max(-1) > 2).mean())
     assert joints[0] < 0.9 * joints[1]
-
-
-def test_the_paper_with_the_deformation_kept_needs_another_update() -> None:
-    """The preset sets update, so the message about deform=keep names the update that removes the error."""
-    kept = {"preset": "paper", "deform": "keep"}
-    with pytest.raises(BadInput, match="choose update 'sample', also beside preset 'paper'"):
-        plugins.build("synthesizers", "regularized-patch", kept)
-    assert plugins.build("synthesizers", "regularized-patch", {**kept, "update": "sample"}).deform == "keep"
 
 
 def test_samples_without_texels_are_refused() -> None:

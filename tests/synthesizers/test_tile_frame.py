@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Integers, Lattice, Points
 from nrbench.plugins.forms import Refused
-from nrbench.synthesizers.rectangular_tiles.tile_frame import (
+from nrbench.synthesizers.representative_tile import (
     TileFrame,
     count_rectangle_cells,
     find_free_rectangle,

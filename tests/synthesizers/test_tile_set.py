@@ -16,8 +16,8 @@ from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Task
+from nrbench.synthesizers.tile_laying.tile_canvas import TilePlaces
 from nrbench.synthesizers.tile_laying.tile_shape import ElementWeights, element_costs, tile_shape
-from nrbench.synthesizers.tile_laying.tile_stock import TilePlaces
 from nrbench.synthesizers.tile_set import LEAST_SIDE, TileLaying, TileSet
 
 TILES = ["auto", "upright", "lattice", "rectangle", "cell"]

@@ -18,7 +18,7 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.deformation import Deformation
-from nrbench.tracking.following import follow_lattice, follow_on, merit, probe
+from nrbench.tracking.following import find_knots, follow_on, merit, probe
 from nrbench.tracking.growth import Knots, Start, grow_from, grow_on
 from nrbench.tracking.homography import fit_homography, map_points
 
@@ -62,7 +62,7 @@ def field_errors(found: Deformation, cells: Points) -> Points:
 
 def deformation(image: Image, lattice: Lattice) -> Deformation:
     """Return the deformation, which must be found."""
-    knots = follow_lattice(image, lattice)
+    knots = find_knots(image, lattice)
     assert knots is not None
     return Deformation.of(image, knots)
 
@@ -129,7 +129,7 @@ def test_a_subcell_is_followed_on_from_a_supercell() -> None:
     image, lattice, cells = warped(MODELS["weave"], 0.25, 7)
     reduced = lattice.reduced()
     double = Lattice.from_basis(np.array([[2, 0], [0, 1]]) @ reduced.matrix)
-    knots = follow_lattice(image, double)
+    knots = find_knots(image, double)
     assert knots is not None
     change = reduced.matrix @ np.linalg.inv(knots.mean_lattice().matrix)
     other = follow_on(image, knots, change)
@@ -191,7 +191,7 @@ def test_a_start_that_fits_too_little_for_one_level_is_tried_at_the_next() -> No
 def test_the_lattice_is_followed_on_into_a_gap() -> None:
     """Knots that were taken away, of any part of the image, are found again where they were."""
     image, lattice, _ = warped(MODELS["hexagon"], 0.5, 10)
-    knots = follow_lattice(image, lattice)
+    knots = find_knots(image, lattice)
     assert knots is not None
     rows, columns = knots.known.shape
     i, j = np.indices((rows, columns))

@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.following import follow_lattice
+from nrbench.tracking.following import find_knots
 from nrbench.tracking.growth import Knots
 from nrbench.tracking.renumbering import renumber, similarity
 
@@ -145,7 +145,7 @@ def warped_brick(seed: int) -> tuple[Image, Lattice, Points]:
 def test_strongly_warped_walls_are_followed_without_slips(seed: int) -> None:
     """Rows of bricks look alike, so that a lattice that follows the strongest places first slips by a row. Few do."""
     image, lattice, cells = warped_brick(seed)
-    knots = follow_lattice(image, lattice)
+    knots = find_knots(image, lattice)
     assert knots is not None
     places, found = knots.places[knots.known], knots.cells[knots.known]
     at = places.T[::-1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.detectors.autocorrelation.pair_kernels import row_ends
+from nrbench.detectors.autocorrelation.vector_pair_kernels import row_ends
 from nrbench.jit import Float64x1, Float64x2, Float64x3, Int64x2, kernel
 
 

@@ -10,7 +10,6 @@ from functools import cache
 
 import numpy as np
 
-from nrbench.detectors.autocorrelation.pair_kernels import mean_correlations
 from nrbench.detectors.autocorrelation.peaks import (
     UNIT,
     dilate,
@@ -19,8 +18,9 @@ from nrbench.detectors.autocorrelation.peaks import (
     quantize_correlation,
     subpixel,
 )
+from nrbench.detectors.autocorrelation.vector_pair_kernels import mean_correlations
 from nrbench.detectors.consensus_rating.lattice_evidence import Agreement, LatticeEvidence
-from nrbench.lattice.geometry import Points, hermite_matrices, reduce_bases, reduce_basis
+from nrbench.lattice.geometry import Points, hermite_matrices, reduce_bases
 
 PEAKS = 80
 """Number of the most prominent peaks that are paired."""
@@ -82,12 +82,12 @@ def propose_lattices(evidence: LatticeEvidence) -> list[Points]:
     pairs, repeated = rated[:, :4].reshape(-1, 2, 2), rated[:, 4]
     tiles = evidence.shape[0] * evidence.shape[1] / np.abs(np.linalg.det(pairs))
     explained = repeated - (1 - repeated) / (tiles - 1)
+    order = np.argsort(-explained, kind="stable")
     bases: dict[bytes, Points] = {}
     seen: set[bytes] = set()
-    for number in np.argsort(-explained, kind="stable"):
-        if explained[number] <= 0 or len(bases) == FITTED:
+    for basis in reduce_bases(pairs[order[explained[order] > 0]]):
+        if len(bases) == FITTED:
             break
-        basis = reduce_basis(pairs[number])
         if _key(basis, 1.0) not in seen:
             seen.add(_key(basis, 1.0))
             fitted = evidence.fit(basis)

@@ -1,1 +1,0 @@
-"""Helper of planted: one function for each kind of defect."""

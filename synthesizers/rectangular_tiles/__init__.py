@@ -1,1 +1,0 @@
-"""Helpers of representative-tile: the frame of a rectangular tile."""
