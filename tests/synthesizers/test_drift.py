@@ -42,7 +42,9 @@ def worst_misplacement(method: Synthesizer, lattice: Lattice | None = None) -> f
     sample, truth = texture().image, texture()
     made = method.synthesize(Task(sample, (SIDE, SIDE), lattice or truth.lattice, np.random.default_rng(1)))
     followed = examine(Observation(sample, quantize(made.image), truth, again=again)).followed
-    return float(followed.away[followed.valid].max() + np.linalg.norm(followed.drift, 2) * SIDE / followed.net.s)
+    near = followed.displacement - followed.expected
+    moved = ((followed.expected + near - np.rint(near)) @ followed.net.vectors)[followed.valid]
+    return float(np.linalg.norm(moved - np.median(moved, 0), axis=1).max() / followed.net.s)
 
 
 @pytest.mark.parametrize("method", [Rsgf(), Rsgf(seam="blend"), TileSet(), RepresentativeTile(), Tiling()])
