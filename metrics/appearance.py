@@ -26,7 +26,9 @@ from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 Looks = NDArray[np.float64]
 """``(n, 9)``: features of windows, see :func:`~.perception.visible.measure_looks`."""
 _FLOORS = np.array(
-    [limits.COLOR_FLOOR] * 3 + [limits.GRAIN_FLOOR, limits.FINE_FLOOR] + [limits.BAND_FLOOR] * 4, np.float64
+    [limits.COLOR_FLOOR] * 3
+    + [limits.GRAIN_FLOOR, limits.FINE_FLOOR, *[limits.BAND_FLOOR] * 2, *[limits.CHROMA_FLOOR] * 2],
+    np.float64,
 )
 _GAINS = np.array([1, 1, 1, limits.LOSS, limits.LOSS, 0.6, 1, 1, 1])
 _SIZES = (1, 2)
@@ -34,8 +36,8 @@ _SIZES = (1, 2)
 _LEAST_WINDOWS = 6
 _WITHOUT_LATTICE = 24.0
 """Side in px of the windows of a texture without a lattice."""
-_CROPS = 3
-"""Number of parts along each side of a sample that show how much its means vary."""
+_PARTS = 4
+"""Number of strips along each axis of a sample, that show how much its means vary; threads run along one axis."""
 
 _SEAM_DRAWS = 2
 _LEAST_SEAM_SIDE = 16
@@ -133,9 +135,9 @@ def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_
         learned.append(max(found, key=lambda kind: kind[1]))
     quarters = [_quarter_means(look) - own for look, own in zip(looks, means, strict=True)]
     if from_sample:
-        parts = [part.mean((0, 1), dtype=np.float64) for part in _cut(looks[0], _CROPS)]
-        spread = np.cov(np.array(parts).T) / _CROPS**2
-        whole, uneven = _invert(4 * spread), _invert(8 * spread)
+        strips = [[p.mean((0, 1), dtype=np.float64) for p in np.array_split(looks[0], _PARTS, axis)] for axis in (0, 1)]
+        spread = sum((np.cov(np.array(means).T) / _PARTS for means in strips), np.zeros((len(_FLOORS),) * 2))
+        whole, uneven = _invert(3 * spread), _invert(8 * spread)
         learned.append((uneven, max(_measure(quarters[0], uneven).max(), limits.LEAST_OF_SAMPLE)))
         learned.append((whole, limits.LEAST_OF_SAMPLE))
     else:

@@ -56,7 +56,7 @@ class Regularity:
     by default. The record ``lattice_from`` names the source: model, given, or dominance.
     """
 
-    version: ClassVar[str] = "9"
+    version: ClassVar[str] = "10"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),

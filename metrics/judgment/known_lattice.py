@@ -78,8 +78,8 @@ def canonical_lattice(lattice: Lattice) -> Lattice:
 def split_supercell(sample: Image, lattice: Lattice) -> Lattice:
     """Return the smallest lattice, with up to four points in the given cell, by which the mean cell repeats.
 
-    A shift by a fraction of the cell is a lattice vector if the mean cell changes by little: by no more than a quarter of
-    its own variance, nor by more than a tenth of it and four times the variance of a mean of n cells.
+    A shift by a fraction of the cell is a lattice vector if the mean cell changes by little: by no more than a quarter
+    of its own variance, nor by more than a tenth of it and four times the variance of a mean of n cells.
     """
     net = LatticeNet((sample.shape[0], sample.shape[1]), reduce_basis(lattice.matrix), np.array(lattice.origin))
     plane = sample_planes(perceive(sample)[..., :3], net.points)
