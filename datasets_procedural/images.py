@@ -174,7 +174,7 @@ def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, S
         sample[axis] = min(sides[axis] // (OUTPUT_SCALE + 1), sides[axis] - wanted[axis], most[axis])
         if (sample >= least).all() and (wanted <= sides).all():
             samples.append(sample)
-    sample = max(samples, key=lambda one: float((one / np.maximum(tile, 1)).min()), default=sides)
+    sample = max(samples, key=lambda sides: float((sides / np.maximum(tile, 1)).min()), default=sides)
     output = np.minimum(np.maximum(OUTPUT_SCALE * sample, wanted), _LARGEST_OUTPUT)
     return (int(sample[0]), int(sample[1])), (int(output[0]), int(output[1]))
 

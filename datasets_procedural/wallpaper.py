@@ -120,14 +120,14 @@ class Wallpaper(Model):
 def operations(group: Group) -> tuple[Operation, ...]:
     """Return all operations of a group, except for translations by lattice vectors."""
     known: list[Operation] = [(1, 0, 0, 1, 0.0, 0.0)]
-    for one in known:
-        known += [new for other in _GENERATORS[group] if (new := _product(other, one)) not in known]
+    for operation in known:
+        known += [new for other in _GENERATORS[group] if (new := _product(other, operation)) not in known]
     return tuple(known)
 
 
 def _product(left: Operation, right: Operation) -> Operation:
     """Return the operation that applies ``right`` first, then ``left``."""
-    first, second = (np.array(one[:4]).reshape(2, 2) for one in (left, right))
+    first, second = (np.array(operation[:4]).reshape(2, 2) for operation in (left, right))
     (a, b), (c, d) = (first @ second).tolist()
     e, f = ((first @ right[4:] + left[4:]) % 1.0).tolist()
     return a, b, c, d, e, f
@@ -177,9 +177,9 @@ def random_motif(seed: int, group: Group, count: int) -> Motif:
         size, turn = (draw(role_seed(seed, f"{draw.__name__} {k} {m}"), np.arange(count)) for draw in (uniform, unit))
         for a, b, c, d, e, f in operations(group):
             order, term = (a * k + c * m, b * k + d * m), size * np.exp(2j * np.pi * (turn + k * e + m * f))
-            for sign, one in ((1, term), (-1, np.conj(term))):
+            for sign, signed in ((1, term), (-1, np.conj(term))):
                 key = (sign * order[0], sign * order[1])
-                drawn[key] = drawn.get(key, 0) + one
+                drawn[key] = drawn.get(key, 0) + signed
     kept = [key for key, term in drawn.items() if key > (0, 0) and np.abs(term).max() > 1e-9]
     terms = np.array([drawn[key] for key in kept])
     return Motif(np.array(kept), terms / np.sqrt((np.abs(terms) ** 2).sum(0) / 2))

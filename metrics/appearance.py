@@ -26,7 +26,9 @@ from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 Looks = NDArray[np.float64]
 """``(n, 9)``: features of windows, see :func:`~.perception.visible.measure_looks`."""
 _FLOORS = np.array(
-    [limits.COLOR_FLOOR] * 3 + [limits.GRAIN_FLOOR, limits.FINE_FLOOR] + [limits.BAND_FLOOR] * 4, np.float64
+    [limits.COLOR_FLOOR] * 3
+    + [limits.GRAIN_FLOOR, limits.FINE_FLOOR, *[limits.BAND_FLOOR] * 2, *[limits.CHROMA_FLOOR] * 2],
+    np.float64,
 )
 _GAINS = np.array([1, 1, 1, limits.LOSS, limits.LOSS, 0.6, 1, 1, 1])
 _SIZES = (1, 2)
@@ -34,8 +36,8 @@ _SIZES = (1, 2)
 _LEAST_WINDOWS = 6
 _WITHOUT_LATTICE = 24.0
 """Side in px of the windows of a texture without a lattice."""
-_CROPS = 3
-"""Number of parts along each side of a sample that show how much its means vary."""
+_PARTS = 4
+"""Number of strips along each axis of a sample, that show how much its means vary; threads run along one axis."""
 
 _SEAM_DRAWS = 2
 _LEAST_SEAM_SIDE = 16
@@ -128,15 +130,16 @@ def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_
         sets = [[group - mean for group in groups] for groups in _group_windows(planes, net, size, from_sample)]
         if any(sum(map(len, groups)) < _LEAST_WINDOWS or len(groups) < 2 for groups in sets):
             break
-        found = [_learn_kind(groups, limits.LEAST_LOCAL) for groups in sets]
+        unseen = limits.UNSEEN_TONES if from_sample else 1.0
+        found = [_learn_kind(groups, limits.LEAST_LOCAL, unseen) for groups in sets]
         learned.append(max(found, key=lambda kind: kind[1]))
     quarters = [_quarter_means(look) - own for look, own in zip(looks, means, strict=True)]
     if from_sample:
-        parts = [part.mean((0, 1), dtype=np.float64) for part in _cut(looks[0], _CROPS)]
-        spread = np.cov(np.array(parts).T) / _CROPS**2
-        whole, uneven = _invert(2 * spread), _invert(8 * spread)
-        learned.append((uneven, max(_measure(quarters[0], uneven).max(), limits.LEAST_WHOLE)))
-        learned.append((whole, limits.LEAST_WHOLE))
+        strips = [[p.mean((0, 1), dtype=np.float64) for p in np.array_split(looks[0], _PARTS, axis)] for axis in (0, 1)]
+        spread = sum((np.cov(np.array(means).T) / _PARTS for means in strips), np.zeros((len(_FLOORS),) * 2))
+        whole, uneven = _invert(3 * spread), _invert(8 * spread)
+        learned.append((uneven, max(_measure(quarters[0], uneven).max(), limits.LEAST_OF_SAMPLE)))
+        learned.append((whole, limits.LEAST_OF_SAMPLE))
     else:
         side = min(max(round(a / b), 1) for a, b in zip(net.shape, sample_shape, strict=True))
         crops = [part.mean((0, 1), dtype=np.float64) - mean for look in looks for part in _cut(look, side)]
@@ -147,14 +150,18 @@ def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_
     return LooksModel(mean, [inverse for inverse, _ in learned], np.array(margins) * [far for _, far in learned], net)
 
 
-def _learn_kind(groups: Sequence[Looks], least: float) -> tuple[NDArray[np.float64], float]:
-    """Return the inverse covariance of departures, and the largest distance of a group by that of all others."""
+def _learn_kind(groups: Sequence[Looks], least: float, unseen: float = 1.0) -> tuple[NDArray[np.float64], float]:
+    """Return the inverse covariance of departures, and the largest distance of a group by that of all others.
+
+    The standard deviation of colors is multiplied by ``unseen``: a sample shows few of the tones of a texture.
+    """
+    wider = np.outer(widths := np.array([unseen] * 3 + [1.0] * (len(_FLOORS) - 3)), widths)
     far = [least]
     for k, group in enumerate(groups):
         rest = np.concatenate([*groups[:k], *groups[k + 1 :]])
-        far.append(float(_measure(group, _invert(rest.T @ rest / len(rest))).max()))
+        far.append(float(_measure(group, _invert(wider * (rest.T @ rest) / len(rest))).max()))
     everything = np.concatenate(groups)
-    return _invert(everything.T @ everything / len(everything)), max(far)
+    return _invert(wider * (everything.T @ everything) / len(everything)), max(far)
 
 
 def _group_windows(

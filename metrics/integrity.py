@@ -153,6 +153,7 @@ def _learn_pair(planes: Sequence[CoarsePlane], lag: Lag) -> PairModel:
 def learn_elements(reference: TextureReference) -> ElementModel:
     """Learn the elements of a texture from its references.
 
+    Noise that nobody sees is added to fresh draws before they are weighed, so that it breaks no element of an output.
     Cells of a sample are weighed by a model of its other strips.
     """
     net = reference.net
@@ -160,13 +161,14 @@ def learn_elements(reference: TextureReference) -> ElementModel:
     planes = [CoarsePlane(fine, known, net.samples) for fine, known in reference.residuals]
     model = ElementModel(learn_pairs(planes, lags))
     parts = reference.split([plane.known for plane in planes])
+    rng = np.random.default_rng(0)
     if reference.from_sample:
         weighed = [_weigh_strip(planes[0], known, lags) for known in parts]
     else:
-        weighed = [model.weigh(plane.values, plane.complete) for plane in planes]
+        noise = [rng.normal(0, limits.UNSEEN_NOISE, plane.values.shape).astype(np.float32) for plane in planes]
+        weighed = [model.weigh(plane.values + n, plane.complete) for plane, n in zip(planes, noise, strict=True)]
     whole = [evidence[np.isfinite(evidence)] for evidence in weighed]
     whole = [evidence for evidence in whole if evidence.size]
-    rng = np.random.default_rng(0)
     joined = np.concatenate([_weigh_composites(plane, model, net, rng) for plane in planes])
     if len(whole) < 2 or not joined.size:
         return model
@@ -236,7 +238,7 @@ class Integrity:
     Elements out of place are left out; they count for regularity.
     """
 
-    version: ClassVar[str] = "10"
+    version: ClassVar[str] = "11"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column("Share of the elements that are whole: 1 as in a fresh draw.", better="higher"),

@@ -56,7 +56,7 @@ class Regularity:
     by default. The record ``lattice_from`` names the source: model, given, or dominance.
     """
 
-    version: ClassVar[str] = "9"
+    version: ClassVar[str] = "10"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
@@ -119,6 +119,7 @@ def _score(observation: Observation) -> Score:
         "slip_limit": reference.slip_limit,
         "expected_share": reference.most_misplaced,
         "misfit": [median, torn],
+        "lattice": None if values["drift"] is None else _own_lattice(followed).as_dict(),
     }
     pictures = {"defects": draw_misplaced(observation.output, followed, bad)}
     return Score({name: values[name] for name in Regularity.columns}, reasons, pictures, records)
@@ -142,10 +143,19 @@ def _compare_lattice(followed: FollowedPicture, reasons: dict[str, str]) -> dict
         reasons |= dict.fromkeys(names, f"not measured: only {share:.0%} of the windows lie on one lattice")
         return dict.fromkeys(names)
     vectors = followed.net.vectors
-    own, true = Lattice.from_basis(vectors @ (np.eye(2) + followed.drift)), Lattice.from_basis(vectors)
+    own, true = _own_lattice(followed), Lattice.from_basis(vectors)
     error = lattice_error(own, true, (followed.lab.shape[0], followed.lab.shape[1]))
     drift = 100 * float(np.linalg.norm(followed.drift, 2))
     return dict(zip(names, (drift, error.relation == "exact", error.vector, error.area_ratio), strict=True))
+
+
+def _own_lattice(followed: FollowedPicture) -> Lattice:
+    """Return the true lattice, moved by the affine part of the displacements."""
+    net, where = followed.net, followed.in_place
+    phase = (followed.expected[where] @ net.vectors).mean(0) - followed.centers[where].mean(0) @ followed.drift
+    turned = np.eye(2) + followed.drift
+    x, y = net.origin @ turned + phase
+    return Lattice.from_basis(net.vectors @ turned, (float(x), float(y)))
 
 
 def draw_misplaced(output: Image, followed: FollowedPicture, bad: NDArray[np.float64]) -> Image:

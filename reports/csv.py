@@ -56,9 +56,9 @@ class CsvTables:
 
     - ``cells.csv``: one row a cell, one column a score.
     - ``comparison.csv``: textures by methods.
-    - ``summary.csv``: for each method its rank, whether it is in the leading group, counts, success rate and means,
-      with 95 % intervals over textures. ``quality`` counts a failed or refused cell as 0, ``quality.score`` leaves it
-      out.
+    - ``summary.csv``: for each method its rank, whether it is in the leading group, whether its quality is an upper
+      bound, counts, success rate and means, with 95 % intervals over textures. ``quality`` counts a failed or refused
+      cell as 0, ``quality.score`` leaves it out.
     - ``differences.csv``: the paired differences between methods.
     - ``columns.csv``: for every column of ``cells.csv`` its meaning, unit, range, and which values are better.
     - ``perils.csv``: the points of the perils plane.
@@ -151,7 +151,7 @@ def cells_table(run: Run) -> pd.DataFrame:
 
 
 def comparison_table(comparison: Comparison) -> pd.DataFrame:
-    """Return textures by methods: verdict and quality of each method, and whether a baseline is valid.
+    """Return textures by methods: verdict and quality, whether it is an upper bound, and whether a baseline is valid.
 
     Without a quality, ``regularity.score`` takes its place, in columns named ``score``.
     """
@@ -160,11 +160,12 @@ def comparison_table(comparison: Comparison) -> pd.DataFrame:
         [[row.texture, row.family, row.kind, row.regular_share] for row in comparison.rows],
         columns=["texture", "family", "kind", "regular_share"],
     )
+    parts = {"verdict": "verdict", "score": score, "upper_bound": "upper_bound", "baseline_valid": "reference_right"}
     for i, method in enumerate(comparison.methods):
         entries = [row.entries[i] for row in comparison.rows]
-        for name, part in (("verdict", "verdict"), (score, "score"), ("reference_right", "baseline_valid")):
+        for part, name in parts.items():
             values = [getattr(entry, part) if entry else None for entry in entries]
-            if part != "baseline_valid" or any(value is not None for value in values):
+            if part in ("verdict", "score") or any(value is not None for value in values):
                 table[f"{method.label} {name}"] = pd.Series(values, table.index, dtype=object)
     return table
 
@@ -175,11 +176,12 @@ def summary_table(comparison: Comparison) -> pd.DataFrame:
     for one in comparison.summaries:
         row: dict[str, Any] = {"method": one.method.name, "lattice_source": one.method.lattice_source}
         row |= {"reference": one.method.reference, "rank": one.rank, "leading": one.leading if one.rank else None}
-        row |= one.counts
+        row |= {"upper_bound": one.at_most, **one.counts}
         for name, estimate in one.all_means.items():
             row |= estimate.columns(name, f"{name}_")
         rows.append(row)
-    empty = ["method", "lattice_source", "reference", "rank", "leading", "cells", "ok", "refused", "failed", "missing"]
+    first = ("method", "lattice_source", "reference", "rank", "leading", "upper_bound")
+    empty = [*first, "cells", "ok", "refused", "failed", "missing"]
     return pd.DataFrame(rows).astype({"rank": "Int64"}) if rows else pd.DataFrame(columns=empty)
 
 

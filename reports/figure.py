@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
@@ -15,6 +15,8 @@ from nrbench.storage import write_bytes
 from .plots.picture_grid import plot_pictures
 from .statistics.method_comparison import Comparison, ComparisonRow, compare_methods
 from .statistics.summaries import Method
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,8 @@ class PictureGrid:
         Names of textures, or patterns such as ``brick-*``; by default the four on which the shown methods differ
         most.
     methods
-        Names of methods, or names with the source of the lattice in parentheses; by default the five best ranked ones.
+        Names of methods, names with the source of the lattice in parentheses, or patterns; by default the five best
+        ranked ones.
     replicate
         Number of the draw.
     width
@@ -85,22 +88,23 @@ def choose_textures(
 
         best = sorted(comparison.rows, key=spread, reverse=True)[:4]
         return [row for row in comparison.rows if row in best]
-    for pattern in patterns:
-        if not any(fnmatchcase(row.texture, pattern) for row in comparison.rows):
-            names = ", ".join(row.texture for row in comparison.rows)
-            raise BadInput(f"report figure: no texture {pattern!r} in this run; give some of: {names}")
-    return [row for pattern in patterns for row in comparison.rows if fnmatchcase(row.texture, pattern)]
+    return _match("texture", patterns, [((row.texture,), row) for row in comparison.rows])
 
 
-def choose_methods(comparison: Comparison, names: tuple[str, ...]) -> list[Method]:
-    """Return the named methods, or the five best that are no references."""
-    if not names:
+def choose_methods(comparison: Comparison, patterns: tuple[str, ...]) -> list[Method]:
+    """Return the methods that a pattern names, or the five best that are no references."""
+    if not patterns:
         return [method for method in comparison.methods if not method.reference][:5]
-    found = []
-    for name in names:
-        known = [one for one in comparison.methods if name in (one.label, one.name)]
+    return _match("method", patterns, [((method.label, method.name), method) for method in comparison.methods])
+
+
+def _match(kind: str, patterns: Sequence[str], items: Sequence[tuple[tuple[str, ...], T]]) -> list[T]:
+    """Return the items one of whose names is a pattern or matches it, in the order of the patterns."""
+    found: list[T] = []
+    for pattern in patterns:
+        known = [item for names, item in items if pattern in names or any(fnmatchcase(n, pattern) for n in names)]
         if not known:
-            labels = ", ".join(one.label for one in comparison.methods)
-            raise BadInput(f"report figure: no method {name!r} in this run; give some of: {labels}")
+            listed = ", ".join(names[0] for names, _ in items)
+            raise BadInput(f"report figure: no {kind} {pattern!r} in this run; give some of: {listed}")
         found += known
     return found

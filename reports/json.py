@@ -20,8 +20,8 @@ from .statistics.summaries import MethodSummary, describe_scores
 class JsonSummary:
     """``comparison.json``: suite, methods with all their means, textures, differences and tests.
 
-    A mean has ``value``, ``low`` and ``high`` (its 95 % interval), ``n`` and ``of``. What is not known is null. Numbers
-    are rounded to 10 digits.
+    A mean has ``value``, ``low`` and ``high`` (its 95 % interval), ``n`` and ``of``, and ``at_most``: whether it is an
+    upper bound. What is not known is null. Numbers are rounded to 10 digits.
 
     Parameters
     ----------
@@ -72,6 +72,7 @@ def _content(run: Run, comparison: Comparison) -> dict[str, Any]:
                 "regular_share": row.regular_share,
                 "entries": {
                     method.label: {"verdict": entry.verdict, "score": entry.score, "replicates": len(entry.records)}
+                    | {"upper_bound": entry.upper_bound}
                     for method, entry in zip(comparison.methods, row.entries, strict=True)
                     if entry
                 },

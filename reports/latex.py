@@ -22,7 +22,7 @@ _SPECIAL: Mapping[str, str] = {
     "|": r"\textbar{}", '"': r"\textquotedbl{}", "'": r"{'}", "`": r"{`}", "-": "{-}",
     "[": "{[}", "]": "{]}", "*": "{*}",
     "\u2212": "$-$", "\u2013": "--", "\u2026": r"\dots{}", "\u221e": r"$\infty$",
-    "\u00d7": r"$\times$", "\u00b0": r"$^\circ$",
+    "\u00d7": r"$\times$", "\u00b0": r"$^\circ$", "\u2264": r"$\le$",
 }  # fmt: skip
 _LAST_LATIN = 0x17F
 """The last letter that every LaTeX prints with T1 fonts."""

@@ -21,10 +21,10 @@ class PerilsPlane:
     """The perils plane, and where each method breaks, as SVG and PDF.
 
     ``perils.svg`` and ``perils.pdf`` hold the perils plane, with one point for each method. The horizontal axis says
-    whether elements are in place and whole: the smaller of ``quality.regularity`` and ``quality.integrity``. The
-    vertical axis is ``quality.randomness``. Both are computed output by output and then averaged over textures. A fresh
-    draw of the texture lies at (1, 1), wallpaper at (1, 0). Bars are 95 % intervals over textures. Gray lines are
-    contours of equal quality. Reference methods have diamonds and no rank.
+    whether elements are in place, whole and alike: the smallest of ``quality.regularity``, ``quality.integrity`` and
+    ``quality.appearance``. The vertical axis is ``quality.randomness``. Both are computed output by output and then
+    averaged over textures. A fresh draw of the texture lies at (1, 1), wallpaper at (1, 0). Bars are 95 % intervals
+    over textures. Gray lines are contours of equal quality. Reference methods have diamonds and no rank.
 
     Randomness is not scored where the lattice is lost. A method that loses every lattice has an open sign below the
     plane. ``[k of n]`` behind a name says that the height rests on k of n textures. A double dagger marks a baseline

@@ -21,10 +21,19 @@ from nrbench.storage import write_text
 
 from .statistics.detections import DetectorSummary, compare_detectors
 from .statistics.estimates import Estimate
-from .statistics.format import format_number, format_percent, pluralize
+from .statistics.format import format_number, format_percent, format_value, pluralize
 from .statistics.method_comparison import Comparison, Entry, choose_rows, compare_methods
 from .statistics.summaries import MethodSummary, SummaryRow
-from .statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, LEADING_SIGN, MARKS, SHARES_LEGEND, count_reasons
+from .statistics.verdicts import (
+    BASELINE_LEGEND,
+    BASELINE_SIGN,
+    BOUND_LEGEND,
+    BOUND_SIGN,
+    LEADING_SIGN,
+    MARKS,
+    SHARES_LEGEND,
+    count_reasons,
+)
 
 _MOST_REASONS = 8
 """Number of reasons that are printed."""
@@ -154,7 +163,7 @@ def _estimate(one: Estimate | None, rate: bool) -> Text:
     """Return two short lines: the value with the number of textures that it rests on, and its interval."""
     if one is None or one.value is None:
         return Text("–")
-    value = f"{format_percent(one.value)} ({one.value * one.n:.3g}/{one.n})" if rate else format_number(one.value)
+    value = format_value(one, rate) + (f" ({one.value * one.n:.3g}/{one.n})" if rate else "")
     short = f" ({one.n}/{one.of})" if not rate and one.n < one.of else ""
     if one.ends is None:
         return Text(value + short)
@@ -180,7 +189,9 @@ def _legend(comparison: Comparison) -> Iterator[str]:
         yield "Methods are ranked by their mean quality over textures. A failed or refused cell has quality 0."
         if comparison.leading_legend:
             yield f"{LEADING_SIGN} {comparison.leading_legend}."
-        yield "Quality of an output: the worst of regularity, integrity and randomness. 1 is as good as a fresh draw."
+        yield "Quality: the worst of regularity, integrity, randomness and appearance. 1 is as good as a fresh draw."
+        if comparison.has_bounds:
+            yield f"{BOUND_SIGN} {BOUND_LEGEND}."
     yield "Means over textures, with 95 % intervals. (n/N): the mean counts n of N textures."
     yield "References calibrate the scores and are never ranked. Under a method: the source of its lattice."
     yield f"{marks}. Beside the mark: {comparison.score}. share: regular share of the texture."

@@ -183,14 +183,12 @@ class Clusters:
         corner
             Rows and columns of the border at the top and at the left.
         """
-        height, width = shape
-        columns = np.arange(width) + corner[1]
+        columns = np.arange(shape[1]) + corner[1]
         labels = np.empty(shape, np.int64)
-        for start in range(0, height, CLUSTER_BAND):
-            rows = np.arange(start, min(start + CLUSTER_BAND, height)) + corner[0]
+        for start in range(0, shape[0], CLUSTER_BAND):
+            rows = np.arange(start, min(start + CLUSTER_BAND, shape[0])) + corner[0]
             pixels = (rows[:, np.newaxis] * layers.shape[2] + columns).ravel()
             vectors = self.neighborhood.vectors(layers, pixels).astype(np.float64)
-            labels[start : start + CLUSTER_BAND] = scipy.cluster.vq.vq(vectors, self.centers)[0].reshape(
-                len(rows), width
-            )
+            numbers, _ = scipy.cluster.vq.vq(vectors, self.centers)
+            labels[start : start + len(rows)] = numbers.reshape(len(rows), -1)
         return labels

@@ -202,10 +202,6 @@ class Site:
         """Least distance in px, along x and y, of :meth:`random_point` to the border: a tile, or a third of a side."""
         return np.asarray(np.minimum(self.tile_size, self.extent / 3))
 
-    def fresh(self, margin: int = 0) -> Image:
-        """Return the pixels of a fresh draw, ``margin`` px wider than the output on every side."""
-        return self.draw(margin).image
-
     def draw(self, margin: int = 0) -> Texture:
         """Return a fresh draw, ``margin`` px wider than the output on every side."""
         height, width = self.shape
@@ -304,7 +300,7 @@ def phase_step(site: Site) -> PlantedImage:
 
 def slipped_course(site: Site) -> PlantedImage:
     """Slide one course along t1, by half of t1 at most."""
-    courses = _Courses(site, reach=site.lattice.s)
+    courses = _LatticeCourses(site, reach=site.lattice.s)
     distance = min(site.size * site.lattice.s, courses.length / 2)
     field = site.zeros()
     field[(courses.beyond >= 0) & (courses.beyond < 1)] = _round(courses.sign * distance * courses.along)
@@ -313,7 +309,7 @@ def slipped_course(site: Site) -> PlantedImage:
 
 def dropped_row(site: Site) -> PlantedImage:
     """Remove a part of a course, half of it at most, and close the gap."""
-    courses = _Courses(site, reach=site.lattice.area / math.hypot(*site.lattice.t1) / 2)
+    courses = _LatticeCourses(site, reach=site.lattice.area / math.hypot(*site.lattice.t1) / 2)
     field = site.zeros()
     field[courses.beyond >= 0] = -_round(min(site.size, _MOST) * courses.height * courses.across)
     return _displace(site, field, courses.margin)
@@ -321,7 +317,7 @@ def dropped_row(site: Site) -> PlantedImage:
 
 def doubled_row(site: Site) -> PlantedImage:
     """Repeat a part of a course, half of it at most, and move everything beyond."""
-    courses = _Courses(site, reach=site.lattice.area / math.hypot(*site.lattice.t1) / 2)
+    courses = _LatticeCourses(site, reach=site.lattice.area / math.hypot(*site.lattice.t1) / 2)
     step = _round(min(site.size, _MOST) * courses.height * courses.across)
     field = site.zeros()
     field[courses.at(site.pixels() - step) >= 0] = step
@@ -380,7 +376,7 @@ def stretch(site: Site) -> PlantedImage:
     )
 
 
-class _Courses:
+class _LatticeCourses:
     """The courses of a lattice, the rows along t1 with joints halfway between lattice points, and one chosen course.
 
     ``margin`` is the margin of the draw: wide enough for content to move by ``reach`` px, whatever the size.
@@ -411,12 +407,12 @@ def _round(vector: Points) -> Field:
 def _displace(site: Site, field: Field, margin: int | None = None) -> PlantedImage:
     """Displace the content of a draw by whole pixels; the draw is wider than the output by the margin."""
     margin = int(np.abs(field).max()) if margin is None else margin
-    return PlantedImage(read_displaced(site.fresh(margin), margin, field), field)
+    return PlantedImage(read_displaced(site.draw(margin).image, margin, field), field)
 
 
 def _resample(site: Site, field: Points, margin: int) -> PlantedImage:
     """Displace the content of a draw by fractions of a pixel, interpolated by cubic splines."""
-    draw = site.fresh(margin)
+    draw = site.draw(margin).image
     if not field.any():
         return PlantedImage(read_displaced(draw, margin, site.zeros()), field)
     y, x = np.indices(site.shape) + margin
@@ -447,7 +443,7 @@ def read_displaced(draw: Image, margin: int, field: Field) -> Image:
 
 def missing_tile(site: Site) -> PlantedImage:
     """Cover one cell with its mean color."""
-    covered, fresh = site.random_cell(), site.fresh()
+    covered, fresh = site.random_cell(), site.draw().image
     image = np.array(fresh)
     image[covered] += np.float32(site.size) * (image[covered].mean(0) - image[covered])
     return PlantedImage(image, site.zeros(), covered & (image != fresh).any(), f"opacity {site.size:g}")
@@ -460,7 +456,7 @@ def blurred_band(site: Site) -> PlantedImage:
     start = int(site.rng.integers(site.shape[axis] - width + 1))
     covered = np.zeros(site.shape, np.bool_)
     np.moveaxis(covered, axis, 0)[start : start + width] = True
-    fresh, deviation = site.fresh(), _BLUR * site.size
+    fresh, deviation = site.draw().image, _BLUR * site.size
     image = np.array(fresh)
     if deviation:
         image[covered] = scipy.ndimage.gaussian_filter(image, (deviation, deviation, 0), mode="mirror")[covered]
@@ -469,14 +465,14 @@ def blurred_band(site: Site) -> PlantedImage:
 
 def blur(site: Site) -> PlantedImage:
     """Blur the whole draw."""
-    fresh = site.fresh()
+    fresh = site.draw().image
     image = scipy.ndimage.gaussian_filter(fresh, (site.size, site.size, 0), mode="mirror") if site.size else fresh
     return PlantedImage(image, site.zeros(), _changed(image, fresh), f"standard deviation {site.size:g} px")
 
 
 def contrast(site: Site) -> PlantedImage:
     """Move all values toward their mean."""
-    fresh = site.fresh()
+    fresh = site.draw().image
     image = fresh + np.float32(site.size) * (fresh.mean((0, 1), np.float64).astype(np.float32) - fresh)
     return PlantedImage(image, site.zeros(), _changed(image, fresh), f"contrast times {1 - site.size:g}")
 
@@ -509,14 +505,14 @@ def seam(site: Site) -> PlantedImage:
     beyond = (site.pixels() - site.random_central_point()) @ np.array([math.cos(angle), math.sin(angle)])
     weight = np.maximum(1 - np.abs(beyond) / _SEAM_REACH, 0)
     change = site.size / 2 * np.where(beyond >= 0, weight, -weight)
-    image = np.clip(site.fresh() + change[..., np.newaxis].astype(np.float32), 0, 1)
+    image = np.clip(site.draw().image + change[..., np.newaxis].astype(np.float32), 0, 1)
     return PlantedImage(image, site.zeros(), (weight > 0) & (site.size > 0), f"contrast {site.size:g}")
 
 
 def color_mean(site: Site) -> PlantedImage:
     """Add one color of random proportions to all pixels, in each channel towards the middle of [0, 1]."""
     proportions = site.rng.uniform(0.2, 1, 3)
-    fresh = site.fresh()
+    fresh = site.draw().image
     mean = fresh.mean((0, 1), np.float64)
     direction = np.where(mean < 0.5, 1, -1) * proportions[: len(mean)]
     change = site.size * direction / np.hypot.reduce(direction)
@@ -536,7 +532,7 @@ def two_tone(site: Site) -> PlantedImage:
     rank = site.rng.permutation(len(tiles))[index.reshape(site.shape)]
     number = round(site.size * len(tiles))
     covered = (rank < number) & (away @ site.lattice.matrix[0] > 0)
-    image, other = site.fresh(), site.fresh()
+    image, other = site.draw().image, site.draw().image
     joined = np.where(covered[..., np.newaxis], other, image)
     return PlantedImage(joined, site.zeros(), covered, f"{number} of {len(tiles)} tiles")
 
@@ -550,7 +546,7 @@ def over_regular(site: Site) -> PlantedImage:
     tile, _ = _tiles(site.pixels(), lattice)
     chosen, _ = _tiles(site.random_point(), lattice)
     field: Field = np.rint((tile - chosen) @ lattice.matrix).astype(np.intp) if site.size else site.zeros()
-    draw = site.fresh(margin)
+    draw = site.draw(margin).image
     image, repeated = read_displaced(draw, margin, site.zeros()), read_displaced(draw, margin, field)
     mixed = repeated if site.size == 1 else image + np.float32(site.size) * (repeated - image)
     return PlantedImage(mixed, field, amount=f"weight {site.size:g}")
@@ -569,7 +565,9 @@ def verbatim(site: Site) -> PlantedImage:
             field[patch], count = move, count + pixels.size
     covered: Mask = order < min(round(site.size * order.size), count)
     field[~covered] = 0
-    return PlantedImage(read_displaced(site.fresh(), 0, field), field, covered, f"{covered.mean():.3f} of the area")
+    return PlantedImage(
+        read_displaced(site.draw().image, 0, field), field, covered, f"{covered.mean():.3f} of the area"
+    )
 
 
 def _tiles(points: Points, lattice: Lattice) -> tuple[Points, Points]:

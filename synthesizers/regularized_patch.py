@@ -16,8 +16,8 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .geometry.deformed_lattice import Deform
 from .geometry.straightening import Bend, StraightSample, trace_points
-from .geometry.vertex_field import Deform
 from .sampling.equal_places import pixel_grid, require_two_periods
 from .sampling.patches import Patches, round_places
 from .texel_pasting.quiet_borders import TexelKind, parallelogram, quiet_texels
@@ -49,9 +49,10 @@ class RegularizedPatch:
 
     The report leaves to the user what is automatic here: the vectors and the corners of texels. It leaves open the
     order of vertices found at the same time (rows), the breadth of the zone, and d_max, for which Liang et al. take
-    ``tolerance=0.2``. As printed, equation 1 makes the lattice collapse; :mod:`~.geometry.vertex_field` says how it is
-    read. With that reading, equation 3 shrinks the deformation to about 0.15 of the sample's amplitude. The settings of
-    the report are ``texel=given,tolerance=0.2,deform=argmax``.
+    ``tolerance=0.2``. As printed, equation 1 makes the lattice collapse;
+    :func:`~.geometry.deformed_lattice.neighbor_field` says how it is read. With that reading, equation 3 shrinks the
+    deformation to about 0.15 of the sample's amplitude. The settings of the report are
+    ``texel=given,tolerance=0.2,deform=argmax``.
 
     Parameters
     ----------

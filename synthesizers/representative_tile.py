@@ -178,13 +178,9 @@ def preselect(smooth: Costs, number: float) -> NDArray[np.bool_]:
 
 
 def _least(values: Costs, number: int) -> NDArray[np.intp]:
-    """Return the flat indices of the ``number`` least values in order, equal values as they stand; O(n) for few."""
+    """Return the flat indices of the ``number`` least values in order, equal values as they stand."""
     flat = values.ravel()
-    if number == 1:
-        return np.array([flat.argmin()])
-    limit = np.partition(flat, number - 1)[number - 1]
-    below = np.flatnonzero(flat <= limit)
-    return np.asarray(below[np.argsort(flat[below], kind="stable")][:number])
+    return np.array([flat.argmin()]) if number == 1 else np.argsort(flat, kind="stable")[:number]
 
 
 def _cut(image: Image, frame: TileFrame, place: tuple[int, int]) -> Image:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import require, require_ranges
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Refused, Synthesis, Task, find_lattice
+from nrbench.plugins.forms import Refused, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .geometry.straightening import Geometry, straighten_first
@@ -178,14 +178,12 @@ class TileSet:
         """
         if self.geometry == "straighten":
             return straighten_first(replace(self, geometry="as-is"), task, NamedDetector(self.finder))
-        found = find_lattice(task, NamedDetector(self.finder))
-        if found.lattice is None:
-            raise Refused(f"no lattice found ({found.reason}), so that there are no tiles; give a lattice")
-        self._require_within_s(found.lattice.s)
-        laying = TileLaying(self, task, found.lattice)
+        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no tiles; give a lattice")
+        self._require_within_s(lattice.s)
+        laying = TileLaying(self, task, lattice)
         laying.lay_tiles()
         image, source = laying.canvas.output()
-        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds)
+        return Synthesis(image, lattice, source, detection_seconds=seconds)
 
     def _require_within_s(self, s: float) -> None:
         most = max(s, FEATHER)

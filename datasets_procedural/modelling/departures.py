@@ -151,11 +151,8 @@ class Departures:
 
     def _smooth(self, field: Field) -> Field:
         kernel = np.exp(-(np.arange(-self.margin, self.margin + 1) ** 2) / (2 * self._seam**2))
-        return np.asarray(
-            scipy.ndimage.correlate1d(
-                scipy.ndimage.correlate1d(field, kernel / kernel.sum(), 0), kernel / kernel.sum(), 1
-            )
-        )
+        kernel /= kernel.sum()
+        return np.asarray(scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(field, kernel, 0), kernel, 1))
 
     def paint(self, pattern: Pattern, seed: int, numbers: Draw) -> tuple[Image, Elements]:
         """Return the image, not yet clipped, and the elements in it with their departures.

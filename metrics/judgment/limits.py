@@ -62,6 +62,7 @@ LEAST_STEP = _limit(
     "LEAST_STEP", 0.08, "s", "less than half of the smallest fault that labelers called lost half of the time"
 )
 MOST_STEP = _limit("MOST_STEP", 0.25, "s", "a tile that is out of place by this is wholly out of place")
+LOOSE = _limit("LOOSE", 1.5, "", "factor of LEAST_STEP and SLIP beside one sample: photographed walls wander by .1 s")
 OF_NOISE = _limit("OF_NOISE", 1.3, "", "margin over the largest departure of the references")
 TORN = _limit("TORN", 1.6, "", "margin over the largest misfit of a cell of the references")
 SLIP = _limit("SLIP", 0.1, "s", "smallest difference between the two sides of a line that counts as a slip")
@@ -96,6 +97,9 @@ WHOLE_SHARES = (0.1, 0.05, 0.03, 0.02, 0.01, 0.005)
 LEAST_POWER = _limit(
     "LEAST_POWER", 0.3, "", "share of joined elements, beyond whole ones, below which the score is None"
 )
+UNSEEN_NOISE = _limit(
+    "UNSEEN_NOISE", 0.7, "CIELAB", "noise of whole elements: its difference between two places is half a JND"
+)
 FEW_CELLS = _limit("FEW_CELLS", 100.0, "cells", "with fewer cells, covariances of neighboring places are pooled")
 
 # Randomness
@@ -126,12 +130,15 @@ COLOR_FLOOR = _limit("COLOR_FLOOR", 2.0, "CIELAB", "one JND of the mean")
 GRAIN_FLOOR = _limit("GRAIN_FLOOR", 4.0, "20 ln", "a fifth of the amplitude of grain")
 FINE_FLOOR = _limit("FINE_FLOOR", 5.0, "20 ln", "a fourth of the amplitude of the finest band")
 BAND_FLOOR = _limit("BAND_FLOOR", 4.0, "20 ln", "a fifth of the amplitude of a band")
+CHROMA_FLOOR = _limit("CHROMA_FLOOR", 6.0, "20 ln", "a third of the contrast of chroma, which depends on few elements")
 LOSS = _limit("LOSS", 0.6, "", "lost fine detail counts less: a blur of .6 px is not seen, noise of as much energy is")
 GRAIN_OFFSET = _limit("GRAIN_OFFSET", 1.5, "CIELAB", "grain of this amplitude is not seen")
 BAND_OFFSET = _limit("BAND_OFFSET", 0.5, "CIELAB", "detail of this amplitude is not seen")
 LEAST_LOCAL = _limit("LEAST_LOCAL", 3.5, "sd", "theory: the norm of eight normal values exceeds it once in 30 windows")
 LEAST_WHOLE = _limit("LEAST_WHOLE", 2.0, "sd", "convention: half of what was seen in all edits")
+LEAST_OF_SAMPLE = _limit("LEAST_OF_SAMPLE", 1.25, "sd", "the same beside one sample, whose own means count as exact")
+UNSEEN_TONES = _limit("UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones")
 OF_LOOKS = _limit("OF_LOOKS", 1.15, "", "margin over the largest distance of the references")
 OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters and the whole, of which there are few")
-OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.45, "", "the same for parts of one sample")
+OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.25, "", "the same for parts of one sample")
 LOOKS_SLOPE = _limit("LOOKS_SLOPE", 2.0, "", "the score reaches 0 at 1.5 times the limit")

@@ -87,7 +87,8 @@ class TextureReference:
     @cached_property
     def slip_limit(self) -> float:
         """Difference in s between two sides of a line beyond which they have slipped."""
-        return max(limits.SLIP, limits.OF_SLIP * max(float(picture.slip.max(initial=0)) for picture in self.pictures))
+        least = limits.SLIP * (limits.LOOSE if self.from_sample else 1)
+        return max(least, limits.OF_SLIP * max(float(picture.slip.max(initial=0)) for picture in self.pictures))
 
     @cached_property
     def misplaced(self) -> NDArray[np.float64]:
@@ -269,5 +270,6 @@ def _choose_windows(
             break
     if not chosen:
         raise CannotTell("undecided: no window of whole cells lies inside the sample")
-    limit = float(np.clip(limits.OF_NOISE * noise, limits.LEAST_STEP, limits.MOST_STEP))
+    least = limits.LEAST_STEP * (limits.LOOSE if strips else 1)
+    limit = float(np.clip(limits.OF_NOISE * noise, least, limits.MOST_STEP))
     return [replace(picture, limit=limit) for picture in chosen]

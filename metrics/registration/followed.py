@@ -246,18 +246,21 @@ def _node_shape(net: LatticeNet, size: int) -> tuple[int, int]:
 
 
 def _average_windows(plane: Values, net: LatticeNet, size: int) -> tuple[Values, Values]:
-    """Average the cells of each window, ``(R, C, n1, n2, 3)``, and return which share of it lies inside the picture."""
+    """Average the cells of each window, ``(R, C, n1, n2, 3)``, and return which share of it lies inside the picture.
+
+    A point that lies outside in all cells has the value at the nearest border.
+    """
     half = net.samples // 2
     shape = _node_shape(net, size)
     windows, cover = np.zeros((*shape, *net.samples, 3), np.float32), np.zeros(shape, np.float32)
     for a, b in np.ndindex(2, 2):
         y, x = a * half[0], b * half[1]
         part = np.s_[y : plane.shape[0] - y, x : plane.shape[1] - x]
-        known = split_cells(net.inside[part].astype(np.float32), net.samples)
+        known = split_cells(np.where(net.inside[part], np.float32(1), np.float32(1e-3)), net.samples)
         cells = split_cells(plane[part], net.samples) * known[..., np.newaxis]
         sums, counts = (_sum_windows(a, size) for a in (cells, known))
         if counts.size:
-            windows[a::2, b::2] = np.roll(sums / np.maximum(counts, 1)[..., np.newaxis], (y, x), (2, 3))
+            windows[a::2, b::2] = np.roll(sums / counts[..., np.newaxis], (y, x), (2, 3))
             cover[a::2, b::2] = counts.mean((2, 3)) / size**2
     return windows, cover
 

@@ -59,7 +59,8 @@ def show_command(name: str, as_json: bool, as_toml: bool) -> None:
     """Show a plugin or a suite.
 
     For a plugin, print its page, its parameters with defaults, its presets, its columns, and the BibTeX entry of its
-    paper. NAME may also be a single score, METRIC.COLUMN.
+    paper. NAME may also be a single score, METRIC.COLUMN, or "limits": all numbers by which outputs are judged, each
+    with its unit and where it comes from.
     """
     from nrbench import plugins
     from nrbench.plugins.parameters import nearest
@@ -95,10 +96,24 @@ def _pages(name: str) -> list[dict[str, Any]]:
         if column in page["columns"]:
             about = page["page"].partition("\n")[0]
             pages.append({**page, "page": about, "columns": {column: page["columns"][column]}})
+    if name == "limits":
+        tables = {metric: _limits(metric) for metric in plugins.names("metrics")}
+        pages += [{"kind": name, "name": metric, "limits": rows} for metric, rows in tables.items() if rows]
     if name in builtin():
         suite = load_suite(name)
         pages.append({"kind": "suites", "name": name, "hash": suite.hash, **suite.model_dump(mode="json")})
     return pages
+
+
+def _limits(metric: str) -> list[dict[str, Any]]:
+    """Return the rows of a metric's class variable ``limits``; none if it has none or does not load."""
+    from nrbench import plugins
+
+    try:
+        limits = getattr(plugins.find("metrics", metric).cls, "limits", ())
+    except BadInput:
+        return []
+    return [{key: getattr(limit, key) for key in ("name", "value", "unit", "origin")} for limit in limits]
 
 
 def _page(kind: str, plugin: Any) -> dict[str, Any]:
@@ -143,6 +158,9 @@ def _text(page: dict[str, Any]) -> str:
         head = f"{page['name']} (suite, version {page['version']}, {page['hash']})\n{page['description']}"
         axes = f"methods: {', '.join(page['methods'])}\nlattice: {', '.join(page['lattice'])}"
         return "\n".join([head, f"sample {page['sample']}, size {page['size']}, seed {page['seed']}", axes, *rows])
+    if page["kind"] == "limits":
+        rows = [f"  {row['name']:<20} {row['value']:<6g} {row['unit']:<7} {row['origin']}" for row in page["limits"]]
+        return "\n".join([f"limits of {page['name']}", *rows])
     lines = [f"{page['name']} ({page['kind']}, {page['distribution']}, version {page['version']})", page["page"]]
     presets = {f"preset={preset}": values for preset, values in page["presets"].items()}
     for title, values in {"defaults": page["parameters"], **presets, "patches": page.get("patches")}.items():

@@ -108,7 +108,8 @@ def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
     )
 
 
-HEADLINES = ("regularity.preserved", "quality.score", "quality.regularity", "quality.integrity", "quality.randomness")
+_PARTS = ("score", "regularity", "integrity", "randomness", "appearance")
+HEADLINES = ("regularity.preserved", *(f"quality.{part}" for part in _PARTS))
 """The scores that `score` prints by default, and by whose metrics the lattice is judged."""
 
 
@@ -129,8 +130,9 @@ def score_command(
 ) -> None:
     """Score any tool's OUTPUT against its SAMPLE.
 
-    Print whether the lattice is preserved, the quality, and its three parts: the regularity, the integrity and the
-    randomness. --all prints all scores.
+    Print whether the lattice is preserved, the quality, and its four parts: regularity, integrity, randomness and
+    appearance. "≤" marks a quality that is an upper bound, because a part could not be measured. --all prints all
+    scores.
     """
     from nrbench.api import score
     from nrbench.imaging.files import read_image
@@ -169,7 +171,8 @@ def _verdict_line(sheet: Sheet) -> str:
 def _score_line(sheet: Sheet, name: str) -> str:
     value = sheet.values[name]
     text = "-" if value is None else str(value) if isinstance(value, bool) else f"{value:.4g}"
-    return f"{name:<36} {text}"
+    bound = "≤ " if name == "quality.score" and sheet.values.get("quality.complete") is False else ""
+    return f"{name:<36} {bound}{text}"
 
 
 def _group_reasons(sheet: Sheet, names: list[str]) -> dict[str, list[str]]:

@@ -13,9 +13,7 @@ ANSWERS = ("yes", "no", "cannot say")
 """The possible answers to every question, in the order of the keys 1, 2, 3."""
 PRESERVED = "regularity.preserved"
 WHOLE_SCORE = 0.95
-"""``integrity.score`` below which more elements are broken than chance explains. ``integrity`` allows for chance, so
-that a fresh draw of independent elements scores less with a probability of about 0.002. Of fresh draws of all models, a
-share of 0.02 does, all of textures of threads, whose windows are not independent (docs/validation.md)."""
+"""``integrity.score`` below which elements are called broken: more than one in twenty is, beyond chance."""
 
 Scores = Mapping[str, Value]
 
@@ -64,13 +62,9 @@ def _is_preserved(values: Scores) -> bool | None:
 
 
 def _has_whole_elements(values: Scores) -> bool | None:
-    """Return whether no more elements are broken than chance explains.
-
-    ``broken_tiles`` counts elements that each exceed chance alone. The score also shows many weak breaks, which exceed
-    chance together.
-    """
+    """Return whether nearly all elements are whole."""
     score = values.get("integrity.score")
-    return None if score is None else score >= WHOLE_SCORE and not values.get("integrity.broken_tiles")
+    return None if score is None else score >= WHOLE_SCORE
 
 
 LATTICE = Question(

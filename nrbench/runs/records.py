@@ -30,7 +30,7 @@ HEAD = (
 """The table's columns before the scores."""
 
 
-_SHOWN = ("quality", "quality.regularity", "quality.integrity", "quality.randomness", "seconds")
+_SHOWN = ("quality", "quality.regularity", "quality.integrity", "quality.randomness", "quality.appearance", "seconds")
 """The means that a notebook shows."""
 
 

@@ -152,52 +152,25 @@ class LatticeSource:
         return cls(label(name, parameters, _defaults(plugins.find("detectors", name).cls)), (name, version, parameters))
 
 
-@dataclass(frozen=True)
-class SampleOrigin:
-    """How the samples of a suite's row are drawn.
+def _find_recipe(suite: Suite, row: TextureRow, draw: Draw | None) -> Recipe:
+    """Return the recipe of the first sample of a row; those of its other samples have the next replicates.
 
-    Parameters
-    ----------
-    first
-        The recipe of replicate 0.
-    drawn
-        A texture that is drawn already, with its recipe.
+    If the row of a picture has the recipe of a model, the texture is drawn by this recipe, provided that it gives the
+    pixels of the picture and its lattice in ``truth.csv``.
     """
-
-    first: Recipe
-    drawn: tuple[Recipe, Texture] | None = None
-
-    @classmethod
-    def of(cls, suite: Suite, row: TextureRow, draw: Draw | None = None) -> SampleOrigin:
-        """Return the origin of a row's samples.
-
-        If the row of a picture has the recipe of a model, the texture is drawn by this recipe, provided that it gives
-        the pixels of the picture and its lattice in ``truth.csv``.
-
-        Raises
-        ------
-        BadInput
-            For an unknown dataset or parameter, or a value that is not valid.
-        """
-        plugin = plugins.build("datasets", row.dataset, row.parameters)
-        shape = row.sample or suite.sample
-        own = Recipe(row.dataset, plugins.parameters_of(plugin), suite.seed, row.name, 0, shape)
-        if row.recipe is None:
-            return cls(own)
-        try:
-            model = dataclasses.replace(row.recipe, parameters=plugins.parameters_of(row.recipe.plugin()))
-            uncropped = dataclasses.replace(own, shape=model.shape)
-            texture, picture = (_chosen(draw, recipe)(recipe, recipe.shape)[0] for recipe in (model, uncropped))
-            equal = pixels_hash(texture.image) == pixels_hash(picture.image) and _has_lattice_of(texture, picture)
-        except Exception:  # the recipe is of another version, or of a plugin that is not installed
-            return cls(own)
-        if equal:
-            return cls(dataclasses.replace(model, shape=shape), (model, texture))
-        return cls(own, (uncropped, picture))
-
-    def recipe(self, replicate: int) -> Recipe:
-        """Return the recipe of a replicate."""
-        return dataclasses.replace(self.first, replicate=self.first.replicate + replicate)
+    plugin = plugins.build("datasets", row.dataset, row.parameters)
+    shape = row.sample or suite.sample
+    own = Recipe(row.dataset, plugins.parameters_of(plugin), suite.seed, row.name, 0, shape)
+    if row.recipe is None:
+        return own
+    try:
+        model = dataclasses.replace(row.recipe, parameters=plugins.parameters_of(row.recipe.plugin()))
+        uncropped = dataclasses.replace(own, shape=model.shape)
+        texture, picture = (_chosen(draw, recipe)(recipe, recipe.shape)[0] for recipe in (model, uncropped))
+        equal = pixels_hash(texture.image) == pixels_hash(picture.image) and _has_lattice_of(texture, picture)
+    except Exception:  # the recipe is of another version, or of a plugin that is not installed
+        return own
+    return dataclasses.replace(model, shape=shape) if equal else own
 
 
 def _has_lattice_of(texture: Texture, picture: Texture) -> bool:
@@ -370,21 +343,17 @@ def _draw_each(suite: Suite, textures: Sequence[str], draw: Draw | None) -> Iter
         raise BadInput(f"-t {' '.join(textures)}: matches no texture of suite {suite.name} ({names}, ...)")
     for row in rows:
         try:
-            origin = SampleOrigin.of(suite, row, draw)
+            first = _find_recipe(suite, row, draw)
         except BadInput as error:
             raise BadInput(f"suite {suite.name}, texture {row.name!r}: {error}") from None
         for replicate in range(suite.replicates):
-            yield _draw(suite, row, origin, replicate, draw)
+            recipe = dataclasses.replace(first, replicate=first.replicate + replicate)
+            yield _draw(row, recipe, row.size or suite.size, _chosen(draw, recipe))
 
 
-def _draw(suite: Suite, row: TextureRow, origin: SampleOrigin, replicate: int, draw: Draw | None) -> Sample:
-    recipe, shape = origin.recipe(replicate), row.size or suite.size
-    chosen = _chosen(draw, recipe)
+def _draw(row: TextureRow, recipe: Recipe, shape: Shape, draw: Draw) -> Sample:
     try:
-        if origin.drawn and origin.drawn[0] == recipe:
-            texture, again = _described(recipe, origin.drawn[1], shape)
-        else:
-            texture, again = chosen(recipe, shape)
+        texture, again = draw(recipe, shape)
     except BadInput as error:
         log = "\n".join(getattr(error, "__notes__", ()))
         return Sample(row, recipe, None, shape, fault=str(error), log=log)
@@ -423,11 +392,7 @@ def draw_texture(recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
     BadInput
         When the dataset returns no valid texture.
     """
-    return _described(recipe, recipe.render(), shape)
-
-
-def _described(recipe: Recipe, rendered: object, shape: Shape) -> tuple[Texture, Image | None]:
-    texture = _checked(recipe, rendered)
+    texture = _checked(recipe, recipe.render())
     texture = dataclasses.replace(texture, image=quantize(texture.image))
     region = None if recipe.procedural else recipe.again(texture)(shape, 0)
     return texture, None if region is None else quantize(region.image)

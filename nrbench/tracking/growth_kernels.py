@@ -36,6 +36,14 @@ Window = tuple[Float64x2, Float64x1, Float64x1]
 the largest offset along x and y."""
 
 
+Reading = tuple[Float64x2, Float64x1, Float64x1, Float64x1]
+"""What an image shows under a window, in four arrays.
+
+``(C, n)``: the values, 0 outside the image. ``(n,)``: the weights, 0 outside. ``(C,)`` twice: the means of the
+image and of the template.
+"""
+
+
 @inlined_kernel
 def shows_window(state: Float64x1, reach: Float64x1, height: int, width: int) -> bool:
     """Return whether the image shows the whole window: the box around the mapped window lies in it."""
@@ -46,19 +54,9 @@ def shows_window(state: Float64x1, reach: Float64x1, height: int, width: int) ->
 
 
 @inlined_kernel
-def read_window(
-    image: Float32x3,
-    state: Float64x1,
-    offsets: Float64x2,
-    weights: Float64x1,
-    whole: bool,
-    read: Float64x2,
-    seen: Float64x1,
-) -> float:
-    """Read the image at ``place + map @ offset``, bilinear; return the sum of the weights of the points that are seen.
-
-    ``read``, ``(C, n)``, and ``seen``, ``(n,)``, receive the values and the weights, 0 outside the image.
-    """
+def read_window(image: Float32x3, state: Float64x1, window: Window, whole: bool, reading: Reading) -> float:
+    """Read the image at ``place + map @ offset``, bilinear; return the sum of the weights of the points seen."""
+    (offsets, weights, _), (read, seen, _, _) = window, reading
     height, width, channels = image.shape
     x0, y0, xx, xy, yx, yy = state[0], state[1], state[2], state[3], state[4], state[5]
     total = 0.0
@@ -82,20 +80,12 @@ def read_window(
 
 
 @inlined_kernel
-def measure_powers(
-    read: Float64x2,
-    seen: Float64x1,
-    template: Float32x2,
-    total: float,
-    whole: bool,
-    mean: Float64x1,
-    template_mean: Float64x1,
-) -> tuple[float, float, float]:
+def measure_powers(template: Float32x2, total: float, whole: bool, reading: Reading) -> tuple[float, float, float]:
     """Return sum w (f - mean f)^2, sum w (t - mean t)^2 and sum w (f - mean f) (t - mean t), for image f, template t.
 
-    The means of each channel go to ``mean`` and ``template_mean``, ``(C,)``. Under the whole window the template has
-    mean 0 and power 1.
+    The means of each channel are filled in. Under the whole window the template has mean 0 and power 1.
     """
+    read, seen, mean, template_mean = reading
     power, template_power, product = 0.0, 0.0, 0.0
     for c in range(len(mean)):
         values, squares, products = 0.0, 0.0, 0.0
@@ -123,23 +113,15 @@ def measure_powers(
 
 @inlined_kernel
 def project_difference(
-    read: Float64x2,
-    seen: Float64x1,
-    template: Float32x2,
-    rows: Float32x3,
-    sums: Float64x2,
-    whole: bool,
-    mean: Float64x1,
-    template_mean: Float64x1,
-    gain: float,
-    template_gain: float,
-    b: Float64x1,
+    template: Template, whole: bool, reading: Reading, gain: float, template_gain: float, b: Float64x1
 ) -> None:
     """Fill b with sum w r (t' - f'): the projections of the difference of template t' and image f' on the rows r.
 
     Both are normalized, ``t' = template_gain (t - mean t)`` and ``f' = gain (f - mean f)``; the rows have the factor
     ``template_gain``.
     """
+    values, rows, _, sums = template
+    read, seen, mean, template_mean = reading
     channels = len(mean)
     for m in range(6):
         of_template = sums[channels, m] if whole else 0.0
@@ -154,7 +136,7 @@ def project_difference(
                 for k in range(len(seen)):
                     weighted = seen[k] * rows[m, c, k]
                     alone += weighted
-                    with_template += weighted * template[c, k]
+                    with_template += weighted * values[c, k]
             of_template += with_template - alone * template_mean[c]
             of_image += with_image - alone * mean[c]
         b[m] = template_gain * (template_gain * of_template - gain * of_image)
@@ -241,24 +223,24 @@ def register(
     steps
         Number of steps; 0 only measures the correlation.
     """
-    values, rows, normal, sums = template
-    offsets, weights, reach = window
+    values, rows, normal, _ = template
+    _, weights, reach = window
     height, width, channels = image.shape
-    read, seen = np.zeros((channels, len(weights))), np.zeros(len(weights))
-    mean, template_mean = np.zeros(channels), np.zeros(channels)
+    seen = np.zeros(len(weights))
+    reading = (np.zeros((channels, len(weights))), seen, np.zeros(channels), np.zeros(channels))
     a, b, partial = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
     correlation, has_partial = -1.0, False
     for step in range(steps + 1):
         whole = shows_window(state, reach, height, width)
-        total = read_window(image, state, offsets, weights, whole, read, seen)
+        total = read_window(image, state, window, whole, reading)
         if total < least_seen:
             return -1.0
-        power, template_power, product = measure_powers(read, seen, values, total, whole, mean, template_mean)
+        power, template_power, product = measure_powers(values, total, whole, reading)
         correlation = product / np.sqrt(power * template_power)
         if step == steps:
             break
         gain, template_gain = 1 / np.sqrt(power / total), 1 / np.sqrt(template_power / total)
-        project_difference(read, seen, values, rows, sums, whole, mean, template_mean, gain, template_gain, b)
+        project_difference(template, whole, reading, gain, template_gain, b)
         if not whole and not has_partial:
             # The part that is seen changes little from step to step.
             has_partial = True
@@ -369,16 +351,13 @@ def search_nearby(
     least_seen: float,
     farthest: float,
     value: float,
-    start: Float64x1,
-    best: Float64x1,
 ) -> float:
     """Register a window from four places around the predicted one; return the correlation, and keep the better state.
 
     The four places lie ``farthest`` / 2 px from the predicted one along x and y of the plane. ``value`` is the
-    correlation of ``state``; ``start`` and ``best`` are work space.
+    correlation of ``state``.
     """
-    best[:] = state
-    highest = value
+    best, start, highest = state.copy(), np.zeros(6), value
     for corner in range(4):
         start[:] = predicted
         dx = (farthest if corner % 2 else -farthest) / 2
@@ -450,7 +429,7 @@ def grow_knots(
     height, width = correlations.shape
     rank = np.zeros((height, width))
     tried, listed = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
-    state, best, predicted, start = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(6)
+    state, predicted = np.zeros(6), np.zeros(6)
     seeded = seed[0] >= 0
     if seeded:
         correlations[seed[0], seed[1]] = 1e-3
@@ -479,9 +458,7 @@ def grow_knots(
             value = register(image, template, window, state, predicted, prior, least_seen, 8)
             if -1 < value < levels[sweep] + margin:
                 # The registration may have stopped beside its maximum.
-                value = search_nearby(
-                    image, template, window, state, predicted, prior, least_seen, farthest, value, start, best
-                )
+                value = search_nearby(image, template, window, state, predicted, prior, least_seen, farthest, value)
             if value >= levels[sweep] and is_near(state, predicted, farthest):
                 states[y, x] = state
                 correlations[y, x] = value

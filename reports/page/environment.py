@@ -12,8 +12,8 @@ from ..statistics import format as text_format
 from ..statistics import verdicts
 
 _FORMATS = (
-    *("format_number", "format_percent", "format_signed", "format_interval", "format_count", "format_successes"),
-    *("format_limit", "describe_direction", "describe_column", "pluralize"),
+    *("format_number", "format_percent", "format_value", "format_signed", "format_interval", "format_count"),
+    *("format_successes", "format_limit", "describe_direction", "describe_column", "pluralize"),
 )
 
 

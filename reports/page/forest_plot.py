@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from nrbench.plugins.forms import Column
 
 from ..statistics.format import format_number, format_percent
@@ -86,10 +88,10 @@ def _linear_range(column: Column, known: Sequence[float]) -> tuple[float, float]
 
 
 def _scale(low: float, high: float, transform: Callable[[float], float]) -> Scale:
+    """Return the map from [low, high] to [0, 100] that is linear in the transformed value."""
+    ends = (transform(low), transform(high))
+
     def scale(value: float | None) -> float | None:
-        if value is None:
-            return None
-        share = (transform(max(value, low)) - transform(low)) / (transform(high) - transform(low))
-        return round(100 * min(1.0, share), 2)
+        return None if value is None else round(float(np.interp(transform(max(value, low)), ends, (0, 100))), 2)
 
     return scale

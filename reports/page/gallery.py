@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import numpy as np
+
 from nrbench.labelling.questions import Question
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.runs.records import CellRecord, Run
 
 from ..plots.marks import DEFECTS
@@ -15,9 +17,10 @@ from ..statistics.format import describe_column, format_number
 from ..statistics.method_comparison import Comparison
 from ..statistics.summaries import COSTS, Method, sort_headlines_first
 from ..statistics.verdicts import QUALITY, verdict
-from .lattice_overlay import LatticeOverlay, align_basis, trace_lattice
 from .pictures import PagePicture, PictureStore
 
+MAX_LINES = 400
+"""More lines would hide the picture."""
 SAME_LATTICE = 0.05
 """Lattices whose reduced vectors agree within this many px share one drawing."""
 SOURCE_MAP = "source map"
@@ -26,6 +29,25 @@ _WEAKEST = 4
 """Number of weak outputs that are shown of a method."""
 _FULL = 0.995
 """From this quality on, which is printed as 1.00, no peril limits an output."""
+
+
+@dataclass(frozen=True)
+class LatticeOverlay:
+    """SVG paths in the pixel coordinates of the sample.
+
+    Parameters
+    ----------
+    lines
+        The lines of the lattice; empty if there are more than :data:`MAX_LINES`.
+    arrows
+        The two vectors of the lattice, as arrows from a lattice point near the middle.
+    vectors
+        The coordinates of the vectors in px, as text.
+    """
+
+    lines: str
+    arrows: tuple[str, str]
+    vectors: tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -242,13 +264,9 @@ def _output_figure(record: CellRecord, titles: Sequence[str], pictures: PictureS
 
 
 def _output_lattice(record: CellRecord, shape: tuple[int, int]) -> LatticeOverlay | None:
-    """Return the lattice on which the output was judged, at the phase that the judge found; None if it has none."""
-    judged = record.records.get("regularity", {})
+    """Return the output's own lattice, as the judge found it; None if it found none."""
     try:
-        lattice = Lattice.from_dict(judged["lattice"])
-        x, y = (float(value) for value in judged.get("phase") or (0.0, 0.0))
-        origin = (lattice.origin[0] + x, lattice.origin[1] + y)
-        return trace_lattice(Lattice(lattice.t1, lattice.t2, origin).reduced(), shape)
+        return trace_lattice(Lattice.from_dict(record.records["regularity"]["lattice"]).reduced(), shape)
     except (KeyError, TypeError, ValueError, AttributeError):
         return None
 
@@ -285,3 +303,55 @@ def _used_lattices(
             groups.append((used, []))
         (same or [groups[-1][1]])[0].append(method_of(record).label)
     return [(labels, trace_lattice(align_basis(used, truth, shape), shape)) for used, labels in groups]
+
+
+def trace_lattice(lattice: Lattice, shape: tuple[int, int]) -> LatticeOverlay:
+    """Return the lines of a lattice along its two vectors, over an image of ``shape`` (height, width)."""
+    start = _nearest_point(lattice, _middle(shape) - lattice.matrix.sum(0) / 2)
+    first, second = (_line(start, start + vector) for vector in lattice.matrix)
+    vectors = (_describe_vector("t1", lattice.t1), _describe_vector("t2", lattice.t2))
+    return LatticeOverlay(_lattice_lines(lattice, shape), (first, second), vectors)
+
+
+def align_basis(lattice: Lattice, truth: Lattice | None, shape: tuple[int, int]) -> Lattice:
+    """Return a detected lattice in the basis of the true one, through the true point nearest the middle of the image.
+
+    Neither the origin nor the choice of basis of a detected lattice is an error. So drawn, the two lattices show how
+    the detected lines drift from the true ones. A lattice that is not equivalent to the true one keeps its own reduced
+    basis. Without a true lattice the origin stays.
+    """
+    if truth is None:
+        return lattice.reduced()
+    x, y = _nearest_point(truth, _middle(shape))
+    change = np.rint(truth.matrix @ np.linalg.inv(lattice.matrix))
+    basis = change @ lattice.matrix if abs(abs(np.linalg.det(change)) - 1) < 0.5 else lattice.reduced().matrix
+    (ax, ay), (bx, by) = basis.tolist()
+    return Lattice((ax, ay), (bx, by), (float(x), float(y)))
+
+
+def _describe_vector(name: str, vector: Vector) -> str:
+    return f"{name} = ({vector[0]:.2f}, {vector[1]:.2f})".replace("-", "−")
+
+
+def _lattice_lines(lattice: Lattice, shape: tuple[int, int]) -> str:
+    height, width = shape
+    corners = [(x, y) for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)]
+    cells = lattice.to_cell(corners)
+    (u0, v0), (u1, v1) = cells.min(0), cells.max(0)
+    along_u, along_v = np.arange(np.ceil(u0), np.floor(u1) + 1), np.arange(np.ceil(v0), np.floor(v1) + 1)
+    if len(along_u) + len(along_v) > MAX_LINES:
+        return ""
+    ends = [((u, v0), (u, v1)) for u in along_u] + [((u0, v), (u1, v)) for v in along_v]
+    return "".join(_line(*lattice.from_cell(pair)) for pair in ends)
+
+
+def _line(start: Points, end: Points) -> str:
+    return f"M{start[0]:.2f} {start[1]:.2f}L{end[0]:.2f} {end[1]:.2f}"
+
+
+def _middle(shape: tuple[int, int]) -> Points:
+    return np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
+
+
+def _nearest_point(lattice: Lattice, xy: Points) -> Points:
+    return np.asarray(xy - lattice.wrap(xy - np.array(lattice.origin)))

@@ -17,7 +17,7 @@ from nrbench.runs.records import CellRecord
 
 from ..statistics.method_comparison import Comparison, ComparisonRow
 from ..statistics.summaries import Method
-from ..statistics.verdicts import MARKS, verdict
+from ..statistics.verdicts import MARKS, bound_sign, verdict
 from .figure_file import GRAY, INK, add_axes, make_figure, returns_file
 from .marks import DEFECTS, worst_place
 
@@ -101,7 +101,7 @@ def _verdict_words(record: CellRecord | None) -> str:
     if record is None:
         return "–"
     score = record.values.get("quality.score")
-    return MARKS[verdict(record)] + ("" if score is None else f" {float(score):.2f}")
+    return MARKS[verdict(record)] + ("" if score is None else f" {bound_sign(record)}{float(score):.2f}")
 
 
 def _draw(axes: Axes, picture: Pixels | None, largest: int) -> None:

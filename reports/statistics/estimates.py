@@ -42,6 +42,8 @@ class Estimate:
         The ends of the interval; None if too few textures were counted.
     n, of
         Number of textures counted, and of all textures.
+    at_most
+        Whether the number is an upper bound.
     """
 
     value: float | None
@@ -49,6 +51,7 @@ class Estimate:
     high: float | None = None
     n: int = 0
     of: int = 0
+    at_most: bool = False
 
     @property
     def ends(self) -> tuple[float, float] | None:
@@ -65,6 +68,10 @@ class Estimate:
     ) -> dict[str, float | int | None]:
         """Return the value under a name, and other parts under their own names with a prefix, for a row of a table."""
         return {name: self.value, **{prefix + part: getattr(self, part) for part in parts}}
+
+
+NO_ESTIMATE = Estimate(None)
+"""The estimate of a number that does not exist."""
 
 
 def wilson_interval(successes: float, n: int) -> tuple[float, float] | None:
@@ -109,7 +116,7 @@ def estimate_proportion(outcomes: ArrayLike) -> Estimate:
     """Return the share of true ``outcomes`` with Wilson's interval; the unit is the outcome, not the texture."""
     known = np.asarray(outcomes, bool)
     interval = wilson_interval(float(known.sum()), known.size)
-    return Estimate(None) if interval is None else Estimate(float(known.mean()), *interval, known.size, known.size)
+    return NO_ESTIMATE if interval is None else Estimate(float(known.mean()), *interval, known.size, known.size)
 
 
 def bootstrap_intervals(samples: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -216,20 +223,16 @@ def estimate_means(columns: Sequence[NDArray[np.float64]], of: Sequence[int] | N
         The number of all textures of each column; by default its length.
     """
     known = [column[np.isfinite(column)] for column in columns]
-    by_count: dict[int, list[int]] = {}
-    for index, values in enumerate(known):
-        if len(values) > 1:
-            by_count.setdefault(len(values), []).append(index)
     ends: dict[int, tuple[float, float]] = {}
-    for indices in by_count.values():
-        found = bootstrap_intervals(np.stack([known[i] for i in indices])).tolist()
-        ends |= {index: (low, high) for index, (low, high) in zip(indices, found, strict=True)}
+    for count in {len(values) for values in known} - {0, 1}:
+        places = [i for i, values in enumerate(known) if len(values) == count]
+        intervals = bootstrap_intervals(np.stack([known[i] for i in places])).tolist()
+        ends |= {i: (low, high) for i, (low, high) in zip(places, intervals, strict=True)}
     totals = [len(column) for column in columns] if of is None else of
     estimates = []
-    for index, (values, total) in enumerate(zip(known, totals, strict=True)):
-        low, high = ends.get(index, (None, None))
-        value = float(values.mean()) if len(values) else None
-        estimates.append(Estimate(value, low, high, len(values), total))
+    for i, (values, total) in enumerate(zip(known, totals, strict=True)):
+        low, high = ends.get(i, (None, None))
+        estimates.append(Estimate(float(values.mean()) if len(values) else None, low, high, len(values), total))
     return estimates
 
 

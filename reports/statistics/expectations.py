@@ -28,6 +28,7 @@ from nrbench.suites.plan import PlannedMethod
 from nrbench.suites.suite import validated_suite
 
 from .estimates import (
+    NO_ESTIMATE,
     Estimate,
     estimate_mean,
     estimate_rate,
@@ -167,7 +168,7 @@ def _select(claim: Claim, series: Series, level: float, cells: pd.DataFrame) -> 
 
 def _estimate(claim: Claim, cells: pd.DataFrame) -> Estimate:
     if cells.empty:
-        return Estimate(None)
+        return NO_ESTIMATE
     return success_rate(cells) if claim.score == PRESERVED else means_over_textures(cells, ["value"])["value"]
 
 
@@ -196,7 +197,7 @@ def _subtract(mean: Estimate, value: float) -> Estimate:
 
 def _difference(first: pd.DataFrame, second: pd.DataFrame) -> Estimate:
     if first.empty or second.empty:
-        return Estimate(None)
+        return NO_ESTIMATE
     if not set(first["texture"]) & set(second["texture"]):
         first, second = first.assign(texture=first["family"]), second.assign(texture=second["family"])
     return paired_differences(first, second, ["value"])["value"]

@@ -9,6 +9,7 @@ from functools import cache
 from nrbench.plugins.forms import Column
 
 from .estimates import Estimate
+from .verdicts import BOUND_SIGN
 
 
 def format_number(value: float | bool | None) -> str:
@@ -30,6 +31,12 @@ def format_number(value: float | bool | None) -> str:
 def format_percent(value: float | None) -> str:
     """Return a share in whole percent."""
     return "–" if value is None else f"{100 * value:.0f} %"
+
+
+def format_value(estimate: Estimate, as_percent: bool = False) -> str:
+    """Return the value of an estimate, behind the sign of an upper bound if it is one."""
+    text = format_percent if as_percent else format_number
+    return BOUND_SIGN * estimate.at_most + text(estimate.value)
 
 
 def format_signed(value: float | None) -> str:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +16,7 @@ from nrbench.labelling.questions import ANSWERS, QUESTIONS, Question
 from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import pixels_hash
 
-from .estimates import Estimate, as_numbers, mean_kappa, means_over_textures, rank_agreement
+from .estimates import NO_ESTIMATE, Estimate, as_numbers, mean_kappa, means_over_textures, rank_agreement
 from .verdicts import method_label
 
 JUDGE = "judge"
@@ -29,54 +28,40 @@ DECIDED = YES, NO = ANSWERS[:2]
 class RaterAgreement:
     """The agreement of two raters, or its mean over pairs of raters.
 
+    A score with a verdict has kappas, a score without one is compared by the order of the methods.
+
     Parameters
     ----------
     first, second
         The raters. For a mean: the common rater or group, and the number of pairs.
+    n
+        Number of items that both answered, summed over pairs; for orders the number of outputs with a score and an
+        answer yes or no.
     kappa
         Cohen's kappa over :data:`~nrbench.labelling.questions.ANSWERS`; for several pairs the mean.
     decided
         The same over the items that both answered with yes or no.
-    equal
-        Share of equal answers; None without items.
-    n
-        Number of items that both answered, summed over pairs.
-    table
-        How often the first answered i and the second j, summed over pairs, in the order of ``ANSWERS``.
-    """
-
-    first: str
-    second: str
-    kappa: Estimate
-    decided: Estimate
-    equal: float | None
-    n: int
-    table: Sequence[Sequence[int]]
-
-
-@dataclass(frozen=True)
-class RankAgreement:
-    """The agreement of the order of methods by a score with the order by people's answers.
-
-    Parameters
-    ----------
-    first, second
-        The automatic score, and a person or all people.
     tau
         Kendall's tau-b within each texture, mean over textures. The methods of a texture are ordered by their mean
         score, and by their share of yes among the answers yes and no.
     ordered
         Share of the pairs of methods with different shares of yes that the score puts in the same order, mean over
         textures. Pairs with equal scores count half.
-    n
-        Number of outputs with a score and an answer yes or no.
+    equal
+        Share of equal answers; None without items.
+    table
+        How often the first answered i and the second j, summed over pairs, in the order of ``ANSWERS``.
     """
 
     first: str
     second: str
-    tau: Estimate
-    ordered: Estimate
     n: int
+    kappa: Estimate = NO_ESTIMATE
+    decided: Estimate = NO_ESTIMATE
+    tau: Estimate = NO_ESTIMATE
+    ordered: Estimate = NO_ESTIMATE
+    equal: float | None = None
+    table: Sequence[Sequence[int]] = ()
 
 
 @dataclass(frozen=True)
@@ -128,7 +113,7 @@ class QuestionComparison:
     question: Question
     outputs: int
     with_verdict: Sequence[RaterAgreement]
-    ranks: Sequence[RankAgreement]
+    ranks: Sequence[RaterAgreement]
     between: Sequence[RaterAgreement]
     selves: Sequence[RaterAgreement]
     disagreements: Sequence[Disagreement]
@@ -199,7 +184,7 @@ def _compare(run: Run, people: Sequence[Person], question: Question) -> Question
     )
 
 
-def _rank_agreement(run: Run, question: Question, name: str, people: Sequence[Answers]) -> RankAgreement:
+def _rank_agreement(run: Run, question: Question, name: str, people: Sequence[Answers]) -> RaterAgreement:
     rows = []
     for record in run.cells:
         said = [own[record.key] for own in people if own.get(record.key) in DECIDED]
@@ -215,7 +200,7 @@ def _rank_agreement(run: Run, question: Question, name: str, people: Sequence[An
     ]
     table = pd.DataFrame(orders, columns=["texture", "tau", "ordered"])
     means = means_over_textures(table, ["tau", "ordered"])
-    return RankAgreement(JUDGE, name, means["tau"], means["ordered"], len(cells))
+    return RaterAgreement(JUDGE, name, len(cells), tau=means["tau"], ordered=means["ordered"])
 
 
 def _agreements(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: str) -> list[RaterAgreement]:
@@ -232,14 +217,13 @@ def _agreement(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: s
             table[units[textures[cell]], ANSWERS.index(first[cell]), ANSWERS.index(second[cell])] += 1
     total = counts.sum((0, 1)).astype(int)
     n = int(total.sum())
-    one, another = (group, f"mean of {len(pairs)}") if group else pairs[0][:2]
+    names = (group, f"mean of {len(pairs)}") if group else pairs[0][:2]
     return RaterAgreement(
-        first=one,
-        second=another,
+        *names,
+        n,
         kappa=mean_kappa(counts),
         decided=mean_kappa(counts[..., :2, :2]),
         equal=float(np.trace(total)) / n if n else None,
-        n=n,
         table=total.tolist(),
     )
 
@@ -287,28 +271,23 @@ def _hash_output(record: CellRecord) -> str | None:
 
 
 def agreement_table(comparison: PeopleComparison) -> pd.DataFrame:
-    """Return one row a question and pair of raters: number of items, and the agreement with its interval.
+    """Return agreement row a question and pair of raters: number of items, and the agreement with its interval.
 
     Pairs with answers have the share of equal answers and kappa; a question without an automatic answer has the
     agreement of the orders of methods in their place.
     """
     return pd.DataFrame(
-        {"question": name, **row} for name, one in comparison.questions.items() for row in _agreement_rows(one)
+        {"question": name, "kind": kind, "first": agreement.first, "second": agreement.second, "items": agreement.n}
+        | {"share_equal": agreement.equal}
+        | agreement.kappa.columns("kappa", "kappa_", ("low", "high"))
+        | agreement.decided.columns("kappa_decided", "kappa_decided_", ("low", "high"))
+        | agreement.tau.columns("tau", "tau_", ("low", "high"))
+        | agreement.ordered.columns("ordered", "ordered_", ("low", "high"))
+        for name, asked in comparison.questions.items()
+        for kind, agreements in (
+            ("judge and people", [*asked.ranks, *asked.with_verdict]),
+            ("people", asked.between),
+            ("self", asked.selves),
+        )
+        for agreement in agreements
     )
-
-
-def _agreement_rows(comparison: QuestionComparison) -> Iterator[dict[str, Any]]:
-    """Yield the kind, the raters, the number of items, the share of equal answers and four estimates of each pair."""
-    kinds: dict[str, Sequence[Any]] = {
-        "judge and people": [*comparison.ranks, *comparison.with_verdict],
-        "people": comparison.between,
-        "self": comparison.selves,
-    }
-    estimates = {"kappa": "kappa", "kappa_decided": "decided", "tau": "tau", "ordered": "ordered"}
-    for kind, agreements in kinds.items():
-        for one in agreements:
-            row: dict[str, Any] = {"kind": kind, "first": one.first, "second": one.second, "items": one.n}
-            row["share_equal"] = getattr(one, "equal", None)
-            for name, part in estimates.items():
-                row |= getattr(one, part, Estimate(None)).columns(name, f"{name}_", ("low", "high"))
-            yield row

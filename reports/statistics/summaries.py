@@ -22,11 +22,12 @@ from .format import (
     format_count,
     format_interval,
     format_number,
-    format_percent,
     format_successes,
+    format_value,
     round_small,
 )
 from .verdicts import (
+    COMPLETE,
     DERIVED_COLUMNS,
     PERILS,
     PRESERVED,
@@ -42,8 +43,9 @@ from .verdicts import (
 )
 
 HEADLINES = (RANKING, *PERILS)
-HEADLINES_WITHOUT_QUALITY = (SCORE, "randomness.variation", "randomness.repetition", "randomness.distance")
-HEADLINE_METRICS = ("quality", "regularity", "integrity", "randomness")
+_TILES = ("randomness.variation", "randomness.repetition", "randomness.distance")
+HEADLINES_WITHOUT_QUALITY = (SCORE, "integrity.score", *_TILES, "appearance.score")
+HEADLINE_METRICS = ("quality", "regularity", "integrity", "randomness", "appearance")
 COSTS: Mapping[str, Column] = {
     "seconds": Column("Wall time of the synthesis, including its own lattice detection.", "s", (0, math.inf), "lower"),
     "peak_mib": Column("Peak memory above the idle worker.", "MiB", (0, math.inf), "lower"),
@@ -123,8 +125,8 @@ class MethodSummary:
     validity, validity_scored
         On how many textures a baseline is valid: of all, and of those with a quality.
     rank
-        Position by mean quality, 1 the best; None for a reference, without a quality, and if the method has a quality
-        on fewer than half as many textures as the method with the most.
+        Position by mean quality, 1 the best, see :func:`rank_methods`; None for a reference, without a quality, and if
+        the method has a quality on fewer than half as many textures as the method with the most.
     leading
         Whether it is in the leading group.
     average_rank
@@ -141,6 +143,11 @@ class MethodSummary:
     rank: int | None = None
     leading: bool = False
     average_rank: float | None = None
+
+    @property
+    def at_most(self) -> bool:
+        """Whether the mean quality is an upper bound."""
+        return RANKING in self.means and self.means[RANKING].at_most
 
     @property
     def all_means(self) -> dict[str, Estimate]:
@@ -176,7 +183,7 @@ class SummaryRow:
 
     @property
     def title(self) -> str:
-        """The name, without the metric for the three perils."""
+        """The name, without the metric for the four perils."""
         return self.name.rpartition(".")[2] if self.name in PERILS else self.name
 
     @property
@@ -187,8 +194,7 @@ class SummaryRow:
     @property
     def values(self) -> list[str]:
         """The values as text; a dash if there is none."""
-        text = format_percent if self.rate else format_number
-        return [text(estimate.value) if estimate else "–" for estimate in self.shown]
+        return [format_value(estimate, self.rate) if estimate else "–" for estimate in self.shown]
 
     @property
     def intervals(self) -> list[str]:
@@ -217,8 +223,8 @@ class PerilsPoint:
     method
         The method.
     structure
-        Mean over textures of the smaller of ``quality.regularity`` and ``quality.integrity``: the horizontal
-        coordinate.
+        Mean over textures of the smallest of ``quality.regularity``, ``quality.integrity`` and
+        ``quality.appearance``: the horizontal coordinate.
     randomness
         Mean of ``quality.randomness`` over textures: the vertical coordinate. It rests only on the textures on which
         randomness is scored. It is not scored where the lattice is lost.
@@ -249,7 +255,7 @@ class PerilsPoint:
         height = f"{randomness} (on {self.randomness.n} of {self.structure.n})" if self.has_height else "not scored"
         across = f"{format_number(self.structure.value)} {format_interval(self.structure)}"
         valid = f"; {self.validity.words}" if self.validity.n else ""
-        return f"{self.method.label}: in place and whole {across}, randomness {height}{valid}"
+        return f"{self.method.label}: in place, whole and alike {across}, randomness {height}{valid}"
 
 
 def list_methods(run: Run) -> list[Method]:
@@ -272,13 +278,17 @@ def summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
     for method in methods:
         own = own_cells[method.label]
         scored = own[own[STRUCTURE].notna()] if STRUCTURE in own else own.iloc[:0]
+        means = dict(zip(names, itertools.islice(estimates, len(names)), strict=True))
+        if COMPLETE in own and RANKING in own:
+            bounds = own.loc[own[COMPLETE].eq(0), [RANKING, QUALITY]].notna().any()
+            means |= {str(name): replace(means[str(name)], at_most=bool(found)) for name, found in bounds.items()}
         summaries.append(
             MethodSummary(
                 method=method,
                 counts=count_statuses(own["status"]),
                 success=success_rate(own),
                 success_answered=success_rate(own, leave_refusals_out=True),
-                means=dict(zip(names, itertools.islice(estimates, len(names)), strict=True)),
+                means=means,
                 validity=count_valid_textures(own),
                 validity_scored=count_valid_textures(scored),
             )
@@ -286,11 +296,19 @@ def summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
     return summaries
 
 
-def rank_methods(summaries: Sequence[MethodSummary]) -> list[MethodSummary]:
+def rank_methods(summaries: Sequence[MethodSummary], ties: Mapping[str, Iterable[str]]) -> list[MethodSummary]:
     """Return the summaries by mean quality, best first, then methods without a rank, then references.
 
     Means over different textures are not comparable. A suite may give each method its own textures; a method that has
     a quality on fewer than half as many textures as the method with the most is therefore listed without a rank.
+
+    Parameters
+    ----------
+    summaries
+        The methods.
+    ties
+        For the label of each method whose mean is an upper bound the labels of the measured methods that are not
+        significantly worse. It stands behind them.
     """
     known = {
         one.method.label: (mean.value, mean.n)
@@ -299,10 +317,12 @@ def rank_methods(summaries: Sequence[MethodSummary]) -> list[MethodSummary]:
     }
     most = max((n for _, n in known.values()), default=0)
     means = {label: value for label, (value, n) in known.items() if value is not None and 2 * n >= most}
+    lowest = {label: min(means[other] for other in {label, *ties.get(label, ())} & means.keys()) for label in means}
+    places = {label: (-lowest[label], label in ties, -value) for label, value in means.items()}
 
     def rank(one: MethodSummary) -> MethodSummary:
-        value = means.get(one.method.label)
-        return one if value is None else replace(one, rank=1 + sum(other > value for other in means.values()))
+        place = places.get(one.method.label)
+        return one if place is None else replace(one, rank=1 + sum(other < place for other in places.values()))
 
     last = len(means) + 1
     return sorted(map(rank, summaries), key=lambda one: (one.method.reference, one.rank or last))
@@ -319,20 +339,20 @@ def summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRo
     if not summaries:
         return []
     refused = any(one.counts["refused"] for one in summaries)
-    rates = [_row("preserved", RATE, RATE_MEANING, [one.success for one in summaries], rate=True)]
+    rates = [SummaryRow("preserved", RATE, RATE_MEANING, _known(one.success for one in summaries), rate=True)]
     if refused:
         note = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out. Failures count")
-        estimates = [one.success_answered for one in summaries]
-        rates.append(_row("preserved (without refusals)", RATE, note, estimates, rate=True, variant=True))
+        estimates = _known(one.success_answered for one in summaries)
+        rates.append(SummaryRow("preserved (without refusals)", RATE, note, estimates, rate=True, variant=True))
     columns = headline_columns(run)
     means = []
     for name, column in columns.items():
         undecided = " Undecided cells are left out." if name in (SCORE, *HEADLINES) else ""
-        means.append(_row(name, column, MEAN_MEANING + undecided, [one.means[name] for one in summaries]))
+        means.append(SummaryRow(name, column, MEAN_MEANING + undecided, _known(one.means[name] for one in summaries)))
         if name == RANKING and (refused or any(one.counts["failed"] for one in summaries)):
-            estimates = [one.means[QUALITY] for one in summaries]
+            estimates = _known(one.means[QUALITY] for one in summaries)
             note = f"{MEAN_MEANING} Failures, refusals and undecided cells are left out."
-            means.append(_row("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
+            means.append(SummaryRow("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
     seconds = len(means) - 1 if RANKING in columns else 0
     return [*means[:seconds], *rates, *means[seconds:]]
 
@@ -345,23 +365,16 @@ def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[Summa
     shown = {*headline_columns(run), PRESERVED, QUALITY, STRUCTURE, *(f"cost.{name}" for name in COSTS)}
     columns = describe_scores(run)
     rows = [
-        _row(name, columns[name], MEAN_MEANING, [one.means[name] for one in summaries])
+        SummaryRow(name, columns[name], MEAN_MEANING, _known(one.means[name] for one in summaries))
         for name in sort_headlines_first(columns)
         if name not in shown
     ]
     return [row for row in rows if any(row.estimates)]
 
 
-def _row(
-    name: str,
-    column: Column,
-    note: str,
-    estimates: Sequence[Estimate | None],
-    rate: bool = False,
-    variant: bool = False,
-) -> SummaryRow:
-    known = [estimate if estimate and estimate.n else None for estimate in estimates]
-    return SummaryRow(name, column, note, known, rate, variant)
+def _known(estimates: Iterable[Estimate]) -> list[Estimate | None]:
+    """Return None for each estimate that counts no texture."""
+    return [estimate if estimate.n else None for estimate in estimates]
 
 
 def describe_scores(run: Run) -> dict[str, Column]:

@@ -23,32 +23,25 @@ from nrbench.runs.store import FAILED
 from .estimates import as_numbers
 
 PRESERVED, SCORE = "regularity.preserved", "regularity.score"
-MARKS: Mapping[str, str] = {
-    "preserved": "✓",
-    "lost": "✗",
-    "undecided": "?",
-    "not applicable": "–",
-    "refused": "N/A",
-    "failed": "!",
-    "unscored": "(!)",
-    "missing": "·",
-    "mixed": "~",
-}
+_VERDICTS = (
+    ("preserved", "✓", "the lattice is preserved"),
+    ("lost", "✗", "the lattice is lost"),
+    ("undecided", "?", "faults could not have been detected at this regular share"),
+    ("not applicable", "–", "the texture has no lattice"),
+    ("refused", "N/A", "the method refused this input as outside its domain"),
+    ("failed", "!", "the method failed"),
+    ("unscored", "(!)", "the regularity score failed or is absent"),
+    ("missing", "·", "not run yet"),
+    ("mixed", "~", "replicates disagree"),
+)
+MARKS: Mapping[str, str] = {name: mark for name, mark, _ in _VERDICTS}
 """Each verdict's mark. The marks differ without color."""
-MEANINGS: Mapping[str, str] = {
-    "preserved": "the lattice is preserved",
-    "lost": "the lattice is lost",
-    "undecided": "faults could not have been detected at this regular share",
-    "not applicable": "the texture has no lattice",
-    "refused": "the method refused this input as outside its domain",
-    "failed": "the method failed",
-    "unscored": "the regularity score failed or is absent",
-    "missing": "not run yet",
-    "mixed": "replicates disagree",
-}
+MEANINGS: Mapping[str, str] = {name: meaning for name, _, meaning in _VERDICTS}
 _EXPLAINED = frozenset(("refused", "undecided", "failed", "unscored"))
 QUALITY = "quality.score"
-REGULARITY, INTEGRITY, RANDOMNESS = PERILS = ("quality.regularity", "quality.integrity", "quality.randomness")
+COMPLETE = "quality.complete"
+PERILS = ("quality.regularity", "quality.integrity", "quality.randomness", "quality.appearance")
+REGULARITY, INTEGRITY, RANDOMNESS, APPEARANCE = PERILS
 RANKING, STRUCTURE = "quality", "perils.structure"
 DERIVED_COLUMNS: Mapping[str, Column] = {
     RANKING: Column(
@@ -56,13 +49,17 @@ DERIVED_COLUMNS: Mapping[str, Column] = {
         better="higher",
     ),
     STRUCTURE: Column(
-        "Elements in place and whole: the smaller of quality.regularity and quality.integrity; quality.regularity "
-        "alone where integrity is not measured.",
+        "Elements in place, whole and alike: the smallest of quality.regularity, quality.integrity and "
+        "quality.appearance, of those that are measured.",
         better="higher",
     ),
 }
 """Columns that reports compute from the scores of the metric ``quality``."""
-LEADING_SIGN, BASELINE_SIGN = "★", "‡"
+LEADING_SIGN, BASELINE_SIGN, BOUND_SIGN = "★", "‡", "≤"
+BOUND_LEGEND = (
+    "upper bound: a peril could not be measured; a method with one is in no leading group, and is ranked below the "
+    "measured methods that are not significantly worse"
+)
 BASELINE_LEGEND = "valid baseline: what this baseline does is correct on this kind of texture"
 SHARES_LEGEND = "k/n: on k of n textures"
 """The explanation of :attr:`BaselineValidity.share`."""
@@ -81,6 +78,11 @@ def verdict(record: CellRecord) -> str:
         return "unscored"
     no_lattice = record.lattice_truth is None and not reason.startswith("undecided")
     return "not applicable" if no_lattice or reason.startswith("not applicable") else "undecided"
+
+
+def bound_sign(record: CellRecord) -> str:
+    """Return the sign of an upper bound if the quality of a cell is one, else nothing."""
+    return BOUND_SIGN if record.values.get(COMPLETE) is False else ""
 
 
 def explain_verdict(record: CellRecord, column: str = PRESERVED) -> str:
@@ -140,7 +142,7 @@ def tabulate_cells(run: Run) -> pd.DataFrame:
     if has_quality(run):
         judged = table["applicable"] | table["texture"].isin(table.loc[table[QUALITY].notna(), "texture"])
         table[RANKING] = table[QUALITY].mask(judged & table["verdict"].isin(["failed", "refused"]), 0.0)
-        table[STRUCTURE] = table[[REGULARITY, INTEGRITY]].min(axis=1)
+        table[STRUCTURE] = table[[REGULARITY, INTEGRITY, APPEARANCE]].min(axis=1)
     return table
 
 
@@ -237,11 +239,3 @@ def count_valid_textures(cells: pd.DataFrame) -> BaselineValidity:
     """
     valid = cells.groupby("texture")["baseline_valid"].any()
     return BaselineValidity(int(valid.sum()), len(valid))
-
-
-def explain_valid_baseline(record: CellRecord) -> str:
-    """Return the sentence that a cell's baseline is valid on its texture; empty if it is not."""
-    if not is_valid_baseline(record):
-        return ""
-    kind = "a stochastic texture" if record.kind == "stochastic" else f"a texture of type {record.kind}"
-    return f"valid baseline: what this baseline does is correct on {kind}"

@@ -424,23 +424,20 @@ class PatchOverlap:
     hole: Box
     sides: Sides
 
-    @property
-    def inner(self) -> Box:
-        """The pixels that must be new: the hole, px from the box's first pixel, and at least 2 px wide if possible.
+    def fixed_new(self) -> Mask:
+        """Return the pixels that must be new: the hole, at least 2 px wide if possible.
 
         A small block at the sample's edge has a hole of less than 2 px. The box's edge beside a neighbor stays old.
         """
-        y0, y1, x0, x1 = self.hole
-        left, top, right, bottom = self.sides
-        return (
-            *_widen(y0 - self.box[0], y1 - self.box[0], int(top), self.old.shape[0] - bottom),
-            *_widen(x0 - self.box[2], x1 - self.box[2], int(left), self.old.shape[1] - right),
-        )
-
-    def fixed_new(self) -> Mask:
-        """Return the pixels that must be new."""
         mask = np.zeros(self.old.shape[:2], np.bool_)
-        mask[box_slices(self.inner)] = True
+        sides = []
+        for axis in (0, 1):
+            start, stop = (end - self.box[2 * axis] for end in self.hole[2 * axis : 2 * axis + 2])
+            if stop - start < 2:
+                first, last = int(self.sides[1 - axis]), mask.shape[axis] - int(self.sides[3 - axis])
+                start, stop = max(start - 1, first), min(stop + 1, last)
+            sides.append(slice(start, stop))
+        mask[*sides] = True
         return mask
 
     def fixed_old(self) -> Mask:
@@ -449,11 +446,6 @@ class PatchOverlap:
         for edge, there in zip((mask[:, 0], mask[0], mask[:, -1], mask[-1]), self.sides, strict=True):
             edge |= there
         return mask
-
-
-def _widen(start: int, stop: int, first: int, last: int) -> tuple[int, int]:
-    """Return a range of less than 2 px lengthened by one at both ends, but not beyond ``first`` and ``last``."""
-    return (start, stop) if stop - start >= 2 else (max(start - 1, first), min(stop + 1, last))
 
 
 def cut_graph(overlap: PatchOverlap, seams: NDArray[np.float32]) -> Mask:

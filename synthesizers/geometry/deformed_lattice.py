@@ -1,18 +1,21 @@
-"""The lattice of a sample as it lies in the sample: where each vertex was found, and whether it departs at all."""
+"""The lattice of a sample as it lies in the sample, and the displacements of the vertices of an output."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.tracker import MeanTile, Track, track_lattice
+
+from .vertex_kernels import move_vertices
 
 PARTS: Final = 2
 """Parts into which each step of about s is divided; twice as many knots halve the error of the straightened sample."""
@@ -22,6 +25,24 @@ LEAST_FOUND: Final = 0.5
 """Share of the tiles that must be found."""
 LEAST_POINTS: Final = 9
 """Whole tiles that the sample must hold."""
+Deform = Literal["normal", "argmax", "none"]
+Array = NDArray[np.float64]
+WAVES: Final = 128
+"""Number of plane waves along each axis of a drawn field."""
+MOST_VERTICES: Final = 512
+"""Vertices of the sample, those nearest to its middle, from which the covariance is estimated."""
+SWEEPS: Final = 20
+"""Rounds in which every vertex is moved. The report gives no number; the amplitude no longer changes."""
+MOVES: Final = 9
+"""Possible moves of a vertex along each axis."""
+_SHORTEST = 2.0
+"""Shortest wave length of a field, in s: the tracker cannot follow shorter ones."""
+_LENGTHS = 24
+_BIN = 0.5
+"""Width, in s, of the bins of distances."""
+_BORDER = 3.0
+"""Breadth, in s, of the frame of vertices around the output."""
+_NEIGHBORS = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,3 +142,212 @@ def _amplitude(track: Track) -> float:
     design = np.column_stack([track.numbers, np.ones(len(places))])
     rest = places - design @ np.linalg.lstsq(design, places, rcond=None)[0]
     return math.sqrt(float((rest**2).sum() / (len(rest) - design.shape[1])))
+
+
+def output_field(
+    deformed: DeformedLattice, shape: tuple[int, int], deform: Deform, rng: np.random.Generator
+) -> tuple[Points, Points, float]:
+    """Return the places of vertices around an output, their displacements, and the distance of the nearest two.
+
+    Parameters
+    ----------
+    deformed
+        The lattice as it lies in the sample.
+    shape
+        Height and width of the output, px.
+    deform
+        ``"normal"``: displacements are drawn at once from a normal distribution (:class:`WaveSpectrum`).
+        ``"argmax"``: :func:`neighbor_field`.
+    rng
+        The randomness.
+    """
+    lattice = deformed.mesh if deform == "argmax" else deformed.knots
+    border = _BORDER * deformed.lattice.s + 3 * deformed.amplitude
+    low, high = (-border, -border), (shape[1] - 1 + border, shape[0] - 1 + border)
+    numbers = lattice.cell_numbers(low, high)
+    places = lattice.from_cell(numbers)
+    if deform == "normal":
+        return places, WaveSpectrum.of(deformed).draw(places, rng), lattice.s
+    first = numbers.min(0)
+    columns, rows = numbers.max(0) - first + 1
+    u, v = (numbers - first).T
+    return places, neighbor_field(deformed, (int(rows), int(columns)), rng)[v, u], lattice.s
+
+
+@dataclass(frozen=True, eq=False)
+class WaveSpectrum:
+    """An isotropic spectrum of displacements: the limit of large neighborhoods of equations 1 and 2.
+
+    The product over eight neighbors counts the same evidence eight times, and it knows slopes alone. Fields drawn from
+    it are too small and too rough (``benchmarks/geometry.py``). Here each vertex depends on all others: displacements
+    are jointly normal, with the covariance of the sample's. Drawing them all at once is what Gibbs sampling, in which
+    each vertex is drawn given the others, would reach after infinitely many rounds.
+
+    Parameters
+    ----------
+    lengths
+        ``(k,)`` px: wave lengths.
+    powers
+        ``(k,)`` px^2: variance along one axis of the waves of each length.
+    """
+
+    lengths: Array
+    powers: Array
+
+    @classmethod
+    def of(cls, deformed: DeformedLattice) -> WaveSpectrum:
+        """Fit the spectrum to the sample's vertices.
+
+        The covariance of waves of one length, over all directions, is a Bessel function of the distance. A few periods
+        of a sample show no displacement, but what is left of it after an affine fit. The same fit is therefore taken
+        out of the covariances (:class:`~.AffineRest`). Powers that are not negative are fitted by least squares to the
+        correlogram; the error of the tracker is one more unknown, at distance 0. Last, all powers are multiplied so
+        that the amplitude is the sample's.
+        """
+        s, rest = deformed.lattice.s, AffineRest.of(deformed)
+        longest = max(2 * float(np.ptp(rest.places, axis=0).max()), 2 * _SHORTEST * s)
+        lengths = np.geomspace(_SHORTEST * s, longest, _LENGTHS)
+        columns = [rest.correlogram(scipy.special.j0(2 * math.pi * rest.distances / length)) for length in lengths]
+        columns.append(rest.correlogram(np.eye(len(rest.places))))
+        products = np.mean([rest.correlogram(np.outer(axis, axis), clear=True) for axis in rest.displacements.T], 0)
+        table, importance = np.column_stack(columns), np.sqrt(rest.pairs)
+        powers, _ = scipy.optimize.nnls(table * importance[:, np.newaxis], products * importance)
+        signal = float(table[0] @ powers)
+        powers *= float(products[0]) / signal if signal > 0 else 0.0
+        return cls(lengths, powers[:-1])
+
+    def draw(self, places: Points, rng: np.random.Generator) -> Points:
+        """Return displacements at places ``(n, 2)`` px: sums of plane waves of random length, direction and phase."""
+        total = float(self.powers.sum())
+        if not total:
+            return np.zeros_like(places)
+        moved = np.zeros_like(places)
+        ratio = self.lengths[1] / self.lengths[0]
+        for axis in (0, 1):
+            chosen = rng.choice(len(self.lengths), WAVES, p=self.powers / total)
+            number = 2 * math.pi / (self.lengths[chosen] * ratio ** (rng.random(WAVES) - 0.5))
+            angle, phase = 2 * math.pi * rng.random((2, WAVES))
+            waves = number * np.array([np.cos(angle), np.sin(angle)])
+            for wave, start in zip(waves.T, phase, strict=True):
+                moved[:, axis] += np.cos(places @ wave + start)
+        return moved * math.sqrt(2 * total / WAVES)
+
+
+@dataclass(frozen=True, eq=False)
+class AffineRest:
+    """Displacements of vertices without their affine part, and the correlogram of what is left.
+
+    Parameters
+    ----------
+    places
+        ``(n, 2)`` px.
+    displacements
+        ``(n, 2)`` px: without the affine part.
+    affine
+        ``(n, 3)``: orthonormal columns that span all affine displacements along one axis.
+    unit
+        Width of the bins of distances, px.
+    """
+
+    places: Points
+    displacements: Points
+    affine: Array
+    unit: float
+
+    @classmethod
+    def of(cls, deformed: DeformedLattice) -> AffineRest:
+        """Return the rest of the vertices nearest to the middle."""
+        places, moved = deformed.places[deformed.is_vertex], deformed.displacements[deformed.is_vertex]
+        middle = (places.min(0) + places.max(0)) / 2
+        near = np.argsort(np.abs(places - middle).max(1), kind="stable")[:MOST_VERTICES]
+        places, moved = places[near], moved[near]
+        affine, _ = np.linalg.qr(np.column_stack([places - middle, np.ones(len(places))]))
+        return cls(places, moved - affine @ (affine.T @ moved), affine, _BIN * deformed.lattice.s)
+
+    @cached_property
+    def distances(self) -> Array:
+        """``(n, n)`` px."""
+        return np.asarray(np.hypot(*np.moveaxis(self.places[:, np.newaxis] - self.places, -1, 0)))
+
+    @cached_property
+    def _bins(self) -> NDArray[np.intp]:
+        return np.ceil(self.distances / self.unit).astype(np.intp)
+
+    @cached_property
+    def pairs(self) -> Array:
+        """``(b,)``: number of pairs in each bin of distances; the first holds each vertex with itself."""
+        return np.maximum(np.bincount(self._bins.ravel()), 1).astype(np.float64)
+
+    def correlogram(self, covariance: Array, clear: bool = False) -> Array:
+        """Return the mean of a covariance over the pairs of each bin, ``(b,)``, the affine part taken out.
+
+        Parameters
+        ----------
+        covariance
+            ``(n, n)``.
+        clear
+            Whether it is clear of the affine part already.
+        """
+        if not clear:
+            part = self.affine.T @ covariance
+            covariance = covariance - self.affine @ part
+            covariance = covariance - (covariance @ self.affine) @ self.affine.T
+        return np.asarray(np.bincount(self._bins.ravel(), covariance.ravel()) / self.pairs)
+
+
+def neighbor_field(deformed: DeformedLattice, shape: tuple[int, int], rng: np.random.Generator) -> Array:
+    """Return displacements (x, y) px of ``shape`` rows and columns of vertices, by appendix A, equations 1 to 3.
+
+    As printed, equation 1 is the same decreasing function of the distance between two vertices for every neighbor, so
+    that equation 3 would draw all vertices together. It is read as what the text calls it, a density map of each
+    neighbor: the Parzen density of that neighbor's offset over all vertices of the sample. Its sigma is the standard
+    deviation of the offsets times n^(-1/6) (Scott's rule). The window of the moves is as wide as the standard deviation
+    of the offsets.
+
+    Parameters
+    ----------
+    deformed
+        The lattice as it lies in the sample.
+    shape
+        Rows and columns of vertices along the second and the first vector.
+    rng
+        The randomness.
+    """
+    offsets = _neighbor_offsets(deformed)
+    spread = np.std(np.concatenate(offsets), axis=0) + 1e-9
+    half, widest = float(spread.max()), max(float(np.abs(offset).max(initial=0.0)) for offset in offsets)
+    step = half / 4
+    count = math.ceil((widest + 4 * half) / step)
+    grid = np.asarray(np.arange(-count, count + 1) * step, np.float64)
+    maps = np.stack([_log_density(offset, grid) for offset in offsets])
+    side = np.linspace(-1, 1, MOVES)
+    moves = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2) * spread
+    start = rng.uniform(-spread, spread, (*shape, 2))
+    return move_vertices(start, maps, step, np.ascontiguousarray(moves), SWEEPS)
+
+
+def _neighbor_offsets(deformed: DeformedLattice) -> list[Points]:
+    """Return for each of the eight neighbors its displacements less those of the vertices, ``(n, 2)`` px each."""
+    numbers = deformed.numbers[deformed.is_vertex] // PARTS
+    moved = deformed.displacements[deformed.is_vertex]
+    at = numbers - numbers.min(0) + 1
+    table = np.full((*(at.max(0) + 2), 2), np.nan)
+    table[*at.T] = moved
+    found = []
+    for down, right in _NEIGHBORS:
+        offset = table[at[:, 0] + right, at[:, 1] + down] - moved
+        found.append(offset[np.isfinite(offset).all(1)])
+    return found
+
+
+def _log_density(offsets: Points, grid: Array) -> Array:
+    """Return the logarithm of the Parzen density of offsets, up to a constant, by y and x of a grid."""
+    if not len(offsets):
+        return np.zeros((len(grid), len(grid)))
+    sigma = np.maximum(offsets.std(0), 1e-9) * len(offsets) ** (-1 / 6)
+    squares = ((grid[:, np.newaxis, np.newaxis] - offsets) / sigma) ** 2 / 2
+    x, y = squares[..., 0], squares[..., 1]
+    least_x, least_y = x.min(1), y.min(1)
+    # Products of two one-dimensional kernels; each is divided by its largest value, so that none vanishes.
+    sums = np.exp(least_y[:, np.newaxis] - y) @ np.exp(least_x[:, np.newaxis] - x).T
+    return np.asarray(np.log(np.maximum(sums, 1e-300)) - least_y[:, np.newaxis] - least_x)

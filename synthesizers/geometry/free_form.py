@@ -16,8 +16,6 @@ TAPS: Final = 4
 """Control points along each axis that decide a value of a cubic B-spline."""
 REPEATS: Final = 4
 """How often each grid takes what is left. Once, as in the paper, leaves 1.5 to 2.5 times the error between points."""
-_BAND = 1 << 18
-"""Number of points that are read at a time."""
 Controls = NDArray[np.float64]
 """``(rows, columns, 2)``: displacement (x, y) px of each control point."""
 
@@ -84,16 +82,12 @@ class FreeForm:
 
     def at(self, points: Points) -> Points:
         """Return the displacements at points ``(..., 2)`` px, as ``(..., 2)``. Outside the domain they are constant."""
-        flat = points.reshape(-1, 2)
-        found = np.empty(flat.shape)
-        for first in range(0, len(flat), _BAND):
-            band = slice(first, first + _BAND)
-            inside = (flat[band] - self.start) / self.spacing
-            inside = np.clip(inside, 0, np.array(self.controls.shape[1::-1]) - 3) + 1
-            for axis in (0, 1):
-                plane = self.controls[..., axis]
-                scipy.ndimage.map_coordinates(plane, inside.T[::-1], found[band, axis], 3, "nearest", prefilter=False)
-        return found.reshape(points.shape)
+        inside = np.clip((points - self.start) / self.spacing, 0, np.array(self.controls.shape[1::-1]) - 3) + 1
+        at = np.moveaxis(inside, -1, 0)[::-1]
+        planes = np.moveaxis(self.controls, -1, 0)
+        return np.stack(
+            [scipy.ndimage.map_coordinates(plane, at, None, 3, "nearest", prefilter=False) for plane in planes], -1
+        )
 
 
 def approximate(points: Points, values: Points, spacing: float, shape: tuple[int, int]) -> Controls:
@@ -124,7 +118,8 @@ def approximate(points: Points, values: Points, spacing: float, shape: tuple[int
     shares = squares * weights / squares.sum((1, 2), keepdims=True)
     size = math.prod(shape)
     total = np.bincount(index.ravel(), squares.ravel(), size)
-    sums = [np.bincount(index.ravel(), (shares * one[:, np.newaxis, np.newaxis]).ravel(), size) for one in values.T]
+    shared = (shares * part[:, np.newaxis, np.newaxis] for part in values.T)
+    sums = [np.bincount(index.ravel(), part.ravel(), size) for part in shared]
     return np.asarray(np.stack(sums, -1) / np.maximum(total, 1e-300)[:, np.newaxis]).reshape(*shape, 2)
 
 

@@ -20,9 +20,8 @@ from nrbench.tracking.deformation import LEAST_AMPLITUDE
 
 from ..sampling.equal_places import pixel_grid
 from ..sampling.patches import Patches
-from .deformed_lattice import DeformedLattice, find_deformed_lattice
+from .deformed_lattice import Deform, DeformedLattice, find_deformed_lattice, output_field
 from .free_form import FreeForm
-from .vertex_field import Deform, output_field
 
 Geometry = Literal["as-is", "straighten"]
 """Whether a method takes the sample as it is, or straightens it first and deforms the output again."""

@@ -65,8 +65,8 @@ def quiet_texels(image: Image, lattice: Lattice, kind: TexelKind) -> Corners:
         step = np.array([(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 0), (0, 1), (1, -1), (1, 0), (1, 1)]) / 2**halvings
         near = corner + step @ lattice.matrix / STEPS
         links = link + (step @ np.stack([first, second]) / LINKS if kind == "hexagon" else np.zeros((1, 2)))
-        links = [one for one in links if _is_convex(one, first, second)]
-        costs = np.stack([_costs(variance, lattice, near, one, first, second) for one in links])
+        links = [each for each in links if _is_convex(each, first, second)]
+        costs = np.stack([_costs(variance, lattice, near, each, first, second) for each in links])
         row, column = np.unravel_index(costs.argmin(), costs.shape)
         corner, link = near[column], links[row]
     return _texel(corner, link, first, second)

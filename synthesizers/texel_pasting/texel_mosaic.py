@@ -317,6 +317,6 @@ def growth_order(size: tuple[int, int]) -> Iterator[tuple[int, int]]:
     found = np.maximum(np.maximum(middle[0] - u, u - middle[0] - 1), 0)
     found = found + np.maximum(np.maximum(middle[1] - v, v - middle[1] - 1), 0)
     last = np.maximum(np.maximum(found[:-1, :-1], found[1:, :-1]), np.maximum(found[:-1, 1:], found[1:, 1:]))
-    column, row = (one.ravel() for one in np.indices(size))
+    column, row = (part.ravel() for part in np.indices(size))
     for n in np.lexsort((column, row, last.ravel())):
         yield int(column[n]), int(row[n])

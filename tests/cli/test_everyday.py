@@ -17,6 +17,7 @@ from nrbench.cli.summary import parse_formats
 from nrbench.errors import BadInput
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.metrics.quality import Quality
 from nrbench.plugins.forms import Detection, NoLatticeFound
 from nrbench.running.runner import Options
 
@@ -109,15 +110,16 @@ def test_synth_warns_of_another_lattice(
 
 
 def test_score_is_brief(brick: Lattice, capsys: pytest.CaptureFixture[str]) -> None:
-    """`score` prints the verdict first, then five numbers; `--metrics` prints all scores of the chosen metrics."""
+    """`score` prints the verdict first, then six numbers; `--metrics` prints all scores of the chosen metrics."""
     lattice = ",".join(map(repr, brick.numbers))
     assert call(f"score brick.png out.png --lattice {lattice}") == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "the lattice is preserved" or lines[0].startswith("the lattice is not judged")
-    assert [line.split()[0] for line in lines[1:6]] == [
+    assert [line.split()[0] for line in lines[1:7]] == [
         "regularity.preserved",
-        *(f"quality.{name}" for name in ("score", "regularity", "integrity", "randomness")),
+        *(f"quality.{name}" for name in ("score", "regularity", "integrity", "randomness", "appearance")),
     ]
+    assert ("≤" in lines[2]) == any(line.startswith("quality.") and ": " in line for line in lines[7:])
     assert "--all" in lines[-1]
     assert call("score brick.png out.png --metrics appearance --json") == 0
     shown = json.loads(capsys.readouterr().out)
@@ -153,15 +155,15 @@ def test_runs_that_share_a_directory(capsys: pytest.CaptureFixture[str]) -> None
         'name = "core"\nversion = 1\nsample = "128x128"\nsize = "128x128"\nmethods = ["quilting"]\nlattice = ["own"]\n'
         'metrics = ["appearance"]\n[[texture]]\nname = "wall"\ndataset = "brick"\n'
     )
-    assert call("run suite.toml --out R --jobs 0 --no-report --columns appearance.sharpness,seconds") == 0
+    assert call("run suite.toml --out R --jobs 0 --no-report --columns appearance.quarters,seconds") == 0
     printed = capsys.readouterr()
     assert "holds 2 more cells of an earlier command" in printed.err and "is removed" in printed.err
-    assert not Path("R/report/report.html").exists() and "appearance.sharpness" in printed.out
+    assert not Path("R/report/report.html").exists() and "appearance.quarters" in printed.out
     assert call("run suite.toml --out R --jobs 0 --no-report") == 0
     assert "more cells" not in capsys.readouterr().err
-    assert call("run suite.toml --out R --columns appearance.sharpnes") == 2
-    assert "did you mean 'appearance.sharpness'" in capsys.readouterr().err
-    assert call("run suite.toml --out R --columns sharpness") == 2
+    assert call("run suite.toml --out R --columns appearance.quarter") == 2
+    assert "did you mean 'appearance.quarters'" in capsys.readouterr().err
+    assert call("run suite.toml --out R --columns quarters") == 2
 
 
 def test_show_prints_the_file_of_a_suite(capsys: pytest.CaptureFixture[str]) -> None:
@@ -173,6 +175,19 @@ def test_show_prints_the_file_of_a_suite(capsys: pytest.CaptureFixture[str]) -> 
     assert load_suite("mine.toml").hash == load_suite("core").hash
     assert call("show rsgf --toml") == 2
     assert call("show core --toml --json") == 2
+
+
+def test_show_prints_the_limits_of_the_judge(capsys: pytest.CaptureFixture[str]) -> None:
+    """`show limits` prints name, value, unit and origin of every limit that a metric declares, as text and as JSON."""
+    assert call("show limits --json") == 0
+    (table,) = json.loads(capsys.readouterr().out)
+    assert (table["kind"], table["name"]) == ("limits", "quality")
+    assert [tuple(row.values()) for row in table["limits"]] == [tuple(limit) for limit in Quality.limits]
+    assert call("show limits") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "limits of quality" and len(lines) == 1 + len(Quality.limits)
+    for limit, line in zip(Quality.limits, lines[1:], strict=True):
+        assert line.split()[0] == limit.name and f" {limit.value:g} " in line and line.endswith(limit.origin)
 
 
 def test_warnings_are_one_line(

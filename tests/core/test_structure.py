@@ -160,7 +160,7 @@ def test_every_package_is_declared_for_the_wheel() -> None:
 CLASHES = {
     "modules": {"deformation", "straightening", "tiles", "windows"},
     "classes": {
-        "Cell", "Courses", "Deformation", "Layer",
+        "Cell", "Deformation", "Layer",
         "TileSet", "Windows",
     },
     "functions": {"track_lattice"},

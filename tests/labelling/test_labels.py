@@ -30,7 +30,6 @@ from nrbench.labelling.labels import (
     write_key,
 )
 from nrbench.labelling.questions import ANSWERS, ELEMENTS, LATTICE, MORE, PRESERVED, QUESTIONS, WHOLE_SCORE
-from nrbench.metrics import integrity
 from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import pixels_hash
 
@@ -128,25 +127,12 @@ def test_automatic_answer_about_the_lattice(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("score", "broken", "answer"),
-    [
-        (1.0, 0.0, "yes"),
-        (WHOLE_SCORE, 0.0, "yes"),
-        (WHOLE_SCORE - 1e-6, 0.0, "no"),
-        (1.0, 1.0, "no"),
-        (0.2, 9.0, "no"),
-        (None, None, "cannot say"),
-    ],
+    ("score", "answer"),
+    [(1.0, "yes"), (WHOLE_SCORE, "yes"), (WHOLE_SCORE - 1e-6, "no"), (0.2, "no"), (None, "cannot say")],
 )
-def test_automatic_answer_about_the_elements(run: Run, score: float | None, broken: float | None, answer: str) -> None:
-    """It is no if an element is surely broken or the score is below that of fresh draws, else yes if measured."""
-    record = _with_scores(run.cells[0], integrity__score=score, integrity__broken_tiles=broken)
-    assert ELEMENTS.automatic_answer(record) == answer
-
-
-def test_the_limit_of_whole_elements_is_that_of_the_metric() -> None:
-    """The score below which elements are called broken is the one that ``integrity`` calibrates on fresh draws."""
-    assert vars(integrity)["_FRESH"] == WHOLE_SCORE
+def test_automatic_answer_about_the_elements(run: Run, score: float | None, answer: str) -> None:
+    """It is no if the score is below that of whole elements, else yes if measured."""
+    assert ELEMENTS.automatic_answer(_with_scores(run.cells[0], integrity__score=score)) == answer
 
 
 def test_more_of_the_same_has_no_automatic_answer(run: Run) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
-import pytest
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
@@ -15,10 +13,6 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.verdict import examination
-from nrbench.metrics.verdict.examination import examine
-from nrbench.metrics.verdict.reference import KnownLattice, Reference, make_reference
-from nrbench.metrics.verdict.verdict import Verdict
 from nrbench.plugins.forms import Metric, Observation, Score, Shape, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.planted import Planted
@@ -30,9 +24,9 @@ MODELS: dict[str, Model] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Case:
-    """A texture, its sample and its fresh draws."""
+    """A texture, its sample and its fresh draws. References are cached by ``again``, which is one function a case."""
 
     model: Model
     texture: Texture
@@ -71,12 +65,6 @@ class Case:
         made = Planted(kind, size).synthesize(task)
         return quantize(made.image), made.extras["displacement"]
 
-    def verdict(self, output: Image, model: bool = True) -> Verdict:
-        """Return the verdict on an output."""
-        verdict = examine(self.observe(output, model)).verdict
-        assert isinstance(verdict, Verdict)
-        return verdict
-
     def observe(self, output: Image, model: bool = True) -> Observation:
         """Return the observation of an output, with or without the model."""
         truth = self.texture if model else Texture(self.texture.image, self.texture.lattice)
@@ -114,19 +102,3 @@ def copy_cells(task: Task) -> Image:
     source = whole[choice[number[..., 0] - low[0], number[..., 1] - low[1]]] + uv - number
     column, row = np.moveaxis(np.clip(np.rint(lattice.from_cell(source)).astype(int), 0, last), -1, 0)
     return sample[row, column]
-
-
-@pytest.fixture(autouse=True, scope="session")
-def references() -> Iterator[None]:
-    """Compute the reference of each texture once, because it does not depend on the output."""
-    kept: dict[tuple[int, int, KnownLattice], tuple[Observation, Reference]] = {}
-
-    def make_once(observation: Observation, known: KnownLattice) -> Reference:
-        key = (id(observation.sample), id(getattr(observation.again, "__self__", observation.again)), known)
-        if key not in kept:
-            kept[key] = observation, make_reference(observation, known)
-        return kept[key][1]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(examination, "make_reference", make_once)
-        yield

@@ -24,13 +24,15 @@ COLUMNS: dict[str, Column] = {
     "randomness.variation": Column("Tile-by-tile variation against fresh draws.", "", (0.0, float("inf")), "one"),
     "randomness.repetition": Column("Excess of near-exact twins <b>over</b> fresh draws.", better="lower"),
     "randomness.distance": Column("Energy distance to fresh draws.", better="lower"),
-    "quality.score": Column("The worst of regularity, integrity and randomness.", better="higher"),
+    "quality.score": Column("The worst of the four perils.", better="higher"),
+    "quality.complete": Column("Whether all perils were measured.", better="higher"),
     "quality.regularity": Column("Share of tiles in place.", better="higher"),
     "quality.integrity": Column("Wholeness of the elements.", better="higher"),
     "quality.randomness": Column("Randomness kept.", better="higher"),
+    "quality.appearance": Column("Color, light and detail kept.", better="higher"),
     "cost.note": Column("A number without a better way.", "px"),
 }
-PERILS = ("regularity", "integrity", "randomness")
+PERILS = ("regularity", "integrity", "randomness", "appearance")
 HOSTILE = "<img src=x onerror=\"alert(1)\"> & 'co'"
 STATUSES = ("ok", "refused", "error", "timeout", "memory", "crash", "invalid", "missing")
 
@@ -46,7 +48,8 @@ def _picture(path: Path, side: int, seed: int) -> Path:
 def cell_maker(root: Path) -> MakeCell:
     """Return a maker of records: ``make_cell(texture, method, preserved=..., score=..., status=..., ...)``.
 
-    ``perils`` gives ``regularity``, ``integrity`` and ``randomness``; the quality is the smallest of them.
+    ``perils`` gives ``regularity``, ``integrity``, ``randomness`` and ``appearance``, or one number for all four; the
+    quality is the smallest of them, and an upper bound if one is None although the lattice is preserved.
     """
 
     def make(
@@ -59,7 +62,7 @@ def cell_maker(root: Path) -> MakeCell:
         status: str = "ok",
         values: Mapping[str, float | bool | None] | None = None,
         reasons: Mapping[str, str] | None = None,
-        perils: Mapping[str, float | None] | None = None,
+        perils: Mapping[str, float | None] | float | None = None,
         reference: bool = False,
         lattice_used: Lattice | None = TRUTH,
         lattice_truth: Lattice | None = TRUTH,
@@ -103,10 +106,14 @@ def cell_maker(root: Path) -> MakeCell:
         result["lattice_used"] = lattice_used.as_dict() if lattice_used else None
         scores = {"regularity.preserved": preserved, "regularity.score": score, **(values or {})}
         records: dict[str, Any] = {}
+        if isinstance(perils, float):
+            perils = dict.fromkeys(PERILS, perils)
         if perils is not None:
             known = {name: value for name, value in perils.items() if value is not None}
             worst = min(known, key=lambda name: known[name], default=None)
-            parts = {"score": known[worst] if worst else None, **dict.fromkeys(PERILS), **perils}
+            complete = not preserved or None not in perils.values()
+            parts = {"score": known[worst], "complete": complete} if worst else {"score": None, "complete": None}
+            parts |= {**dict.fromkeys(PERILS), **perils}
             scores |= {f"quality.{name}": value for name, value in parts.items()}
             records["quality"] = {"worst": worst}
         return CellRecord(cell, folder, result, scores, reasons or {}, pictures, records)
@@ -188,15 +195,15 @@ def ranked(makers: tuple[MakeCell, MakeRun]) -> Run:
     make_cell, make_run = makers
     cells: list[CellRecord] = []
     for i, texture in enumerate("abc"):
-        good = {"regularity": 1.0, "integrity": 0.9, "randomness": 0.7 - 0.01 * i}
-        lost = {"regularity": 0.1 * i, "integrity": None, "randomness": None}
+        good = {"regularity": 1.0, "integrity": 0.9, "randomness": 0.7 - 0.01 * i, "appearance": 1.0}
+        lost = {"regularity": 0.1 * i, "integrity": None, "randomness": None, "appearance": 0.8}
         cells += [
             make_cell(texture, "drifter", perils=lost, preserved=False),
             make_cell(texture, "shaky", preserved=bool(i), perils={**good, "integrity": 0.4} if i else lost),
             make_cell(texture, "refuser", perils=good) if i else make_cell(texture, "refuser", status="refused"),
             make_cell(texture, "close", perils={**good, "randomness": 0.65 + 0.04 * i}),
             make_cell(texture, "good", perils=good),
-            make_cell(texture, "oracle", "none", reference=True, perils=dict.fromkeys(PERILS, 1.0)),
+            make_cell(texture, "oracle", "none", reference=True, perils=1.0),
             make_cell(texture, "copier", "none", reference=True, perils={**good, "integrity": 1.0}),
             make_cell(texture, "tiling", "none", reference=True, perils={**good, "randomness": 0.0}),
         ]

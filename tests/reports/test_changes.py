@@ -17,7 +17,7 @@ from nrbench.reports.changes import Changes, RunChanges, compare_runs
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 
-from .conftest import HOSTILE, PERILS, cell_maker, run_maker
+from .conftest import HOSTILE, cell_maker, run_maker
 
 Compare = Callable[..., RunChanges]
 
@@ -30,10 +30,7 @@ def runs(tmp_path: Path) -> Callable[..., tuple[Run, Run]]:
         made = []
         for name, values in (("A", first), ("B", second)):
             make_cell, make_run = cell_maker(tmp_path / name), run_maker(tmp_path / name)
-            cells = [
-                make_cell(f"t{i}", method, perils=dict.fromkeys(PERILS, value), **more)
-                for i, value in enumerate(values)
-            ]
+            cells = [make_cell(f"t{i}", method, perils=value, **more) for i, value in enumerate(values)]
             made.append(make_run(cells))
         return made[0], made[1]
 

@@ -17,17 +17,15 @@ from scipy.stats import bootstrap
 from nrbench.errors import BadInput
 from nrbench.reports.statistics import estimates
 from nrbench.reports.statistics.estimates import bootstrap_intervals, expanded_tail
-from nrbench.reports.statistics.method_comparison import compare_methods
-from nrbench.reports.statistics.significance import (
+from nrbench.reports.statistics.method_comparison import (
     adjust_holm,
+    compare_methods,
     compare_ranks,
     find_cliques,
     rank_biserial,
     signed_rank_p_values,
 )
 from nrbench.runs.records import Run
-
-from .conftest import PERILS
 
 
 def _cells(**columns: list[object]) -> pd.DataFrame:
@@ -285,7 +283,7 @@ def test_effect_size_is_antisymmetric(values: list[int]) -> None:
 
 def _run(make_cell: Make, make_run: Make, qualities: dict[str, dict[str, float]]) -> Run:
     cells = [
-        make_cell(texture, method, perils=dict.fromkeys(PERILS, value))
+        make_cell(texture, method, perils=value)
         for method, by_texture in qualities.items()
         for texture, value in by_texture.items()
     ]

@@ -28,18 +28,17 @@ def judged(makers: tuple[Make, Make]) -> Run:
     those of m3 are not measured. The quality falls from m0 to m3.
     """
     make_cell, make_run = makers
-    wholes = ((1.0, 0.0), (0.97, 0.0), (0.4, 7.0), (None, None))
     cells = [
         make_cell(
             f"t{i}",
             f"m{j}",
             preserved=(i + j) % 2 == 0,
             score=0.9 if (i + j) % 2 == 0 else 0.3,
-            values={"integrity.score": whole, "integrity.broken_tiles": broken, "quality.score": 0.9 - 0.2 * j},
+            values={"integrity.score": whole, "quality.score": 0.9 - 0.2 * j},
             reasons={"integrity.score": "undecided: no power"} if whole is None else {},
         )
         for i in range(10)
-        for j, (whole, broken) in enumerate(wholes)
+        for j, whole in enumerate((1.0, 0.97, 0.4, None))
     ]
     score = Column("Share of whole elements.", better="higher")
     run: Run = make_run(cells, columns={**COLUMNS, "integrity.score": score})

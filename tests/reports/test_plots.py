@@ -36,8 +36,6 @@ from nrbench.reports.statistics.method_comparison import Comparison, compare_met
 from nrbench.reports.statistics.summaries import PerilsPoint, perils_points
 from nrbench.runs.records import Run
 
-from .conftest import PERILS
-
 Make = Callable[..., Any]
 
 
@@ -144,7 +142,7 @@ def long_run(make_cell: Make, make_run: Make) -> Run:
     """Return a run of three methods on 12 textures."""
     rng = np.random.default_rng(0)
     return make_run([
-        make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, float(rng.uniform(0.6, 0.8) - worse)))
+        make_cell(f"t{i}", name, perils=float(rng.uniform(0.6, 0.8) - worse))
         for i in range(12)
         for name, worse in (("a", 0.0), ("b", 0.01), ("c", 0.5))
     ])  # fmt: skip
@@ -175,11 +173,7 @@ def test_the_best_methods_and_all_references_have_names(references: list[bool]) 
 def test_names_of_the_rank_diagram_lie_in_it(make_cell: Make, make_run: Make) -> None:
     """No name leaves the diagram, however long, in a page and in a column."""
     names = ["regularized-patch with a long label", "representative-tile of another one", *"abcdefghi"]
-    cells = [
-        make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, 0.9 - 0.05 * j))
-        for i in range(12)
-        for j, name in enumerate(names)
-    ]
+    cells = [make_cell(f"t{i}", name, perils=0.9 - 0.05 * j) for i in range(12) for j, name in enumerate(names)]
     comparison = compare_methods(make_run(cells))
     for width in (3.4, 5.5):
         with PIL.Image.open(io.BytesIO(plot_ranks("png", comparison, width))) as image:
@@ -190,8 +184,8 @@ def test_names_of_the_rank_diagram_lie_in_it(make_cell: Make, make_run: Make) ->
 def test_textures_without_a_score_are_not_the_hardest(make_cell: Make, make_run: Make) -> None:
     """The heat map lists the hardest textures first, and last those that were not run."""
     cells = [make_cell("absent", "a", status="missing"), make_cell("absent", "b", status="missing")]
-    cells += [make_cell("easy", name, perils=dict.fromkeys(PERILS, 0.9)) for name in "ab"]
-    cells += [make_cell("hard", name, perils=dict.fromkeys(PERILS, 0.1)) for name in "ab"]
+    cells += [make_cell("easy", name, perils=0.9) for name in "ab"]
+    cells += [make_cell("hard", name, perils=0.1) for name in "ab"]
     rows, _ = hardest_first(compare_methods(make_run(cells)))
     assert [row.texture for row in rows] == ["hard", "easy", "absent"]
 
@@ -202,7 +196,7 @@ def test_the_grid_chooses_textures_by_the_methods_that_it_shows(make_cell: Make,
     for i in range(6):
         shown = {name: 0.9 - (0.05 * j if i > 1 else 0.0) for j, name in enumerate("abcde")}
         for name, quality in {**shown, "f": 0.0 if i < 2 else 0.5}.items():
-            cells.append(make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, quality)))
+            cells.append(make_cell(f"t{i}", name, perils=quality))
     comparison = compare_methods(make_run(cells))
     methods = choose_methods(comparison, ())
     assert [one.name for one in methods] == list("abcde")
@@ -229,16 +223,16 @@ def test_points_are_means_over_textures(comparison: Comparison) -> None:
         assert one.low <= one.value <= one.high
 
 
-def test_the_smaller_is_taken_before_the_mean(make_cell: Make, make_run: Make) -> None:
-    """Tiles out of place on one texture and broken elements on another are two faults; the mean holds both."""
-    first = {"regularity": 0.5, "integrity": 1.0, "randomness": 1.0}
-    second = {"regularity": 1.0, "integrity": 0.5, "randomness": 1.0}
-    run = make_run([make_cell("a", "m", perils=first), make_cell("b", "m", perils=second)])
+def test_the_smallest_is_taken_before_the_mean(make_cell: Make, make_run: Make) -> None:
+    """Tiles out of place, broken elements and other colors on three textures are three faults; the mean holds all."""
+    names = ("regularity", "integrity", "appearance")
+    whole = dict.fromkeys([*names, "randomness"], 1.0)
+    run = make_run([make_cell(name, "m", perils={**whole, name: 0.5}) for name in names])
     assert _point(compare_methods(run), "m").structure.value == pytest.approx(0.5)
 
 
-def test_without_integrity_regularity_counts_alone(make_cell: Make, make_run: Make) -> None:
-    """Where integrity is not measured, the horizontal coordinate is the regularity."""
+def test_what_is_not_measured_does_not_count(make_cell: Make, make_run: Make) -> None:
+    """Where integrity and appearance are not measured, the horizontal coordinate is the regularity."""
     run = make_run([make_cell("a", "m", perils={"regularity": 0.8, "randomness": 1.0})])
     assert _point(compare_methods(run), "m").structure.value == pytest.approx(0.8)
 

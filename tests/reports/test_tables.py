@@ -273,7 +273,10 @@ HOSTILE = {
 
 @pytest.fixture(scope="module")
 def golden_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """Return a run of 12 textures, 6 of them with hostile names, with three methods and a reference."""
+    """Return a run of 12 textures, 6 of them with hostile names, with three methods and a reference.
+
+    The quality of one cell is an upper bound.
+    """
     root = tmp_path_factory.mktemp("golden") / "run"
     make = cell_maker(root)
     rng = np.random.default_rng(0)
@@ -282,10 +285,11 @@ def golden_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         hard = rng.uniform(0.4, 0.8)
         for method, worse in (("rsgf", 0.0), ("tile-set", 0.02), (HOSTILE["latex"], 0.25)):
             status = "refused" if (i, method) == (7, "tile-set") else "ok"
-            parts = {name: round(float(hard - worse + rng.normal(0, 0.03)), 4) for name in PERILS}
+            parts = {name: round(float(hard - worse + rng.normal(0, 0.03)), 4) for name in PERILS[:3]}
+            parts |= {"appearance": None if (i, worse) == (8, 0.25) else 0.97}
             more = {"message": HOSTILE["markup"]} if status == "refused" else {"perils": parts}
             cells.append(make(name, method, preserved=worse < 0.1 or i % 2 == 0, status=status, **more))
-        cells.append(make(name, "oracle", "none", reference=True, perils=dict.fromkeys(PERILS, 1.0)))
+        cells.append(make(name, "oracle", "none", reference=True, perils=1.0))
     return run_maker(root)(cells, versions={"nrbench": "0", "numpy": "2"}, created="2026-01-01 00:00 UTC")
 
 

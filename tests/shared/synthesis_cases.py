@@ -4,10 +4,13 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from skimage.color import rgb2ypbpr
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Synthesizer, Task
+from nrbench.spectra.harmonics import WaveAnalysis
+from nrbench.synthesizers.masks.texture_mask import TextureMask
 
 TURNED = math.radians(7)
 FRACTIONAL = Lattice(
@@ -38,6 +41,21 @@ def synthesize(
 ) -> Synthesis:
     """Run a method."""
     return method.synthesize(Task(sample, shape, lattice, np.random.default_rng(seed)))
+
+
+def mask_of(tile: Image, stretch: float = 1.0) -> TextureMask:
+    """Return the exact mask of a repeated tile with odd sides, stretched about (0, 0)."""
+    height, width, channels = tile.shape
+    planes = rgb2ypbpr(tile.astype(np.float64)) if channels == 3 else tile.astype(np.float64)
+    waves = np.fft.fft2(planes, axes=(0, 1)) / (height * width)
+    v, u = (np.rint(np.fft.fftfreq(n) * n).astype(int) for n in (height, width))
+    orders = np.array([(i, j) for j in v for i in u if i > 0 or (i == 0 and j > 0)])
+    chosen = 2 * waves[orders[:, 1], orders[:, 0]]
+    fundamentals = np.diag([1 / (width * stretch), 1 / (height * stretch)])
+    mean = waves[0, 0].real
+    return TextureMask(
+        WaveAnalysis(orders @ fundamentals, chosen.real, -chosen.imag, mean, fundamentals, orders, (2,), 1.0)
+    )
 
 
 def places(made: Synthesis, block: int) -> NDArray[np.int64]:

@@ -11,8 +11,7 @@ import pytest
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.verdict.examination import examine
-from nrbench.metrics.verdict.verdict import Verdict
+from nrbench.metrics.judgment.examination import examine
 from nrbench.plugins.forms import Observation, Shape, Synthesizer, Task, Texture
 from nrbench.streams import stream
 from nrbench.synthesizers.representative_tile import RepresentativeTile
@@ -42,9 +41,10 @@ def worst_misplacement(method: Synthesizer, lattice: Lattice | None = None) -> f
     """Return the largest misplacement of any window of an output, over s, measured with the model's truth."""
     sample, truth = texture().image, texture()
     made = method.synthesize(Task(sample, (SIDE, SIDE), lattice or truth.lattice, np.random.default_rng(1)))
-    verdict = examine(Observation(sample, quantize(made.image), truth, again=again)).verdict
-    assert isinstance(verdict, Verdict)
-    return float(verdict.output.windows.misplacement.max())
+    followed = examine(Observation(sample, quantize(made.image), truth, again=again)).followed
+    near = followed.displacement - followed.expected
+    moved = ((followed.expected + near - np.rint(near)) @ followed.net.vectors)[followed.valid]
+    return float(np.linalg.norm(moved - np.median(moved, 0), axis=1).max() / followed.net.s)
 
 
 @pytest.mark.parametrize("method", [Rsgf(), Rsgf(seam="blend"), TileSet(), RepresentativeTile(), Tiling()])

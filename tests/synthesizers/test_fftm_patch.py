@@ -2,6 +2,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from synthesis_cases import mask_of
 
 from nrbench.api import texture
 from nrbench.errors import BadInput
@@ -27,32 +28,6 @@ def test_the_papers_patches_are_the_tiles_of_their_sample() -> None:
         assert automatic_size(mask, (128, 128)) == (40, 40)
 
 
-class Tiled:
-    """A known mask: a tile that is repeated on a lattice of whole pixels."""
-
-    def __init__(self, tile: Image) -> None:
-        self.tile = tile
-        self.lattice = Lattice((tile.shape[1], 0), (0, tile.shape[0]))
-
-    def draw(self, shape: tuple[int, int], offset: tuple[float, float] = (0.0, 0.0)) -> Image:
-        """Return the repeated tile, interpolated along x and y."""
-        rows, columns = (np.arange(n) + start for n, start in zip(shape, offset[::-1], strict=True))
-        across = self._between(self.tile, rows, 0)
-        return self._between(across, columns, 1).astype(np.float32)
-
-    @staticmethod
-    def _between(values: Image, places: Any, axis: int) -> Any:
-        first = np.floor(places).astype(int)
-        share = (places - first).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
-        one, other = (np.take(values, k % values.shape[axis], axis) for k in (first, first + 1))
-        return one * (1 - share) + other * share
-
-    def find_period(self, tolerance: float = 0.5, limit: int = 1024) -> tuple[int, int] | None:
-        """Return the smallest rectangle that is a period."""
-        height, width = self.tile.shape[:2]
-        return (width, height) if max(width, height) <= limit else None
-
-
 def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
     """Return a smooth tile: periodic noise without high frequencies."""
     spectrum = np.fft.fft2(np.random.default_rng(seed).random((height, width, channels)), axes=(0, 1))
@@ -66,18 +41,9 @@ def waves_of(tile: Image) -> TextureMask:
     return MaskParameters().find_mask(np.tile(tile, (4, 4, 1)))
 
 
-def synthesize(
-    method: FftmPatch,
-    sample: Image,
-    shape: tuple[int, int],
-    mask: Any,
-    monkeypatch: pytest.MonkeyPatch,
-    seed: int = 1,
-    **task: Any,
-) -> Synthesis:
+def synthesize(method: FftmPatch, sample: Image, shape: tuple[int, int], mask: TextureMask) -> Synthesis:
     """Run the method with a known mask."""
-    monkeypatch.setattr(MaskParameters, "find_mask", lambda *_, **__: mask)
-    made = method.synthesize(Task(sample, shape, None, np.random.default_rng(seed), **task))
+    made = method.synthesize_with_mask(Task(sample, shape, None, np.random.default_rng(1)), mask)
     return checked_synthesis(made, sample, shape)
 
 
@@ -90,20 +56,20 @@ def varied(tile: Image, height: int, width: int, strength: float, seed: int = 3)
 
 @pytest.mark.parametrize("normalized", [False, True])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_a_whole_pixel_lattice_is_continued(normalized: bool, channels: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_whole_pixel_lattice_is_continued(normalized: bool, channels: int) -> None:
     """For a perfectly periodic sample and a perfect mask, the output is exactly the periodic continuation."""
     tile = smooth(20, 24, channels)
     picture = quantize(np.tile(tile, (13, 13, 1)))
     method = FftmPatch(normalized=normalized, randomness=1e-4)
     for shape in ((160, 150), (1, 200), (200, 1), (9, 5), (1, 1)):
-        made = synthesize(method, picture[:96, :96], shape, Tiled(tile), monkeypatch)
+        made = synthesize(method, picture[:96, :96], shape, mask_of(tile))
         np.testing.assert_array_equal(made.image, picture[: shape[0], : shape[1]])
 
 
-def test_departures_from_the_mask_do_not_break_the_phase(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_departures_from_the_mask_do_not_break_the_phase() -> None:
     """For a sample with departures, every pixel comes from its own place in the tile, up to one pixel."""
     tile = smooth(20, 24)
-    made = synthesize(FftmPatch(), varied(tile, 96, 96, 0.4), (150, 160), Tiled(tile), monkeypatch)
+    made = synthesize(FftmPatch(), varied(tile, 96, 96, 0.4), (150, 160), mask_of(tile))
     assert made.source is not None
     y, x = np.mgrid[:150, :160]
     for found, place, period in ((made.source[..., 0], x, 24), (made.source[..., 1], y, 20)):
@@ -114,23 +80,21 @@ def test_departures_from_the_mask_do_not_break_the_phase(monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("shape", [(64, 70), (3, 90), (90, 2), (20, 24)])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_any_shape_is_filled_with_copies(
-    shape: tuple[int, int], channels: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_any_shape_is_filled_with_copies(shape: tuple[int, int], channels: int) -> None:
     """Every pixel is the copy that the source map names, also in small outputs and in lines of pixels."""
     tile = smooth(20, 24, channels)
     sample = varied(tile, 60, 66, 0.5)
-    made = synthesize(FftmPatch(randomness=0.2), sample, shape, Tiled(tile), monkeypatch)
+    made = synthesize(FftmPatch(randomness=0.2), sample, shape, mask_of(tile))
     assert made.source is not None
     x, y, weight = np.moveaxis(made.source, -1, 0)
     assert (weight == 1).all()
     np.testing.assert_array_equal(made.image, sample[y.astype(int), x.astype(int)])
     assert is_picture(made.extras["mask"])
-    np.testing.assert_array_equal(made.extras["mask"], Tiled(tile).draw(shape))
-    assert made.lattice == WHOLE
+    np.testing.assert_array_equal(made.extras["mask"], mask_of(tile).draw(shape))
+    assert made.lattice is not None and made.lattice.is_equivalent(WHOLE, 1e-6)
 
 
-def test_every_parameter_changes_something(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_parameter_changes_something() -> None:
     """Each parameter changes the output of a sample with departures."""
     tile = smooth(20, 24)
     sample, mask = varied(tile, 72, 72, 0.7), waves_of(tile)
@@ -140,29 +104,29 @@ def test_every_parameter_changes_something(monkeypatch: pytest.MonkeyPatch) -> N
     ]  # fmt: skip
 
     def made(**parameters: Any) -> Image:
-        return synthesize(FftmPatch(**parameters), sample, (80, 96), mask, monkeypatch).image
+        return synthesize(FftmPatch(**parameters), sample, (80, 96), mask).image
 
     base = made()
     for change in changes:
         assert (made(**change) != base).any(), change
 
 
-def test_without_weight_the_mask_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_weight_the_mask_does_not_matter() -> None:
     """At weight 0 another mask of the same tile size gives the same output."""
     sample = varied(smooth(20, 24), 60, 60, 0.5)
-    masks = [Tiled(smooth(20, 24, seed=seed)) for seed in (5, 6)]
-    made = [synthesize(FftmPatch(weight=0.0), sample, (80, 80), mask, monkeypatch).image for mask in masks]
+    masks = [mask_of(smooth(20, 24, seed=seed)) for seed in (5, 6)]
+    made = [synthesize(FftmPatch(weight=0.0), sample, (80, 80), mask).image for mask in masks]
     np.testing.assert_array_equal(*made)
 
 
-def test_a_tileable_output_continues_at_its_edges(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tileable_output_continues_at_its_edges() -> None:
     """Between copies laid side by side there is no larger jump than inside; without ``tileable`` there is."""
     tile = smooth(20, 24)
     sample, mask = varied(tile, 72, 72, 1.0), waves_of(tile)
 
     def jump(tileable: bool) -> tuple[float, float]:
         method = FftmPatch(tileable=tileable, refinements=2)
-        image = synthesize(method, sample, (120, 120), mask, monkeypatch).image
+        image = synthesize(method, sample, (120, 120), mask).image
         twice = np.tile(image, (2, 2, 1)).astype(float)
         steps = np.abs(np.diff(twice, axis=1)).mean((0, 2)), np.abs(np.diff(twice, axis=0)).mean((1, 2))
         return max(each[119] for each in steps), max(np.delete(each, 119).max() for each in steps)
@@ -172,14 +136,14 @@ def test_a_tileable_output_continues_at_its_edges(monkeypatch: pytest.MonkeyPatc
     assert jump(False)[0] > 1.2 * inside
 
 
-def test_an_output_that_is_no_period_is_not_tileable(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_output_that_is_no_period_is_not_tileable() -> None:
     """The message names the nearest valid size; too small outputs are refused, too."""
     tile = smooth(20, 24)
     method, sample = FftmPatch(tileable=True), varied(tile, 60, 60, 0.3)
     with pytest.raises(Refused, match=r"nearest valid size: 9[678]x100"):
-        synthesize(method, sample, (100, 100), waves_of(tile), monkeypatch)
+        synthesize(method, sample, (100, 100), waves_of(tile))
     with pytest.raises(Refused, match=r"nearest valid size: 24x[12]"):
-        synthesize(method, sample, (2, 24), waves_of(tile), monkeypatch)
+        synthesize(method, sample, (2, 24), waves_of(tile))
     with pytest.raises(BadInput, match="choose harmonics 'tied'"):
         FftmPatch(tileable=True, harmonics="free")
 
@@ -197,18 +161,15 @@ def test_an_output_that_is_no_period_is_not_tileable(monkeypatch: pytest.MonkeyP
 )
 def test_patches_are_tiles_of_some_size(tile: tuple[int, int], room: tuple[int, int], size: tuple[int, int]) -> None:
     """A patch has as few tiles as give 24 px a side; 40 px without a tile; at most half the sample."""
-    assert automatic_size(cast(TextureMask, Tiled(smooth(*tile))), room) == size
+    assert automatic_size(mask_of(smooth(*tile)), room) == size
 
 
-def test_a_sample_smaller_than_the_patch_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sample_smaller_than_the_patch_is_refused() -> None:
     """The message names the largest valid patch."""
     tile = smooth(20, 24)
     with pytest.raises(Refused, match="patch <= 40"):
-        synthesize(FftmPatch(patch=41), varied(tile, 40, 50, 0.1), (60, 60), Tiled(tile), monkeypatch)
-    assert (
-        synthesize(FftmPatch(patch=40), varied(tile, 40, 50, 0.1), (60, 60), Tiled(tile), monkeypatch).source
-        is not None
-    )
+        synthesize(FftmPatch(patch=41), varied(tile, 40, 50, 0.1), (60, 60), mask_of(tile))
+    assert synthesize(FftmPatch(patch=40), varied(tile, 40, 50, 0.1), (60, 60), mask_of(tile)).source is not None
 
 
 @pytest.mark.parametrize("given", [False, True])

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from synthesis_cases import noise
 
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.synthesizers.gap_filling.block_canvas import (
@@ -182,11 +183,6 @@ SIZE = 9
 HOLES: list[Box] = [(3, 6, 3, 6), (0, 6, 3, 9), (2, 2, 4, 4)]
 
 
-def noise(shape: tuple[int, int], channels: int, seed: int = 0) -> Image:
-    """Return noise of 8 bits."""
-    return quantize(np.random.default_rng(seed).random((*shape, channels), np.float32))
-
-
 def cut(image: Image, x: int, y: int) -> NDArray[np.float32]:
     """Return a patch as whole numbers."""
     return to_bytes(image)[y : y + SIZE, x : x + SIZE].astype(np.float32)
@@ -215,7 +211,7 @@ def naive(patch: NDArray[np.float32], template: NDArray[np.float32], hole: Box, 
 @pytest.mark.parametrize("hole", HOLES)
 def test_ratings_equal_brute_force(match: Match, channels: int, hole: Box) -> None:
     """Both matches equal naive loops at every place."""
-    image, other = noise((21, 17), channels), noise((21, 17), channels, seed=1)
+    image, other = noise(21, 17, channels), noise(21, 17, channels, seed=1)
     matcher = FrameMatcher(image, SIZE, match)
     template = cut(other, 3, 5)
     rows, columns = matcher.search_shape
@@ -228,7 +224,7 @@ def test_ratings_equal_brute_force(match: Match, channels: int, hole: Box) -> No
 
 def test_ncc_ignores_brightness_and_contrast_and_color_does_not() -> None:
     """A darker, flatter template still correlates perfectly, but differs in color."""
-    image = noise((20, 20), 1)
+    image = noise(20, 20, 1)
     image = quantize(np.rint(image * 100) * 2 / 255)
     template = cut(image, 4, 6) / 2
     here = np.array([[4, 6]])

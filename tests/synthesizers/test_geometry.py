@@ -15,10 +15,17 @@ from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Task, Texture
 from nrbench.running.output_checks import check_source
-from nrbench.synthesizers.geometry.deformed_lattice import PARTS, DeformedLattice, find_deformed_lattice, knot_lattice
+from nrbench.synthesizers.geometry.deformed_lattice import (
+    PARTS,
+    DeformedLattice,
+    WaveSpectrum,
+    find_deformed_lattice,
+    knot_lattice,
+    neighbor_field,
+    output_field,
+)
 from nrbench.synthesizers.geometry.free_form import FreeForm, approximate, basis, refine
 from nrbench.synthesizers.geometry.straightening import StraightSample, explained_share, synthesize_straight
-from nrbench.synthesizers.geometry.vertex_field import WaveSpectrum, neighbor_field, output_field
 from nrbench.synthesizers.sampling.equal_places import pixel_grid
 from nrbench.synthesizers.tiling import Tiling
 from nrbench.tracking.tracker import MeanTile, track_lattice

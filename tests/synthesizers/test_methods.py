@@ -115,6 +115,7 @@ SLANTED = Lattice((20.3, 0), (6.1, 18.7))
             for each in (UPRIGHT, FRACTIONAL, BOND, OBLIQUE, SLANTED)
         ),
         *((f"rsgf:seam={seam}", FRACTIONAL, 128, (512, 144), 45) for seam in ("graphcut", "blend")),
+        *((f"rsgf:seam={seam}", FRACTIONAL, 128, (144, 512), 45) for seam in ("graphcut", "blend")),
         *((f"tiling:tile={tile}", OBLIQUE, 90, (800, 800), 48.14) for tile in ("typical", "random")),
         ("supertile", OBLIQUE, 90, (800, 800), 48.14),
     ],

@@ -176,9 +176,11 @@ def test_a_patch_never_fills_more_than_its_window() -> None:
     np.testing.assert_array_equal(work.known, known)
 
 
-def whole(height: int, width: int, seed: int = 0) -> Features:
-    """Return noise, whole gray levels."""
-    return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.int32)
+def gray_levels(
+    rng: np.random.Generator | int, height: int, width: int, channels: int = 3, most: int = 255
+) -> Features:
+    """Return noise in whole gray levels."""
+    return np.random.default_rng(rng).integers(0, most + 1, (height, width, channels)).astype(np.int32)
 
 
 def placement(
@@ -186,7 +188,7 @@ def placement(
 ) -> PatchPlacer:
     """Return an empty output, guided by a mask of period 8 both in the sample and beyond, or not."""
     work = Patchwork(quantize((colors / 255).astype(np.float32)), colors, shape, wrap=wrap)
-    mask = np.tile(whole(8, 8, 5), (40, 40, 1))
+    mask = np.tile(gray_levels(5, 8, 8), (40, 40, 1))
     guide = mask[: shape[0], : shape[1]] * guided, mask[: len(colors), : colors.shape[1]] * guided
     return PatchPlacer(work, colors, randomness, np.random.default_rng(1), guide)
 
@@ -215,7 +217,7 @@ def test_where_nothing_is_known_the_guide_alone_places() -> None:
     """On an empty output the patches drawn are those in phase with the guide, all of them."""
     found = set()
     for seed in range(60):
-        made = placement(whole(32, 32), (40, 40), guided=True)
+        made = placement(gray_levels(0, 32, 32), (40, 40), guided=True)
         PatchPlacer(made.work, made.colors, 0.01, np.random.default_rng(seed), made.guide).cover_window((3, 19, 5, 21))
         found.add(tuple(made.work.origin[3, 5]))
     assert found == {(x, y) for x in (5, 13) for y in (3, 11)}
@@ -223,7 +225,7 @@ def test_where_nothing_is_known_the_guide_alone_places() -> None:
 
 def test_what_is_known_is_continued() -> None:
     """Without randomness a patch goes on where the sample does, when the sample shows it."""
-    made = placement(whole(40, 40), (30, 30), randomness=0.0)
+    made = placement(gray_levels(0, 40, 40), (30, 30), randomness=0.0)
     made.work.lay_patch((0, 15, 0, 15), (2, 7))
     made.cover_window((5, 25, 5, 25))
     assert made.work.cost == 0
@@ -234,7 +236,7 @@ def test_what_is_known_is_continued() -> None:
 @pytest.mark.parametrize("guided", [False, True])
 def test_improving_never_makes_seams_cost_more_and_often_less(wrap: bool, guided: bool) -> None:
     """Step by step the cost of all seams falls or stays, and in the end it is less."""
-    made = placement(whole(40, 40), (64, 72), randomness=0.05, guided=guided, wrap=wrap)
+    made = placement(gray_levels(0, 40, 40), (64, 72), randomness=0.05, guided=guided, wrap=wrap)
     for window in scan_windows(made.work.shape, (16, 16), (12, 12), wrap):
         made.cover_window(window)
     costs = [made.work.cost]
@@ -304,11 +306,6 @@ def test_what_a_try_changes_is_summed_again(wrap: bool) -> None:
         np.testing.assert_array_equal(heat.costs, SeamHeat(work, (12, 14)).costs)
 
 
-def pixels(rng: np.random.Generator, shape: tuple[int, int], channels: int) -> Features:
-    """Return whole numbers, as large as colors of a mask of weight 5."""
-    return rng.integers(0, 1275, (*shape, channels)).astype(np.int32)
-
-
 @settings(max_examples=60)
 @given(
     st.tuples(st.integers(1, 23), st.integers(1, 23)),
@@ -324,7 +321,7 @@ def test_ratings_are_the_sums_of_squared_differences_to_the_last_bit(
     rng = np.random.default_rng(seed)
     colors, total = channels[0], channels[0] + channels[1]
     height, width = (1 + int(share * (side - 1)) for share, side in zip(part, shape, strict=True))
-    sample, window = pixels(rng, shape, total), pixels(rng, (height, width), total)
+    sample, window = (gray_levels(rng, *size, total, 1274) for size in (shape, (height, width)))
     known = rng.random((height, width)) < (2 if everywhere else 0.5)
     costs = np.zeros((shape[0] - height + 1, shape[1] - width + 1))
     for y, x in np.ndindex(costs.shape):
@@ -349,11 +346,6 @@ def test_without_randomness_one_of_the_best_is_drawn() -> None:
 
 
 SIZE = (5, 6)
-
-
-def gray_levels(rng: np.random.Generator, height: int, width: int, channels: int = 3) -> Features:
-    """Return noise in whole gray levels."""
-    return rng.integers(0, 256, (height, width, channels)).astype(np.int32)
 
 
 @settings(max_examples=60)

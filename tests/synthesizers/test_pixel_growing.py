@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from skimage.color import rgb2ypbpr
-from synthesis_cases import noise, synthesize
+from synthesis_cases import mask_of, noise, synthesize
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.source import SourceUse
@@ -53,21 +52,6 @@ def test_a_sample_smaller_than_the_window_is_refused() -> None:
 
 SEARCHES = ("ann", "exhaustive", "k-coherence")
 MATCHES = ("full", "cluster")
-
-
-def mask_of(tile: Image, stretch: float = 1.0) -> TextureMask:
-    """Return the exact mask of a repeated tile with odd sides, stretched about (0, 0)."""
-    height, width, channels = tile.shape
-    planes = rgb2ypbpr(tile.astype(np.float64)) if channels == 3 else tile.astype(np.float64)
-    waves = np.fft.fft2(planes, axes=(0, 1)) / (height * width)
-    v, u = (np.rint(np.fft.fftfreq(n) * n).astype(int) for n in (height, width))
-    orders = np.array([(i, j) for j in v for i in u if i > 0 or (i == 0 and j > 0)])
-    chosen = 2 * waves[orders[:, 1], orders[:, 0]]
-    fundamentals = np.diag([1 / (width * stretch), 1 / (height * stretch)])
-    mean = waves[0, 0].real
-    return TextureMask(
-        WaveAnalysis(orders @ fundamentals, chosen.real, -chosen.imag, mean, fundamentals, orders, (2,), 1.0)
-    )
 
 
 def soft_tile(height: int, width: int, channels: int = 3) -> Image:

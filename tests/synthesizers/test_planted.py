@@ -276,16 +276,10 @@ def test_an_empty_defect_is_refused(kind: str, size: float, shape: Shape) -> Non
         plant(kind, size, shape=shape)
 
 
-@pytest.mark.parametrize("move", [(3, 0), (-3, 0), (0, 3), (0, -3)])
-def test_a_margin_that_is_too_small_is_an_error(move: tuple[int, int]) -> None:
-    """A margin as wide as the move is read to its end; one that is a pixel narrower is an error, on every side."""
-    draw = np.random.default_rng(0).random((16, 20, 1)).astype(np.float32)
-    field = np.broadcast_to(np.array(move, np.intp), (10, 14, 2))
-    np.testing.assert_array_equal(
-        read_displaced(draw, 3, field), draw[3 - move[1] : 13 - move[1], 3 - move[0] : 17 - move[0]]
-    )
+def test_a_margin_that_is_too_small_is_an_error() -> None:
+    """Content that would come from beyond the draw is an error, not the content of the opposite side."""
     with pytest.raises(IndexError, match="a margin of 2 px is too small for displacements of 3 px"):
-        read_displaced(draw[1:-1, 1:-1], 2, field)
+        read_displaced(np.zeros((14, 14, 1), np.float32), 2, np.full((10, 10, 2), 3))
 
 
 def test_the_lattice_costs_no_draw_of_the_sample() -> None:

@@ -15,7 +15,7 @@ from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation, Refused, Texture
 from nrbench.running.output_checks import check_source
-from nrbench.synthesizers.geometry.vertex_field import Deform
+from nrbench.synthesizers.geometry.deformed_lattice import Deform
 from nrbench.synthesizers.regularized_patch import RegularizedPatch
 from nrbench.synthesizers.sampling.patches import Patches
 from nrbench.synthesizers.texel_pasting.quiet_borders import parallelogram, quiet_texels

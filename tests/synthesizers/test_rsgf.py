@@ -3,24 +3,22 @@
 import itertools
 import math
 from dataclasses import replace
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import stats
-from synthesis_cases import FRACTIONAL, noise, places, synthesize
+from synthesis_cases import FRACTIONAL, noise, places, synthesize, waves
 
 from nrbench import plugins
 from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation, Refused, Task
-from nrbench.synthesizers.gap_filling.block_canvas import Places, SeamMethod
+from nrbench.synthesizers.gap_filling.block_canvas import Places
 from nrbench.synthesizers.rsgf import REMEMBERED, GapFiller, PlaceSampler, Rsgf, best_places
 from nrbench.synthesizers.sampling.patches import PLACE_STEP
-
-SEAMS = get_args(SeamMethod)
 
 
 def test_the_papers_detector_loses_the_weave() -> None:
@@ -90,23 +88,6 @@ def test_sub_pixel_places_are_those_of_the_lattice(tolerance: float, shape: tupl
     assert misplaced[placed].max() <= PLACE_STEP
     assert misplaced[~placed].max() <= tolerance + PLACE_STEP
     assert tolerance == 0 or misplaced[~placed].max() > 2 * PLACE_STEP
-
-
-def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
-    """Return a smooth texture with exactly this lattice."""
-    x, y = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
-    u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
-    return 0.5 + 0.2 * (np.cos(2 * math.pi * u) + np.cos(2 * math.pi * v))[..., np.newaxis].astype(np.float32)
-
-
-@pytest.mark.parametrize("seam", get_args(SeamMethod))
-def test_a_smooth_fractional_texture_is_continued_without_drift_or_blur(seam: Any) -> None:
-    """A periodic texture with fractional vectors is continued within 2.5 gray levels, seams included."""
-    truth = waves((512, 512), FRACTIONAL)
-    for part in (np.s_[:512, :144], np.s_[:144, :512]):
-        made = synthesize(Rsgf(seam=seam), quantize(truth[:128, :128]), truth[part].shape[:2], FRACTIONAL)
-        assert -10 * np.log10(((made.image - truth[part]) ** 2).mean()) > 45
-        assert np.abs(made.image - truth[part])[-100:, -100:].max() < 2.5 / 255
 
 
 def test_at_whole_pixels_it_is_continued_less_well() -> None:

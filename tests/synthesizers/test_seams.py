@@ -181,7 +181,7 @@ def test_a_seam_is_the_least_visible_of_all(squared: bool, seed: int) -> None:
 
 
 def test_a_seam_follows_a_planted_path_where_the_pictures_agree() -> None:
-    """Two pictures that agree only along a zigzag are cut along it."""
+    """Two pictures that agree only along a zigzag are cut along it, at no cost."""
     rng = np.random.default_rng(0)
     old, new, fixed_old, fixed_new = pictures((40, 20), 1)
     path = np.clip(10 + np.cumsum(rng.integers(-1, 2, 40)), 2, 17)
@@ -189,11 +189,14 @@ def test_a_seam_follows_a_planted_path_where_the_pictures_agree() -> None:
         new[row, column - 1 : column + 2] = old[row, column - 1 : column + 2]
     found = graphcut_seam(old, new, fixed_old, fixed_new)
     np.testing.assert_array_less(np.abs(20 - found.sum(1) - path), 3)
+    costs = link_costs(old, new, False)
+    assert costs[0, :, :-1][found[:, 1:] != found[:, :-1]].sum() == costs[1, :-1][found[1:] != found[:-1]].sum() == 0
 
 
 def test_pictures_that_agree_keep_the_old() -> None:
-    """If both pictures agree, only the pixels that must be new are new."""
+    """If both pictures agree no seam costs anything, and only the pixels that must be new are new."""
     old, _, fixed_old, fixed_new = pictures((6, 9), 0)
+    assert not link_costs(old, old, False).any()
     np.testing.assert_array_equal(graphcut_seam(old, old, fixed_old, fixed_new), fixed_new)
 
 
