@@ -30,7 +30,7 @@ _FLOORS = np.array(
     + [limits.GRAIN_FLOOR, limits.FINE_FLOOR, *[limits.BAND_FLOOR] * 2, *[limits.CHROMA_FLOOR] * 2],
     np.float64,
 )
-_GAINS = np.array([1, 1, 1, limits.LOSS, limits.LOSS, 0.6, 1, 1, 1])
+_GAINS = np.array([1, 1, 1, limits.LOSS, limits.LOSS, limits.LOSS, 1, 1, 1])
 _SIZES = (1, 2)
 """Sides of the windows, in cells."""
 _LEAST_WINDOWS = 6
