@@ -43,7 +43,7 @@ class Regularity:
     A window is in place if it lies where the windows around it that are in place put it. Smooth bending and drift leave
     all of them in place; what lies beyond a slip, and what shows the pattern nowhere, is out of place. The free phase
     does not count, nor does a drift within 2 %, the uncertainty of a lattice marked by hand: larger drifts lower the
-    score, down to 0 at 6 %.
+    score, down to 0 at 6 %. Where the references drift more, because the texture bends, more is allowed.
 
     Let b be the share of the output that is out of place beyond what chance explains in the references. A window whose
     departure lies between the limit of the references and a quarter of s counts in part. The score is 1 - 2 b: half of
@@ -130,7 +130,9 @@ def _rate(examination: Examination) -> dict[str, Value]:
     share, drift = examination.misplaced, np.linalg.norm(examination.followed.drift, 2)
     if examination.reference.most_misplaced > limits.MOST_OWN:
         return {"misplaced_share": share, "score": None, "preserved": None}
-    kept = np.clip((limits.MOST_DRIFT - drift) / (limits.MOST_DRIFT - limits.DRIFT), 0, 1)
+    usual = max(float(np.linalg.norm(picture.drift, 2)) for picture in examination.reference.pictures)
+    wider = max(1.0, min(limits.OF_NOISE * usual, limits.MOST_DRIFT) / limits.DRIFT)
+    kept = np.clip((limits.MOST_DRIFT * wider - drift) / ((limits.MOST_DRIFT - limits.DRIFT) * wider), 0, 1)
     score = float(np.clip(1 - limits.SLOPE * share, 0, 1) * kept)
     return {"misplaced_share": share, "score": score, "preserved": score >= limits.PRESERVED}
 
