@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
@@ -76,6 +77,12 @@ class Case:
 def case(name: str) -> Case:
     """Return the case of a model by its name."""
     return Case.of(MODELS[name], 5)
+
+
+@pytest.fixture(params=MODELS, scope="session")
+def own(request: pytest.FixtureRequest) -> Case:
+    """Return each case in turn. Tests of one case run together, because few references are kept."""
+    return case(request.param)
 
 
 def scored(metric: type[Metric], observation: Observation) -> Score:
