@@ -98,7 +98,7 @@ LEAST_POWER = _limit(
     "LEAST_POWER", 0.3, "", "share of joined elements, beyond whole ones, below which the score is None"
 )
 UNSEEN_NOISE = _limit(
-    "UNSEEN_NOISE", 0.85, "CIELAB", "measured: what JPEG 85 (.75) and color noise of two levels (1.0) change, as seen"
+    "UNSEEN_NOISE", 0.75, "CIELAB", "measured: root mean square of what JPEG 85 changes, as it is seen"
 )
 FEW_CELLS = _limit("FEW_CELLS", 100.0, "cells", "with fewer cells, covariances of neighboring places are pooled")
 
