@@ -42,7 +42,7 @@ def test_a_fresh_draw_is_preserved(own: Case, model: bool) -> None:
     ],
 )
 def test_planted_faults_lower_the_score(own: Case, kind: str, size: float, most: float) -> None:
-    """Slips, missing rows, patches off the lattice, strong warps and stretches have at most the score of their share."""
+    """Slips, missing rows, patches off the lattice, strong warps and stretches lower the score by their share."""
     values = regularity(own.observe(own.planted(kind, size)[0])).values
     assert values["score"] <= most
     assert values["preserved"] is (values["score"] >= 0.85)
