@@ -147,7 +147,7 @@ def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_
         learned.append(_learn_kind(quarters, limits.LEAST_WHOLE))
         learned.append(_learn_kind([crop[np.newaxis] for crop in crops], limits.LEAST_WHOLE))
     margin = limits.OF_SAMPLE_LOOKS if from_sample else limits.OF_LOOKS
-    margins = [margin] * (len(learned) - 2) + [limits.OF_MEANS] * 2
+    margins = [margin] * (len(learned) - 2) + [limits.OF_MEANS, limits.OF_MEANS if from_sample else limits.OF_WHOLE]
     return LooksModel(mean, [inverse for inverse, _ in learned], np.array(margins) * [far for _, far in learned], net)
 
 
