@@ -149,9 +149,9 @@ def subjects(suite: str, patterns: Sequence[str]) -> Iterator[Subject]:
 
 
 def models(patterns: Sequence[str]) -> Iterator[Subject]:
-    """Draw a texture of every model with a lattice: the first one in ``default``, ``core`` or ``report2004``."""
+    """Draw a texture of every model with a lattice: the first one in ``core``, ``report2004`` or ``default``."""
     found: dict[str, tuple[str, str]] = {}
-    for suite in ("default", "core", "report2004"):
+    for suite in ("core", "report2004", "default"):
         for row in load_suite(suite).texture:
             found.setdefault(row.dataset, (suite, row.name))
     for model in sorted(set(plugins.names("datasets")) - {"images", "noise"}):

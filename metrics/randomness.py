@@ -162,13 +162,16 @@ class Population:
         unseen = (limits.VARIES * limits.JND) ** 2
         return math.log((float(features.var(0, ddof=1).mean()) + unseen) / (self.energy + unseen))
 
-    @cached_property
-    def energy_tolerance(self) -> float:
-        """Largest difference of the logarithm of the energy that chance explains."""
+    def allow_energy(self, count: int) -> float:
+        """Return the largest difference of the logarithm of the energy that chance explains for ``count`` tiles.
+
+        It is three standard deviations over parts of the references, or of a mean over as many independent tiles as the
+        output or the sample has, if that is more.
+        """
         spread = float(np.std([self.rate_energy(part) for part in self._cut()] or [0.0]))
-        if self.from_sample:
-            own = ((self.features - self.features.mean(0)) ** 2).mean(1)
-            spread = max(spread / self.parts, float(own.std() / max(own.mean(), 1e-9)) / math.sqrt(len(own)))
+        own = ((self.features - self.features.mean(0)) ** 2).mean(1)
+        single = float(own.std() / max(own.mean(), 1e-9)) / math.sqrt(min(count, self.sources))
+        spread = max(spread / (self.parts if self.from_sample else 1), single)
         return max(limits.TOLERANCE, limits.DEVIATIONS * spread)
 
     @cached_property
@@ -309,7 +312,7 @@ def _score(observation: Observation) -> Score:
     values: dict[str, Value] = dict.fromkeys(Randomness.columns)
     level = population.rate_energy(tiles.features)
     values["variation"] = math.exp(level)
-    parts = {"variation": math.exp(-max(abs(level) - population.energy_tolerance, 0.0))}
+    parts = {"variation": math.exp(-max(abs(level) - population.allow_energy(len(tiles.features)), 0.0))}
     if population.varies:
         parts["repetition"], values["repetition"], values["returning"] = _rate_repetition(tiles, population)
         distance = population.measure_distance(tiles.features)

@@ -68,6 +68,13 @@ TORN = _limit("TORN", 1.6, "", "margin over the largest misfit of a cell of the 
 SLIP = _limit("SLIP", 0.1, "s", "smallest difference between the two sides of a line that counts as a slip")
 OF_SLIP = _limit("OF_SLIP", 1.2, "", "margin over the largest difference between two sides in the references")
 
+SAME_CELL = _limit(
+    "SAME_CELL", 10.0, "", "theory: 99 % of squared normal values are below 6.6; half more for few cells"
+)
+SAME_SHARE = _limit(
+    "SAME_SHARE", 0.3, "", "convention: unrelated cells depart by their whole variance, equal ones by noise"
+)
+
 # Regularity
 
 SLOPE = _limit(

@@ -229,6 +229,8 @@ def _learn(
         model = CellModel.fold(planes, known, net, strips is not None)
         models = _strip_models(planes[0], known[0], net, strips) if strips else (model,)
     pictures = _choose_windows(labs, net, models, strips)
+    if not any((picture.valid & picture.in_place).any() for picture in pictures):
+        raise CannotTell("undecided: the lattice cannot be followed through the sample")
     return TextureReference(pictures, model, sample_shape)
 
 

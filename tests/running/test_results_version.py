@@ -27,7 +27,7 @@ from nrbench.suites.suite import Suite, validated_suite
 
 PINNED_FILE = Path(__file__).with_name("pinned_results.json")
 PINNED: dict[str, Any] = json.loads(PINNED_FILE.read_text("utf-8"))
-SCORES = ("regularity.score", "integrity.score", "quality.", "randomness.")
+SCORES = ("regularity.score", "integrity.score", "quality.", "randomness.", "appearance.score")
 """The names of the scores that are pinned, or their beginnings: those that rank the methods, and their parts."""
 
 TOOL = """
