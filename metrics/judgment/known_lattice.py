@@ -13,9 +13,9 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, reduce_basis
 from nrbench.plugins.forms import NoLatticeFound, Observation
 
+from ..perception import limits
 from ..perception.visible import Lab, perceive
 from ..registration.lattice_net import LatticeNet, Values, fold_cells, sample_planes, split_cells
-from . import limits
 
 Origin = Literal["model", "given", "dominance"]
 NO_LATTICE = "not applicable: no lattice in the truth"

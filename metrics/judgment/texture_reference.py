@@ -14,10 +14,10 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Shape
 
+from ..perception import limits
 from ..perception.visible import Lab, perceive
 from ..registration.followed import CellModel, FollowedPicture, Strips
 from ..registration.lattice_net import LatticeNet, Mask, Values, fold_cells, sample_planes
-from . import limits
 
 FIRST_DRAW = 1 << 16
 """Number of the first fresh draw of the reference; the oracle and the planted defects use smaller numbers."""
