@@ -42,7 +42,7 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image
-from nrbench.metrics.judgment import limits
+from nrbench.metrics.perception import limits
 from nrbench.metrics.quality import PERILS, Quality
 from nrbench.plugins.forms import Again, Observation, Refused, Shape, Task, Texture
 from nrbench.streams import stream
@@ -149,9 +149,9 @@ def subjects(suite: str, patterns: Sequence[str]) -> Iterator[Subject]:
 
 
 def models(patterns: Sequence[str]) -> Iterator[Subject]:
-    """Draw a texture of every model with a lattice: the first one in ``default``, ``core`` or ``report2004``."""
+    """Draw a texture of every model with a lattice: the first one in ``core``, ``report2004`` or ``default``."""
     found: dict[str, tuple[str, str]] = {}
-    for suite in ("default", "core", "report2004"):
+    for suite in ("core", "report2004", "default"):
         for row in load_suite(suite).texture:
             found.setdefault(row.dataset, (suite, row.name))
     for model in sorted(set(plugins.names("datasets")) - {"images", "noise"}):

@@ -15,9 +15,9 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
-from .judgment import limits
 from .judgment.examination import Examination, examine
 from .judgment.texture_reference import CannotTell
+from .perception import limits
 from .registration.followed import FollowedPicture
 
 COLORS = ((1.0, 0.6, 0.0), (0.9, 0.1, 0.1))

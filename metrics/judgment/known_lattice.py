@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from nrbench.detectors.dominance import Dominance
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, reduce_basis
 from nrbench.plugins.forms import NoLatticeFound, Observation
 
-from ..perception.visible import perceive
-from ..registration.lattice_net import LatticeNet, Values, fold_cells, sample_planes
+from ..perception import limits
+from ..perception.visible import Lab, perceive
+from ..registration.lattice_net import LatticeNet, Values, fold_cells, sample_planes, split_cells
 
 Origin = Literal["model", "given", "dominance"]
 NO_LATTICE = "not applicable: no lattice in the truth"
 _DIGITS = 9
 """Decimals to which the origin of a lattice, px, is rounded."""
-_MOST_TILES = 4
-"""Number of tiles in a supercell that is recognized."""
+_FRACTIONS = ((2, (0, 1)), (2, (1, 0)), (2, (1, 1)), (3, (0, 1)), (3, (1, 0)), (3, (1, 1)), (3, (1, 2)))
+"""The parts of a cell that may be lattice vectors: k1 t1 / parts + k2 t2 / parts."""
+_MOST_SPLITS = 2
 
 
 @dataclass(frozen=True)
@@ -76,32 +78,62 @@ def canonical_lattice(lattice: Lattice) -> Lattice:
 
 
 def split_supercell(sample: Image, lattice: Lattice) -> Lattice:
-    """Return the smallest lattice, with up to four points in the given cell, by which the mean cell repeats.
+    """Return the smallest lattice, with up to nine points in the given cell, by which the mean cell repeats.
 
-    A shift by a fraction of the cell is a lattice vector if the mean cell changes by little: by no more than a quarter
-    of its own variance, nor by more than a tenth of it and four times the variance of a mean of n cells.
+    A half or a third of a cell is a lattice vector if the mean cell m, folded again from there as m', is the same. The
+    departures r = m' - m are divided by the variances of both means and (JND / 2)^2. At 99 % of the places r^2 is then
+    at most ``SAME_CELL``, and in all at most ``SAME_SHARE`` of the variance of m and m' over the cell.
     """
-    net = LatticeNet((sample.shape[0], sample.shape[1]), reduce_basis(lattice.matrix), np.array(lattice.origin))
-    plane = sample_planes(perceive(sample)[..., :3], net.points)
-    mean = fold_cells(plane, net.inside, net.samples)
-    cells = max(float(net.inside.sum()) / float(net.samples.prod()), 1.0)
-    rest = np.asarray((plane - net.tile(mean)) ** 2, np.float32)
-    own = float(mean.var((0, 1)).mean())
-    chance = min(4 * float(fold_cells(rest, net.inside, net.samples).mean()) / cells + 0.1 * own, 0.25 * own)
-    for parts in range(_MOST_TILES, 1, -1):
-        for k in np.ndindex(parts, parts):
-            shift = np.array(k) / parts
-            if np.gcd.reduce([*k, parts]) != 1 or ((_shift_cell(mean, shift) - mean) ** 2).mean() > chance:
-                continue
-            basis = _add_vector(net.vectors, shift @ net.vectors, parts)
-            return canonical_lattice(Lattice.from_basis(basis, lattice.origin))
+    return _split(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, lattice)
+
+
+@lru_cache(maxsize=2)
+def _split(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> Lattice:
+    """Split a supercell; cached, because many outputs have one sample."""
+    lab = perceive(np.frombuffer(pixels, np.float32).reshape(shape))[..., :3]
+    for _ in range(_MOST_SPLITS):
+        net = LatticeNet((shape[0], shape[1]), reduce_basis(lattice.matrix), np.array(lattice.origin))
+        mean, error = _fold(lab, net)
+        ratios = {}
+        for parts, k in _FRACTIONS:
+            ratios[parts, k] = _compare_cells(
+                mean, error, *_fold(lab, replace(net, origin=net.origin + np.array(k) / parts @ net.vectors))
+            )
+        parts, k = min(ratios, key=lambda fraction: ratios[fraction])
+        if ratios[parts, k] > 1:
+            break
+        basis = _add_vector(net.vectors, np.array(k) / parts @ net.vectors, parts)
+        lattice = canonical_lattice(Lattice.from_basis(basis, lattice.origin))
     return lattice
 
 
-def _shift_cell(cell: Values, shift: Points) -> Values:
-    rows, columns = np.indices(cell.shape[:2])
-    at = [rows + shift[0] * cell.shape[0], columns + shift[1] * cell.shape[1]]
-    return np.stack([map_coordinates(plane, at, order=1, mode="grid-wrap") for plane in np.moveaxis(cell, -1, 0)], -1)
+def _compare_cells(mean: Values, error: Values, other: Values, other_error: Values) -> float:
+    """Return the departure of two mean cells over what is allowed."""
+    weight = 1 / (error + other_error + (limits.JND / 2) ** 2)
+    own = [(m - (m * weight).sum((0, 1)) / weight.sum((0, 1))) ** 2 * weight for m in (mean, other)]
+    moved = (other - mean) ** 2 * weight
+    share = moved.sum() / max(float(own[0].sum() + own[1].sum()), 1e-9)
+    return max(float(np.quantile(moved, 0.99)) / limits.SAME_CELL, float(share) / limits.SAME_SHARE)
+
+
+def _fold(lab: Lab, net: LatticeNet) -> tuple[Values, Values]:
+    """Return the mean cell and its variance, by lines of cells in the direction in which they scatter most.
+
+    Cells of one thread go together, so only lines of them are independent.
+    """
+    plane = sample_planes(lab, net.points)
+    mean = fold_cells(plane, net.inside, net.samples)
+    known = split_cells(net.inside, net.samples)[..., np.newaxis]
+    rest = np.where(known, split_cells(plane, net.samples) - mean, 0)
+    total, error = np.maximum(known.sum((0, 1)), 1), np.zeros_like(mean)
+    i, j = np.indices((int(net.cells[0]), int(net.cells[1])))
+    for line in (i, j, i + j, i - j + net.cells[1]):
+        number = np.unique(line[known.any((2, 3, 4))], return_inverse=True)[1]
+        count = int(number.max()) + 1
+        sums = np.zeros((count, *mean.shape))
+        np.add.at(sums, number, rest[known.any((2, 3, 4))])
+        error = np.maximum(error, (sums**2).sum(0) / total**2 * count / max(count - 1, 1))
+    return mean, error
 
 
 def _add_vector(vectors: Points, extra: Points, parts: int) -> Points:

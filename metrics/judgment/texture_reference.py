@@ -14,10 +14,10 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Shape
 
+from ..perception import limits
 from ..perception.visible import Lab, perceive
 from ..registration.followed import CellModel, FollowedPicture, Strips
 from ..registration.lattice_net import LatticeNet, Mask, Values, fold_cells, sample_planes
-from . import limits
 
 FIRST_DRAW = 1 << 16
 """Number of the first fresh draw of the reference; the oracle and the planted defects use smaller numbers."""
@@ -229,6 +229,8 @@ def _learn(
         model = CellModel.fold(planes, known, net, strips is not None)
         models = _strip_models(planes[0], known[0], net, strips) if strips else (model,)
     pictures = _choose_windows(labs, net, models, strips)
+    if not any((picture.valid & picture.in_place).any() for picture in pictures):
+        raise CannotTell("undecided: the lattice cannot be followed through the sample")
     return TextureReference(pictures, model, sample_shape)
 
 

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from nrbench.lattice.geometry import Points
 
-from ..judgment import limits
+from ..perception import limits
 from ..perception.visible import Lab
 from .lattice_net import LatticeNet, Mask, Values, find_inside, fold_cells, sample_planes, split_cells
 

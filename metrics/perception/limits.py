@@ -68,6 +68,13 @@ TORN = _limit("TORN", 1.6, "", "margin over the largest misfit of a cell of the 
 SLIP = _limit("SLIP", 0.1, "s", "smallest difference between the two sides of a line that counts as a slip")
 OF_SLIP = _limit("OF_SLIP", 1.2, "", "margin over the largest difference between two sides in the references")
 
+SAME_CELL = _limit(
+    "SAME_CELL", 10.0, "", "theory: 99 % of squared normal values are below 6.6; half more for few cells"
+)
+SAME_SHARE = _limit(
+    "SAME_SHARE", 0.3, "", "convention: unrelated cells depart by their whole variance, equal ones by noise"
+)
+
 # Regularity
 
 SLOPE = _limit(
@@ -132,6 +139,7 @@ LEAST_WHOLE = _limit("LEAST_WHOLE", 2.0, "sd", "convention: half of what was see
 LEAST_OF_SAMPLE = _limit("LEAST_OF_SAMPLE", 1.25, "sd", "the same beside one sample, whose own means count as exact")
 UNSEEN_TONES = _limit("UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones")
 OF_LOOKS = _limit("OF_LOOKS", 1.15, "", "margin over the largest distance of the references")
-OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters and the whole, of which there are few")
+OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters, of which there are few")
+OF_WHOLE = _limit("OF_WHOLE", 1.5, "", "the same for the whole: a copier draws from a sample")
 OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.25, "", "the same for parts of one sample")
 LOOKS_SLOPE = _limit("LOOKS_SLOPE", 2.0, "", "the score reaches 0 at 1.5 times the limit")
