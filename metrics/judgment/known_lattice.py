@@ -126,7 +126,7 @@ def _fold(lab: Lab, net: LatticeNet) -> tuple[Values, Values]:
     known = split_cells(net.inside, net.samples)[..., np.newaxis]
     rest = np.where(known, split_cells(plane, net.samples) - mean, 0)
     total, error = np.maximum(known.sum((0, 1)), 1), np.zeros_like(mean)
-    i, j = np.indices(net.cells)
+    i, j = np.indices((int(net.cells[0]), int(net.cells[1])))
     for line in (i, j, i + j, i - j + net.cells[1]):
         number = np.unique(line[known.any((2, 3, 4))], return_inverse=True)[1]
         count = int(number.max()) + 1
