@@ -24,7 +24,8 @@ import nrbench
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image
 from nrbench.metrics import appearance, integrity, randomness
-from nrbench.metrics.judgment import limits, texture_reference
+from nrbench.metrics.judgment import texture_reference
+from nrbench.metrics.perception import limits
 
 FACTORS = (0.8, 1.25)
 Outputs = list[tuple[str, Image]]

@@ -42,7 +42,7 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image
-from nrbench.metrics.judgment import limits
+from nrbench.metrics.perception import limits
 from nrbench.metrics.quality import PERILS, Quality
 from nrbench.plugins.forms import Again, Observation, Refused, Shape, Task, Texture
 from nrbench.streams import stream

@@ -16,9 +16,9 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Value
 
-from .judgment import limits
 from .judgment.examination import examine
 from .judgment.texture_reference import DRAWS, FIRST_DRAW, CannotTell
+from .perception import limits
 from .perception.visible import Lab, measure_looks, perceive
 from .registration.lattice_net import LatticeNet, sample_planes, sum_boxes
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines

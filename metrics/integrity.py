@@ -16,9 +16,9 @@ from nrbench.imaging.convert import Image, gray
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Column, Observation, Score
 
-from .judgment import limits
 from .judgment.examination import examine
 from .judgment.texture_reference import CannotTell, TextureReference
+from .perception import limits
 from .randomness import gather_tiles
 from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.followed import FollowedPicture

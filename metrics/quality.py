@@ -10,7 +10,7 @@ from nrbench.plugins.forms import Column, Metric, Observation, Score, Value
 
 from .appearance import Appearance
 from .integrity import Integrity
-from .judgment.limits import TABLE, Limit
+from .perception.limits import TABLE, Limit
 from .randomness import Randomness
 from .regularity import Regularity
 
