@@ -294,8 +294,9 @@ def print_ladder(table: pd.DataFrame) -> None:
 def study_ladder(options: argparse.Namespace) -> None:
     """Print the quality of edited fresh draws, by halves of the textures."""
     rows = []
-    for number, subject in enumerate(subjects("default", options.textures)):
-        group = "report" if number % 2 else "setting"
+    names = [row.name for row in load_suite("default").texture]
+    for subject in subjects("default", options.textures):
+        group = "report" if names.index(subject.name) % 2 else "setting"
         rows += judge_edits(subject, subject.draw(0), group)
     print_ladder(pd.DataFrame(rows).astype({"score": float}))
 
