@@ -65,6 +65,7 @@ MOST_STEP = _limit("MOST_STEP", 0.25, "s", "a tile that is out of place by this 
 LOOSE = _limit("LOOSE", 1.5, "", "factor of LEAST_STEP and SLIP beside one sample: photographed walls wander by .1 s")
 OF_NOISE = _limit("OF_NOISE", 1.3, "", "margin over the largest departure of the references")
 TORN = _limit("TORN", 1.6, "", "margin over the largest misfit of a cell of the references")
+BLANK = _limit("BLANK", 0.05, "", "a contrast to other places that nobody sees; windows of fresh draws show 0.27")
 SLIP = _limit("SLIP", 0.1, "s", "smallest difference between the two sides of a line that counts as a slip")
 OF_SLIP = _limit("OF_SLIP", 1.2, "", "margin over the largest difference between two sides in the references")
 
