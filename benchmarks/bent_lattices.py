@@ -28,7 +28,7 @@ from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.deformation import Deformation
+from nrbench.tracking.bent_lattice import Deformation
 from nrbench.tracking.homography import map_points
 
 MODELS = ("brick", "weave", "hexagon")

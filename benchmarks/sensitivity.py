@@ -2,10 +2,11 @@
 
 ``python benchmarks/sensitivity.py RUN [--textures PATTERN ...] [--limits PATTERN ...] [--draws N]``
 
-RUN is the directory of a run of the suite ``default``; its stored outputs and fresh draws of its textures are judged
-again. Prints for each limit and factor Kendall's tau between the order of the methods by mean ``quality`` and that with
-the table as it is, the largest change of a method's mean, the share of verdicts that change, and the mean quality and
-the false alarms (quality below 0.9) of fresh draws. Every limit of ``nrbench show limits`` is changed alone.
+RUN is the directory of a run of the suite ``default``, which is made if there is none. Its stored outputs and fresh
+draws of its textures are judged again. Prints for each limit and factor Kendall's tau between the order of the methods
+by mean ``quality`` and that with the table as it is, the largest change of a method's mean, the share of verdicts that
+change, and the mean quality and the false alarms (quality below 0.9) of fresh draws. Every limit of ``nrbench show
+limits`` is changed alone.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ import nrbench
 from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image
 from nrbench.metrics import appearance, integrity, randomness
-from nrbench.metrics.judgment import limits, texture_reference
+from nrbench.metrics.judgment import texture_reference
+from nrbench.metrics.perception import limits
 
 FACTORS = (0.8, 1.25)
 Outputs = list[tuple[str, Image]]
@@ -70,6 +72,8 @@ def main() -> None:
     parser.add_argument("--limits", nargs="*", default=["*"], help="patterns of limits")
     parser.add_argument("--draws", type=int, default=3, help="fresh draws of each texture")
     options = parser.parse_args()
+    if not options.run.exists():
+        nrbench.run("default", out=options.run)
     textures = stored_outputs(options.run, options.textures, options.draws)
     before = judge_all(textures)
     usual = before[before["method"] != "fresh"].groupby("method")["score"].mean()

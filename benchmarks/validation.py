@@ -42,7 +42,7 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image
-from nrbench.metrics.judgment import limits
+from nrbench.metrics.perception import limits
 from nrbench.metrics.quality import PERILS, Quality
 from nrbench.plugins.forms import Again, Observation, Refused, Shape, Task, Texture
 from nrbench.streams import stream
@@ -208,9 +208,9 @@ def planted_subject(seed: int) -> tuple[float, Subject]:
     rng = stream("render", "validation", seed)
     share, rotation = SHARES[seed % len(SHARES)], float(rng.uniform(-45, 45))
     kinds: list[Model] = [
-        Brick(rotation, width=rng.uniform(22, 36), height=rng.uniform(11, 17), joint=rng.uniform(1.8, 3)),
-        Weave(rotation, warp=rng.uniform(9, 16), weft=rng.uniform(9, 16), gap=rng.uniform(1.2, 2.2)),
-        Hexagon(rotation, period=rng.uniform(18, 34), joint=rng.uniform(1.8, 3.2)),
+        Brick(rotation=rotation, width=rng.uniform(22, 36), height=rng.uniform(11, 17), joint=rng.uniform(1.8, 3)),
+        Weave(rotation=rotation, warp=rng.uniform(9, 16), weft=rng.uniform(9, 16), gap=rng.uniform(1.2, 2.2)),
+        Hexagon(rotation=rotation, period=rng.uniform(18, 34), joint=rng.uniform(1.8, 3.2)),
     ]
     model = at_share(kinds[seed // len(SHARES) % 3], rng.dirichlet([1, 1, 1]), share)
     name = type(model).__name__.lower()
@@ -294,8 +294,9 @@ def print_ladder(table: pd.DataFrame) -> None:
 def study_ladder(options: argparse.Namespace) -> None:
     """Print the quality of edited fresh draws, by halves of the textures."""
     rows = []
-    for number, subject in enumerate(subjects("default", options.textures)):
-        group = "report" if number % 2 else "setting"
+    names = [row.name for row in load_suite("default").texture]
+    for subject in subjects("default", options.textures):
+        group = "report" if names.index(subject.name) % 2 else "setting"
         rows += judge_edits(subject, subject.draw(0), group)
     print_ladder(pd.DataFrame(rows).astype({"score": float}))
 
@@ -344,10 +345,12 @@ def study_bases(options: argparse.Namespace) -> None:
             tell(subject.name, name, *cells)
 
 
-def photographs(folder: Path) -> Iterator[tuple[Subject, Image]]:
+def photographs(folder: Path, patterns: Sequence[str]) -> Iterator[tuple[Subject, Image]]:
     """Yield one half of each photograph, cut across its longer side, as the sample, and the other half."""
     truth = pd.read_csv(folder / "truth.csv")
     for row in truth.dropna(subset=["t1x"]).to_dict("records"):
+        if patterns and not any(Path(row["file"]).match(pattern) for pattern in patterns):
+            continue
         picture = quantize(read_image(folder / row["file"]))
         height, width = picture.shape[:2]
         lattice = Lattice((row["t1x"], row["t1y"]), (row["t2x"], row["t2y"]))
@@ -362,7 +365,7 @@ def study_photographs(options: argparse.Namespace) -> None:
     """Print how the other half of each photograph, its edits, and shuffled tiles of the sample are judged."""
     tell = print_table("photograph", "other half", "preserved", "shuffled tiles", "preserved")
     rows = []
-    for subject, other in photographs(Path(options.folder)):
+    for subject, other in photographs(Path(options.folder), options.textures):
         sample = subject.texture.image
         shuffled = baseline("shuffle", sample, subject.texture.lattice, (384, 384))
         cells = []
@@ -399,7 +402,7 @@ def main() -> None:
         "--count", type=int, default=3, help="fresh: draws of each model; planted: textures of each share"
     )
     parser.add_argument("--first", type=int, default=100_000, help="of planted: the seed of the first texture")
-    parser.add_argument("--textures", nargs="*", default=[], help="patterns of textures, or of models (fresh)")
+    parser.add_argument("--textures", nargs="*", default=[], help="patterns of textures, models (fresh) or files")
     parser.add_argument("--unedited", action="store_true", help="of photographs: without the edits")
     options = parser.parse_args()
     if options.study == "photographs" and not options.folder:

@@ -16,21 +16,15 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Value
 
-from .judgment import limits
 from .judgment.examination import examine
 from .judgment.texture_reference import DRAWS, FIRST_DRAW, CannotTell
+from .perception import limits
 from .perception.visible import Lab, measure_looks, perceive
 from .registration.lattice_net import LatticeNet, sample_planes, sum_boxes
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 
 Looks = NDArray[np.float64]
 """``(n, 9)``: features of windows, see :func:`~.perception.visible.measure_looks`."""
-_FLOORS = np.array(
-    [limits.COLOR_FLOOR] * 3
-    + [limits.GRAIN_FLOOR, limits.FINE_FLOOR, *[limits.BAND_FLOOR] * 2, *[limits.CHROMA_FLOOR] * 2],
-    np.float64,
-)
-_GAINS = np.array([1, 1, 1, limits.LOSS, limits.LOSS, limits.LOSS, 1, 1, 1])
 _SIZES = (1, 2)
 """Sides of the windows, in cells."""
 _LEAST_WINDOWS = 6
@@ -90,12 +84,19 @@ class LooksModel:
 
 def _measure(departures: Looks, inverse: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distances of departures. A loss of fine detail is weighed less than a gain."""
-    seen = np.where(departures < 0, departures * _GAINS, departures)
+    gains = np.array([1, 1, 1, limits.LOSS, limits.LOSS, 0.6, 1, 1, 1])
+    seen = np.where(departures < 0, departures * gains, departures)
     return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", seen, inverse, seen)))
 
 
 def _invert(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.linalg.inv(covariance + np.diag(_FLOORS**2)))
+    return np.asarray(np.linalg.inv(covariance + np.diag(_floors() ** 2)))
+
+
+def _floors() -> NDArray[np.float64]:
+    """Return the floor of each feature."""
+    bands = [limits.GRAIN_FLOOR, limits.FINE_FLOOR, *[limits.BAND_FLOOR] * 2, *[limits.CHROMA_FLOOR] * 2]
+    return np.array([*[limits.COLOR_FLOOR] * 3, *bands])
 
 
 def _window_means(
@@ -136,7 +137,7 @@ def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_
     quarters = [_quarter_means(look) - own for look, own in zip(looks, means, strict=True)]
     if from_sample:
         strips = [[p.mean((0, 1), dtype=np.float64) for p in np.array_split(looks[0], _PARTS, axis)] for axis in (0, 1)]
-        spread = sum((np.cov(np.array(means).T) / _PARTS for means in strips), np.zeros((len(_FLOORS),) * 2))
+        spread = sum((np.cov(np.array(means).T) / _PARTS for means in strips), np.zeros((len(_floors()),) * 2))
         whole, uneven = _invert(3 * spread), _invert(8 * spread)
         learned.append((uneven, max(_measure(quarters[0], uneven).max(), limits.LEAST_OF_SAMPLE)))
         learned.append((whole, limits.LEAST_OF_SAMPLE))
@@ -146,7 +147,7 @@ def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_
         learned.append(_learn_kind(quarters, limits.LEAST_WHOLE))
         learned.append(_learn_kind([crop[np.newaxis] for crop in crops], limits.LEAST_WHOLE))
     margin = limits.OF_SAMPLE_LOOKS if from_sample else limits.OF_LOOKS
-    margins = [margin] * (len(learned) - 2) + [limits.OF_MEANS] * 2
+    margins = [margin] * (len(learned) - 2) + [limits.OF_MEANS, limits.OF_MEANS if from_sample else limits.OF_WHOLE]
     return LooksModel(mean, [inverse for inverse, _ in learned], np.array(margins) * [far for _, far in learned], net)
 
 
@@ -155,7 +156,7 @@ def _learn_kind(groups: Sequence[Looks], least: float, unseen: float = 1.0) -> t
 
     The standard deviation of colors is multiplied by ``unseen``: a sample shows few of the tones of a texture.
     """
-    wider = np.outer(widths := np.array([unseen] * 3 + [1.0] * (len(_FLOORS) - 3)), widths)
+    wider = np.outer(widths := np.array([unseen] * 3 + [1.0] * (len(_floors()) - 3)), widths)
     far = [least]
     for k, group in enumerate(groups):
         rest = np.concatenate([*groups[:k], *groups[k + 1 :]])

@@ -38,7 +38,7 @@ def _columns_of(image: str) -> dict[str, Column]:
 
 
 @dataclass(frozen=True)
-class Deformation:
+class DeformationAmplitude:
     """Displacement fields of sample and output, measured in their pixels.
 
     The lattice is tracked tile by tile (:mod:`nrbench.tracking.tracker`): the image is correlated with the mean tile

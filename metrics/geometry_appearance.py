@@ -24,9 +24,9 @@ class GeometryAppearance:
 
     In the spirit of Liu, Lin, Hays: Near-regular texture analysis and manipulation (SIGGRAPH 2004), and Lin, Hays, Wu,
     Kwatra, Liu: Quantitative evaluation of near regular texture synthesis algorithms (CVPR 2006). There a user helps to
-    find the lattice; here it is tracked (:class:`~.deformation.Deformation`). Let p_i be the places of the n lattice
-    points that lie at least half a tile inside the image, k_i their integer cell coordinates, and (M, o) the affine map
-    that fits best. Then::
+    find the lattice; here it is tracked (:class:`~.deformation.DeformationAmplitude`). Let p_i be the places of the n
+    lattice points that lie at least half a tile inside the image, k_i their integer cell coordinates, and (M, o) the
+    affine map that fits best. Then::
 
         G = sqrt(sum_i |p_i - (k_i M + o)|^2 / n) / s,   s the shortest lattice vector
         A = mean over pixels x of the tile and channels of std_i T_i(x)

@@ -16,9 +16,10 @@ from nrbench.imaging.convert import Image, gray
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Column, Observation, Score
 
-from .judgment import limits
 from .judgment.examination import examine
 from .judgment.texture_reference import CannotTell, TextureReference
+from .perception import limits
+from .randomness import gather_tiles
 from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.followed import FollowedPicture
 from .registration.lattice_net import LatticeNet, Mask, Values, split_cells
@@ -267,6 +268,8 @@ def _score(observation: Observation) -> Score:
     evidence = model.weigh(plane.values, plane.complete)
     judged = np.isfinite(evidence)
     power = model.power - model.chance
+    if not gather_tiles(reference).varies:
+        return Score.missing(Integrity.columns, "not applicable: the elements hardly vary, so joined ones look whole")
     if power < limits.LEAST_POWER:
         missing = Score.missing(
             Integrity.columns,

@@ -10,7 +10,7 @@ from nrbench.plugins.forms import Column, Metric, Observation, Score, Value
 
 from .appearance import Appearance
 from .integrity import Integrity
-from .judgment.limits import TABLE, Limit
+from .perception.limits import TABLE, Limit
 from .randomness import Randomness
 from .regularity import Regularity
 
@@ -33,8 +33,9 @@ class Quality:
     mean over textures.
 
     Where a peril cannot be measured, the quality is the smallest of the others, and ``complete`` is False: the quality
-    is then an upper bound. Integrity and randomness need the tiles in their places, so they are not needed where the
-    lattice is lost. The quality is None if the score of regularity is, and on textures without a lattice.
+    is then an upper bound. A peril that does not apply is no gap: tiles that do not vary cannot be joined visibly. A
+    quality of 0 is complete, too, because no other peril can lower it: where the lattice is lost, integrity and
+    randomness are not measured. The quality is None if the score of regularity is, and on textures without a lattice.
     """
 
     version: ClassVar[str] = "6"
@@ -58,6 +59,7 @@ class Quality:
             return Score.missing(self.columns, reasons["regularity"])
         known = {name: float(value) for name, value in perils.items() if value is not None}
         worst = min(known, key=lambda name: known[name])
-        lost = perils["regularity"] == 0
-        values: dict[str, Value] = {"score": known[worst], "complete": lost or not reasons, **perils}
+        measured = all(reason.startswith("not applicable") for reason in reasons.values())
+        complete = measured or known[worst] == 0
+        values: dict[str, Value] = {"score": known[worst], "complete": complete, **perils}
         return Score(values, reasons, records={"worst": worst})

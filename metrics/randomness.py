@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
-from .judgment import limits
 from .judgment.examination import Examination, examine
 from .judgment.texture_reference import CannotTell, TextureReference
+from .perception import limits
 from .perception.visible import perceive
 from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.lattice_net import Mask, split_cells

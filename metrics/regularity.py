@@ -15,10 +15,11 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
-from .judgment import limits
 from .judgment.examination import Examination, examine
 from .judgment.texture_reference import CannotTell
+from .perception import limits
 from .registration.followed import FollowedPicture
+from .registration.lattice_net import Mask
 
 COLORS = ((1.0, 0.6, 0.0), (0.9, 0.1, 0.1))
 """Colors of a cell that is a little out of place, and of one that is wholly out of place."""
@@ -101,7 +102,8 @@ def _score(observation: Observation) -> Score:
         values[name] = float(np.quantile(distances, level))
         values[f"{name}_px"] = followed.net.s * float(np.quantile(distances, level))
     median, torn = reference.usual_misfit
-    values["torn_share"] = float((followed.misfit > torn)[followed.valid].mean())
+    blank = reference.find_blank(followed)
+    values["torn_share"] = float((blank | (followed.misfit > torn))[followed.valid].mean())
     values["worst_slip"] = float(followed.slip.max(initial=0))
     usual = float(np.mean([picture.bending for picture in reference.pictures]))
     values["misplacement_ratio"] = followed.bending / usual if usual >= limits.AMPLITUDE else None
@@ -109,8 +111,8 @@ def _score(observation: Observation) -> Score:
         reasons["misplacement_ratio"] = "not applicable: the geometry of the texture does not vary"
     if values["preserved"] is None:
         share = f"{reference.misplaced.mean():.0%} of the reference itself is out of place"
-        reasons |= dict.fromkeys(("preserved", "score"), f"undecided: {share}")
-    values |= _compare_lattice(followed, reasons)
+        reasons |= dict.fromkeys(("misplaced_share", "preserved", "score"), f"undecided: {share}")
+    values |= _compare_lattice(followed, followed.in_place & ~blank, reasons)
     records: dict[str, Any] = {
         "reference": "sample" if reference.from_sample else "model",
         "lattice_from": examination.known_lattice.origin,
@@ -129,7 +131,7 @@ def _rate(examination: Examination) -> dict[str, Value]:
     """Return the share out of place, the score and the verdict."""
     share, drift = examination.misplaced, np.linalg.norm(examination.followed.drift, 2)
     if examination.reference.most_misplaced > limits.MOST_OWN:
-        return {"misplaced_share": share, "score": None, "preserved": None}
+        return {"misplaced_share": None, "score": None, "preserved": None}
     usual = max(float(np.linalg.norm(picture.drift, 2)) for picture in examination.reference.pictures)
     wider = max(1.0, min(limits.OF_NOISE * usual, limits.MOST_DRIFT) / limits.DRIFT)
     kept = np.clip((limits.MOST_DRIFT * wider - drift) / ((limits.MOST_DRIFT - limits.DRIFT) * wider), 0, 1)
@@ -137,10 +139,10 @@ def _rate(examination: Examination) -> dict[str, Value]:
     return {"misplaced_share": share, "score": score, "preserved": score >= limits.PRESERVED}
 
 
-def _compare_lattice(followed: FollowedPicture, reasons: dict[str, str]) -> dict[str, Value]:
+def _compare_lattice(followed: FollowedPicture, in_place: Mask, reasons: dict[str, str]) -> dict[str, Value]:
     """Return the output's own lattice beside the true one: the affine part of the displacements."""
     names = ("drift", "lattice_exact", "lattice_vector_error", "lattice_area_ratio")
-    share = float(followed.in_place[followed.valid].mean())
+    share = float(in_place[followed.valid].mean())
     if share < 0.5:
         reasons |= dict.fromkeys(names, f"not measured: only {share:.0%} of the windows lie on one lattice")
         return dict.fromkeys(names)

@@ -36,5 +36,5 @@ from .running.runner import Options as Options
 from .runs.records import CellRecord as CellRecord
 from .runs.records import Run as Run
 from .storage import user_path as user_path
-from .tracking.deformation import Deformation as Deformation
+from .tracking.bent_lattice import Deformation as Deformation
 from .version import __version__ as __version__

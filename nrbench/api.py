@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from nrbench.running.runner import Options
     from nrbench.runs.records import Run
     from nrbench.suites.suite import Suite
-    from nrbench.tracking.deformation import Deformation
+    from nrbench.tracking.bent_lattice import Deformation
     from nrbench.views.deformed import Followed
 
 Imagelike = Any

@@ -19,21 +19,12 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
+from .statistics import verdicts
 from .statistics.detections import DetectorSummary, compare_detectors
 from .statistics.estimates import Estimate
 from .statistics.format import format_number, format_percent, format_value, pluralize
 from .statistics.method_comparison import Comparison, Entry, choose_rows, compare_methods
 from .statistics.summaries import MethodSummary, SummaryRow
-from .statistics.verdicts import (
-    BASELINE_LEGEND,
-    BASELINE_SIGN,
-    BOUND_LEGEND,
-    BOUND_SIGN,
-    LEADING_SIGN,
-    MARKS,
-    SHARES_LEGEND,
-    count_reasons,
-)
 
 _MOST_REASONS = 8
 """Number of reasons that are printed."""
@@ -147,7 +138,7 @@ def _method(one: MethodSummary, separator: str = "\n") -> Text:
     method = one.method
     source = "" if method.lattice_source == "none" else method.lattice_source
     reference = f"reference{one.validity.sign}" if method.reference else ""
-    name = f"{method.name} {LEADING_SIGN}" if one.leading else method.name
+    name = f"{method.name} {verdicts.LEADING_SIGN}" if one.leading else method.name
     return Text("\n".join([name, separator.join(filter(None, (source, reference)))]).rstrip())
 
 
@@ -155,7 +146,7 @@ def _entry(entry: Entry | None) -> Text:
     if entry is None:
         return Text("")
     notes = ",".join(map(str, entry.notes)).translate(_SUPERSCRIPT)
-    sign = f" {BASELINE_SIGN}" if entry.baseline_valid else ""
+    sign = f" {verdicts.BASELINE_SIGN}" if entry.baseline_valid else ""
     return Text(f"{entry.text}{sign} {notes}".rstrip())
 
 
@@ -188,24 +179,24 @@ def _legend(comparison: Comparison) -> Iterator[str]:
     if comparison.has_ranking:
         yield "Methods are ranked by their mean quality over textures. A failed or refused cell has quality 0."
         if comparison.leading_legend:
-            yield f"{LEADING_SIGN} {comparison.leading_legend}."
+            yield f"{verdicts.LEADING_SIGN} {comparison.leading_legend}."
         yield "Quality: the worst of regularity, integrity, randomness and appearance. 1 is as good as a fresh draw."
         if comparison.has_bounds:
-            yield f"{BOUND_SIGN} {BOUND_LEGEND}."
+            yield f"{verdicts.BOUND_SIGN} {verdicts.BOUND_LEGEND}."
     yield "Means over textures, with 95 % intervals. (n/N): the mean counts n of N textures."
     yield "References calibrate the scores and are never ranked. Under a method: the source of its lattice."
     yield f"{marks}. Beside the mark: {comparison.score}. share: regular share of the texture."
     if comparison.has_valid_baseline:
-        yield f"{BASELINE_SIGN} {BASELINE_LEGEND} ({SHARES_LEGEND})."
+        yield f"{verdicts.BASELINE_SIGN} {verdicts.BASELINE_LEGEND} ({verdicts.SHARES_LEGEND})."
     for index, note in enumerate(comparison.notes, 1):
         yield f"{str(index).translate(_SUPERSCRIPT)} {strip_control(note)}"
 
 
 def _reasons(run: Run) -> Iterator[str]:
     """Yield the reasons for which cells have no verdict, each with the number of its cells."""
-    reasons = count_reasons(run)
+    reasons = verdicts.count_reasons(run)
     for word, reason, count in reasons[:_MOST_REASONS]:
-        yield f"{MARKS[word]} {pluralize(count, 'cell')} {word}: {strip_control(reason)}"
+        yield f"{verdicts.MARKS[word]} {pluralize(count, 'cell')} {word}: {strip_control(reason)}"
     if len(reasons) > _MOST_REASONS:
         cells = sum(count for *_, count in reasons[_MOST_REASONS:])
         yield f"and {pluralize(cells, 'cell')} for {len(reasons) - _MOST_REASONS} other reasons: see cells.csv"

@@ -20,6 +20,7 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape
 
+from .materials import Material
 from .pattern import Displacement, Field, Layer, Pattern
 from .random_fields import WAVES, factor_variance, factors, grain, role_seed, uniform, unit, waves
 from .recomposition import Draw, Reader
@@ -45,6 +46,8 @@ class Departures:
     element_size
         Typical breadth of an element. The holes of worn elements, and the seams between displaced elements, are a
         fraction of it.
+    material, rotation
+        What the surface shows beside the tints, None if nothing; the direction of its streaks in degrees.
     """
 
     color: float
@@ -57,11 +60,15 @@ class Departures:
     bend: float
     s: float
     element_size: float
+    material: Material | None = None
+    rotation: float = 0.0
 
     @property
     def kind(self) -> Kind:
         """``"I"`` if only colors depart, ``"II"`` if only places depart, ``"III"`` if both depart, else ``"0"``."""
-        colors = self.color or self.intensity or self.noise or self.light or self.damage or self.missing
+        colors = (
+            self.color or self.intensity or self.noise or self.light or self.damage or self.missing or self.material
+        )
         places = self.jitter or self.bend
         return "III" if colors and places else "II" if places else "I" if colors else "0"
 
@@ -181,6 +188,8 @@ class Departures:
             shade = np.asarray(1 + 0.25 * self.light * gradient, np.float32)
             for plane in np.moveaxis(image, -1, 0):
                 plane *= shade
+        if self.material:
+            self.material.add(image, pattern, seed, numbers, self.s, self.rotation)
         if read and self.noise:
             noise = read(lambda size: grain(role_seed(numbers.seed, "noise"), size))
             grains = np.float32(self.noise) * noise
@@ -274,6 +283,8 @@ class Departures:
             mean += expected
             variance += square - expected**2
         lit = (0.25 * self.light) ** 2 * (mean**2 + variance)
+        if self.material:
+            lit += self.material.variance(mean, variance + lit, cell) - variance - lit
         return mean, variance + lit + self.noise**2
 
     def _unblurred_share(self, mean: NDArray[np.float64], lattice: Lattice) -> float:

@@ -17,6 +17,7 @@ from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Kind, Shape, Texture
 
 from .departures import Departures
+from .materials import MATERIALS
 from .pattern import Field, Frame, Pattern, hue_rotation
 from .random_fields import role_seed
 from .recomposition import Draw, Picture
@@ -78,6 +79,10 @@ class Model(ABC):
     bend
         Strength in [0, 1] of a smooth warp: nearly normal displacements of standard deviation ``bend * s / 4`` along x
         and y, in waves about 5 s long.
+    material
+        What the surface shows beside the tints, of mean 0 (:mod:`~.materials`): ``"plain"``: nothing; ``"clay"``: warm
+        grain, speckles and relief; ``"stone"``: relief, stains across elements and uneven light; ``"wood"``: streaks
+        along elements and stains; ``"cloth"``: colored grain, streaks, bright specks and uneven light.
     """
 
     rotation: float = 0.0
@@ -91,6 +96,7 @@ class Model(ABC):
     missing: float = 0.0
     jitter: float = 0.0
     bend: float = 0.0
+    material: Literal["plain", "clay", "stone", "wood", "cloth"] = "plain"
 
     procedural: ClassVar[bool] = True
     version: ClassVar[str] = "1"
@@ -177,7 +183,13 @@ class Model(ABC):
     def departures(self) -> Departures:
         """The strengths, with the lengths that they refer to."""
         strengths = {name: getattr(self, name) for name in _STRENGTHS}
-        return Departures(**strengths, s=self.s, element_size=self.element_size)
+        return Departures(
+            **strengths,
+            s=self.s,
+            element_size=self.element_size,
+            material=MATERIALS.get(self.material),
+            rotation=self.rotation,
+        )
 
     @cached_property
     def regular_share(self) -> float:

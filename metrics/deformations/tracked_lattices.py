@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Again, Observation, Shape
-from nrbench.tracking.tracker import MeanTile, Track, track_lattice
+from nrbench.tracking.tracker import MeanTile, Track, track_tiles
 
 from ..judgment.examination import examine
 from ..judgment.texture_reference import FIRST_DRAW
@@ -57,7 +57,7 @@ class Tracks:
         """The track of a fresh draw of the output's shape, at most 320 px a side; () without fresh draws."""
         height, width = (min(side, _LARGEST) for side in self.output.image.shape[:2])
         draw = self.again((height, width), FIRST_DRAW) if self.again else None
-        return () if draw is None else (track_lattice(quantize(draw.image), self.output.lattice, self.tile),)
+        return () if draw is None else (track_tiles(quantize(draw.image), self.output.lattice, self.tile),)
 
     @property
     def obstacle(self) -> str:
@@ -86,9 +86,9 @@ def track_images(observation: Observation) -> Tracks | str:
     first = MeanTile.of(observation.sample if ideal is None else ideal, lattice)
     if first.flat:
         return "not applicable: the mean tile is flat"
-    sample = track_lattice(observation.sample, lattice, first)
+    sample = track_tiles(observation.sample, lattice, first)
     tile = sample.tile.unweighted() if ideal is None else first
-    return Tracks(sample, track_lattice(observation.output, lattice, tile), tile, observation.again)
+    return Tracks(sample, track_tiles(observation.output, lattice, tile), tile, observation.again)
 
 
 @dataclass(frozen=True)

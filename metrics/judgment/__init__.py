@@ -1,1 +1,1 @@
-"""The reference of a texture, and all numbers by which outputs are judged."""
+"""The reference of a texture, and the examination of an output beside it."""

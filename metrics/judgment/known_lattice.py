@@ -13,9 +13,9 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, reduce_basis
 from nrbench.plugins.forms import NoLatticeFound, Observation
 
+from ..perception import limits
 from ..perception.visible import Lab, perceive
 from ..registration.lattice_net import LatticeNet, Values, fold_cells, sample_planes, split_cells
-from . import limits
 
 Origin = Literal["model", "given", "dominance"]
 NO_LATTICE = "not applicable: no lattice in the truth"
@@ -126,7 +126,7 @@ def _fold(lab: Lab, net: LatticeNet) -> tuple[Values, Values]:
     known = split_cells(net.inside, net.samples)[..., np.newaxis]
     rest = np.where(known, split_cells(plane, net.samples) - mean, 0)
     total, error = np.maximum(known.sum((0, 1)), 1), np.zeros_like(mean)
-    i, j = np.indices(net.cells)
+    i, j = np.indices((int(net.cells[0]), int(net.cells[1])))
     for line in (i, j, i + j, i - j + net.cells[1]):
         number = np.unique(line[known.any((2, 3, 4))], return_inverse=True)[1]
         count = int(number.max()) + 1

@@ -14,10 +14,10 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Shape
 
+from ..perception import limits
 from ..perception.visible import Lab, perceive
 from ..registration.followed import CellModel, FollowedPicture, Strips
 from ..registration.lattice_net import LatticeNet, Mask, Values, fold_cells, sample_planes
-from . import limits
 
 FIRST_DRAW = 1 << 16
 """Number of the first fresh draw of the reference; the oracle and the planted defects use smaller numbers."""
@@ -85,6 +85,11 @@ class TextureReference:
         return float(np.median(misfits)), margin * float(np.quantile(misfits, top))
 
     @cached_property
+    def usual_contrast(self) -> float:
+        """Median contrast of the windows of the reference."""
+        return float(np.median(np.concatenate([picture.contrast[picture.valid] for picture in self.pictures])))
+
+    @cached_property
     def slip_limit(self) -> float:
         """Difference in s between two sides of a line beyond which they have slipped."""
         least = limits.SLIP * (limits.LOOSE if self.from_sample else 1)
@@ -142,7 +147,8 @@ class TextureReference:
 
         It rises from 0 at the limit of the references to 1 at a quarter of s. All nodes beyond a slip, on the smaller
         side, are out of place by the slip. A cell that shows the pattern nowhere (misfit) is out of place, too; misfits
-        are relative to those of the output, because a change of color or contrast is no fault of the lattice.
+        are relative to those of the output, because a change of color or contrast is no fault of the lattice. So is a
+        window without any contrast.
         """
         bad = np.clip((picture.away - picture.limit) / max(limits.MOST_STEP - picture.limit, 0.05), 0, 1)
         slipped = picture.slip > self.slip_limit
@@ -154,7 +160,11 @@ class TextureReference:
             bad = np.where(label[rows, columns] != main, np.maximum(bad, amount), bad)
         median, torn = self.usual_misfit
         own = float(np.median(picture.misfit[picture.in_place])) if picture.in_place.any() else median
-        return np.where(picture.misfit > torn * max(1.0, own / median), 1.0, bad)
+        return np.where((picture.misfit > torn * max(1.0, own / median)) | self.find_blank(picture), 1.0, bad)
+
+    def find_blank(self, picture: FollowedPicture) -> Mask:
+        """Return the nodes whose windows show no pattern, ``(R, C)``: they fit equally well everywhere."""
+        return np.asarray(picture.contrast < limits.BLANK * self.usual_contrast)
 
 
 @lru_cache(maxsize=2)

@@ -1,1 +1,1 @@
-"""What an eye sees of a picture."""
+"""What an eye sees of a picture, and the limits of what counts."""

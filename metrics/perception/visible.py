@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from nrbench.imaging.convert import Image
 
-from ..judgment import limits
+from . import limits
 
 Lab = NDArray[np.float32]
 """``(H, W, 4)``: L*, a* and b* as they are seen, and L* before its blur."""

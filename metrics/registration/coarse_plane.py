@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..judgment import limits
+from ..perception import limits
 from .lattice_net import Mask, Values, split_cells
 
 

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from nrbench.lattice.geometry import Points
 
-from ..judgment import limits
+from ..perception import limits
 from ..perception.visible import Lab
 from .lattice_net import LatticeNet, Mask, Values, find_inside, fold_cells, sample_planes, split_cells
 
@@ -134,6 +134,11 @@ class FollowedPicture:
     def valid(self) -> Mask:
         """``(R, C)``: the nodes whose windows lie inside the picture."""
         return self._fit[2]
+
+    @cached_property
+    def contrast(self) -> Values:
+        """How much worse each node's window fits at the worst displacement than at the best; 0 in a flat window."""
+        return np.asarray(np.ptp(self._fit[1], axis=(2, 3)))
 
     @property
     def displacement(self) -> Field:

@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Shape
 
-from ..judgment import limits
+from ..perception import limits
 
 Values = NDArray[np.float32]
 Mask = NDArray[np.bool_]

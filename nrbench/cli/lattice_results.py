@@ -11,7 +11,7 @@ from nrbench.plugins.forms import Alternative, Detection
 from nrbench.suites.surveying import SHOWN, candidate_dict, known_vectors, rank_candidates, vector_texts
 
 if TYPE_CHECKING:
-    from nrbench.tracking.deformation import Deformation
+    from nrbench.tracking.bent_lattice import Deformation
     from nrbench.views.deformed import Followed
 
 

@@ -15,7 +15,7 @@ from nrbench.imaging.mean_tile import Values, fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.growth import Knots, Start, grow_from, grow_on
 from nrbench.tracking.renumbering import renumber, similarity
-from nrbench.tracking.tracker import MeanTile, Track, track_lattice
+from nrbench.tracking.tracker import MeanTile, Track, track_tiles
 
 __all__ = ["find_knots", "follow_on", "merit", "probe", "rate_knots", "straighten_pixels"]
 
@@ -51,7 +51,7 @@ _GAIN = 0.01
 def find_knots(image: Image, lattice: Lattice, near: Points | None = None) -> Knots | None:
     """Return where the points of a lattice lie in an image, however it is bent; None if they are not found.
 
-    The mean tile is at first that of a track by :func:`~nrbench.tracking.tracker.track_lattice`, or that of a few
+    The mean tile is at first that of a track by :func:`~nrbench.tracking.tracker.track_tiles`, or that of a few
     cells; the start from which the lattice can be followed farthest is used. The image is then straightened, its mean
     tile computed, and the lattice followed again.
 
@@ -180,7 +180,7 @@ def _starts(image: Values, lattice: Lattice) -> Iterator[Start]:
     tile = MeanTile.of(image, lattice)
     if tile.flat:
         return
-    yield _tracked_start(track_lattice(image, lattice, tile))
+    yield _tracked_start(track_tiles(image, lattice, tile))
     for y, x in itertools.product(_MIDDLES, repeat=2):
         yield _local_start(image, lattice, size * (x, y))
 

@@ -15,7 +15,7 @@ from nrbench.imaging.mean_tile import Values, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.unwrapping_kernels import grow
 
-__all__ = ["MeanTile", "Track", "track_lattice"]
+__all__ = ["MeanTile", "Track", "track_tiles"]
 
 LABELS = 16
 """Displacements tried along each vector of a cell."""
@@ -300,7 +300,7 @@ class Track:
         return float((self.correlation[seen] >= least).mean()) if seen.any() else 0.0
 
 
-def track_lattice(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
+def track_tiles(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
     """Track a lattice through an image.
 
     At each node of a grid with spacing half a tile the image is correlated with the mean tile, under a Gaussian window
@@ -322,10 +322,10 @@ def track_lattice(image: Image, lattice: Lattice, tile: MeanTile) -> Track:
     Examples
     --------
     >>> import nrbench
-    >>> from nrbench.tracking.tracker import MeanTile, track_lattice
+    >>> from nrbench.tracking.tracker import MeanTile, track_tiles
     >>> texture = nrbench.texture("weave", shape=(128, 128), seed=0)
     >>> lattice = texture.lattice.reduced()
-    >>> track = track_lattice(texture.image, lattice, MeanTile.of(texture.image, lattice))
+    >>> track = track_tiles(texture.image, lattice, MeanTile.of(texture.image, lattice))
     >>> track.tracked_share(0.5)
     1.0
     """

@@ -18,10 +18,10 @@ from nrbench.imaging.convert import MIN_SIDE, Image, shrink
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.relation import lattice_error, relate
 from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
-from nrbench.tracking.deformation import LEAST_AMPLITUDE, Deformation
+from nrbench.tracking.bent_lattice import LEAST_AMPLITUDE, Deformation
 from nrbench.tracking.following import find_knots, follow_on, merit, probe, rate_knots
 from nrbench.tracking.growth import Knots, fit_basis
-from nrbench.tracking.tracker import MeanTile, Track, track_lattice
+from nrbench.tracking.tracker import MeanTile, Track, track_tiles
 
 __all__ = ["Followed", "find_deformation"]
 
@@ -345,7 +345,7 @@ def _still(image: Image, lattice: Lattice, confidence: float | None) -> Deformat
 def _track(image: Image, lattice: Lattice) -> Track | None:
     reduced = lattice.reduced()
     tile = MeanTile.of(image, reduced)
-    return None if tile.flat else track_lattice(image, reduced, tile)
+    return None if tile.flat else track_tiles(image, reduced, tile)
 
 
 def _from_track(track: Track, confidence: float | None) -> Deformation:

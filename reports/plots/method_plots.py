@@ -81,7 +81,7 @@ def _draw_frame(axes: Axes, lowest: float, narrow: bool) -> None:
         axes.text(-0.03, -0.06, "randomness not scored", va="top", **SMALL)
     for height, words, side in () if narrow else ((0.965, "as a fresh draw", "top"), (0.035, "wallpaper", "bottom")):
         axes.text(1.04, height, words, ha="right", va=side, **SMALL)
-    for x, words, side in ((0, "lattice lost, broken or unlike", "left"), (1, "all perils avoided", "right")):
+    for x, words, side in ((0, "lost, broken or unlike", "left"), (1, "all perils avoided", "right")):
         axes.text(x, 1.02, words, ha=side, transform=axes.transAxes, style="italic", **SMALL)
     axes.tick_params(length=3, width=0.7)
 

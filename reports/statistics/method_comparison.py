@@ -305,7 +305,7 @@ def _build_comparison(run: Run, tests: bool, baseline: str) -> Comparison:
     fit = [one.method for one in ranked if one.rank]
     if tests and best is not None:
         measured = [method for method in fit if method in known]
-        leading, rule = find_leading_group(cells, measured[0], measured) if measured else (set[str](), "")
+        leading, rule = find_leading_group(cells, best, measured) if best in measured else (set[str](), "")
         ranks = rank_by_texture(cells, fit)
         places = dict(zip([one.label for one in fit], ranks.ranks, strict=True)) if ranks else {}
         ranked = [

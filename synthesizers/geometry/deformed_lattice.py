@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.tracker import MeanTile, Track, track_lattice
+from nrbench.tracking.tracker import MeanTile, Track, track_tiles
 
 from .vertex_kernels import move_vertices
 
@@ -115,7 +115,7 @@ def find_deformed_lattice(sample: Image, lattice: Lattice) -> DeformedLattice:
         return DeformedLattice(
             lattice, knots, np.zeros((0, 2), np.int64), np.zeros((0, 2)), 0.0, "the mean tile is flat"
         )
-    track = track_lattice(sample, lattice, tile)
+    track = track_tiles(sample, lattice, tile)
     last = np.array(sample.shape[1::-1]) - 1.0
     numbers = knots.cell_numbers(-last, 2 * last)
     places = knots.from_cell(numbers)

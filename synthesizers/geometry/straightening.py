@@ -16,7 +16,7 @@ from nrbench.imaging.largest_box import largest_box
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detector, SourceMap, Synthesis, Synthesizer, Task, find_lattice
-from nrbench.tracking.deformation import LEAST_AMPLITUDE
+from nrbench.tracking.bent_lattice import LEAST_AMPLITUDE
 
 from ..sampling.equal_places import pixel_grid
 from ..sampling.patches import Patches

@@ -18,7 +18,7 @@ from nrbench.imaging.files import read_image, write_image
 from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import relate
-from nrbench.tracking.deformation import Deformation
+from nrbench.tracking.bent_lattice import Deformation
 from nrbench.tracking.homography import map_points
 
 

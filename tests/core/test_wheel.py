@@ -103,7 +103,7 @@ def test_it_runs_from_an_empty_directory(wheel: Path, tmp_path: Path) -> None:
     (row,) = csv.DictReader((empty / "run" / "tables" / "cells.csv").read_text("utf-8").splitlines())
     assert row["status"] == "ok"
     assert {name.partition(".")[0] for name in row if "." in name} == set(METRICS)
-    assert row["regularity.score"] and row["appearance.gradient"] and row["source.used"]
+    assert row["regularity.score"] and row["appearance.whole"] and row["source.used"]
     assert "report.html" in report
 
 

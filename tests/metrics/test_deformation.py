@@ -12,7 +12,7 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.deformation import Deformation
+from nrbench.metrics.deformation import DeformationAmplitude
 from nrbench.metrics.deformations.tracked_lattices import DeformationField
 from nrbench.metrics.geometry_appearance import GeometryAppearance
 from nrbench.plugins.forms import Metric, Observation, Texture
@@ -72,12 +72,12 @@ def test_folded_cells_are_counted(amplitude: float, share: float) -> None:
 def test_output_and_sample_are_compared_alike() -> None:
     """An output as warped as its sample has ratios near 1, also to fresh draws; a straight one far below 1."""
     warped = Weave(color=0.15, noise=0.02, bend=0.4)
-    alike = Deformation().score(make_observation(warped, side=256, again=True))
-    assert isinstance(Deformation(), Metric) and set(alike.values) == set(Deformation.columns)
+    alike = DeformationAmplitude().score(make_observation(warped, side=256, again=True))
+    assert isinstance(DeformationAmplitude(), Metric) and set(alike.values) == set(DeformationAmplitude.columns)
     for column in ("amplitude_ratio", "amplitude_to_fresh", "length_to_fresh"):
         value = alike.values[column]
         assert value is not None and 0.7 < value < 1.4, column
-    straight = Deformation().score(make_observation(warped, replace(warped, bend=0.0), side=256))
+    straight = DeformationAmplitude().score(make_observation(warped, replace(warped, bend=0.0), side=256))
     ratio = straight.values["amplitude_ratio"]
     assert ratio is not None and ratio < 0.2
     assert straight.reasons["amplitude_to_fresh"] == "not measured: the texture has no fresh draws"
@@ -88,7 +88,7 @@ def test_brightness_and_contrast_do_not_count() -> None:
     """Halved contrast and another brightness hardly change the amplitude."""
     first = make_observation(Weave(color=0.1, noise=0.02, bend=0.4))
     dim = replace(first, output=np.asarray(0.5 * first.output + 0.2, np.float32))
-    before, after = (Deformation().score(one).values["amplitude"] for one in (first, dim))
+    before, after = (DeformationAmplitude().score(one).values["amplitude"] for one in (first, dim))
     assert before is not None
     assert after == pytest.approx(before, rel=0.03)
 
@@ -101,7 +101,7 @@ def test_the_lattice_alone_is_enough() -> None:
     alone = replace(first, truth=Texture(first.sample, lattice))
     nothing = replace(first, truth=None)
     other = replace(nothing, lattice_given=Lattice((17.0, 0.0), (0.0, 19.0)))
-    amplitudes = [Deformation().score(one).values["amplitude"] for one in (first, alone, nothing, other)]
+    amplitudes = [DeformationAmplitude().score(one).values["amplitude"] for one in (first, alone, nothing, other)]
     assert amplitudes[0] is not None
     assert amplitudes[1:3] == pytest.approx([amplitudes[0]] * 2, rel=0.1)
     assert amplitudes[3] == amplitudes[2]
@@ -111,11 +111,13 @@ def test_missing_scores_have_reasons() -> None:
     """Without contrast, enough tiles or the texture in the output the scores are None, with a reason."""
     one = case("hexagon").observe(case("hexagon").fresh())
     plain = np.full_like(one.sample, 0.5)
-    flat = Deformation().score(replace(one, sample=plain, truth=Texture(plain, SQUARE), again=None))
+    flat = DeformationAmplitude().score(replace(one, sample=plain, truth=Texture(plain, SQUARE), again=None))
     assert set(flat.reasons.values()) == {"not applicable: the mean tile is flat"}
-    small = Deformation().score(replace(one, output=one.output[:40, :40]))
+    small = DeformationAmplitude().score(replace(one, output=one.output[:40, :40]))
     assert small.values["amplitude"] is None and "at least 9 are needed" in small.reasons["amplitude"]
-    noise = Deformation().score(replace(one, output=np.random.default_rng(0).random((192, 192, 3), np.float32)))
+    noise = DeformationAmplitude().score(
+        replace(one, output=np.random.default_rng(0).random((192, 192, 3), np.float32))
+    )
     assert noise.values["amplitude"] is None and "found at only" in noise.reasons["amplitude"]
     assert noise.values["tracked"] is not None and noise.values["tracked"] < 0.5
 

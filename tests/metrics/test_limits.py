@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from nrbench import metrics
-from nrbench.metrics.judgment import limits
+from nrbench.metrics.perception import limits
 from nrbench.metrics.quality import PERILS, Quality
 
 FOLDER = Path(metrics.__path__[0])
@@ -35,7 +35,7 @@ def used_modules() -> dict[str, Path]:
     while waiting:
         file = waiting.pop()
         name = str(file.relative_to(FOLDER))
-        if name in found or name == "judgment/limits.py" or name.startswith(SEAMS):
+        if name in found or name == "perception/limits.py" or name.startswith(SEAMS):
             continue
         found[name] = file
         for node in ast.walk(ast.parse(file.read_text("utf-8"))):

@@ -13,7 +13,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error
 from nrbench.metrics.judgment.examination import examine
 from nrbench.metrics.judgment.known_lattice import canonical_lattice, find_known_lattice, split_supercell
-from nrbench.metrics.judgment.limits import JND
+from nrbench.metrics.perception.limits import JND
 from nrbench.metrics.perception.visible import measure_looks, perceive
 from nrbench.metrics.quality import Quality
 from nrbench.plugins.forms import Texture

@@ -54,22 +54,22 @@ def test_a_metric_that_raises_takes_no_other_with_it(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize(
     ("lattice", "reason"),
-    [("2,0,0,2", "explains 0% of the sample's variance"), ("500,0,0,500", "smaller than a window of 2 tiles")],
+    [("2,0,0,2", "of the reference itself is out of place"), ("500,0,0,500", "fewer than three cells")],
 )
 def test_an_unsuitable_lattice_gives_a_reason(lattice: str, reason: str) -> None:
-    """For a too fine or too coarse lattice, every column of regularity is None, and no metric fails."""
+    """For a too fine or too coarse lattice, the verdict, the scores and the quality are None, and no metric fails."""
     sheet = nrbench.score(*pair()[:2], lattice=lattice)
-    found = {name: sheet.reasons[name] for name, value in sheet.values.items() if name.startswith("regularity.")}
-    assert all(reason in why for why in found.values())
+    for name in ("regularity.preserved", "regularity.score", "regularity.misplaced_share", "quality.score"):
+        assert sheet.values[name] is None and reason in sheet.reasons[name]
     assert not [why for why in sheet.reasons.values() if why.startswith("failed")]
 
 
 def test_what_is_not_measured_is_not_zero() -> None:
-    """For a constant output, drift and single tiles cannot be measured: the columns are None, with a reason."""
+    """For a constant output, drift and integrity cannot be measured: the columns are None, with a reason."""
     sample, output, lattice = pair()
     sheet = nrbench.score(sample, np.full_like(output, 0.5), lattice=lattice)
     assert sheet.values["regularity.preserved"] is False
-    for name in ("regularity.drift", "regularity.intact", "regularity.lattice_exact"):
+    for name in ("regularity.drift", "regularity.lattice_exact", "integrity.score"):
         assert sheet.values[name] is None
         assert sheet.reasons[name]
 

@@ -28,6 +28,7 @@ from nrbench.synthesizers.tile_set import TileSet
 
 FINDERS = {
     "auto": "consensus",
+    "cartoon": "gncc",
     "command:run=tool {sample} {output}": "",
     "command:run=tool {sample} {output} {lattice}": "consensus",
     "fftm-patch": "",

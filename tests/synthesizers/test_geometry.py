@@ -28,7 +28,7 @@ from nrbench.synthesizers.geometry.free_form import FreeForm, approximate, basis
 from nrbench.synthesizers.geometry.straightening import StraightSample, explained_share, synthesize_straight
 from nrbench.synthesizers.sampling.equal_places import pixel_grid
 from nrbench.synthesizers.tiling import Tiling
-from nrbench.tracking.tracker import MeanTile, track_lattice
+from nrbench.tracking.tracker import MeanTile, track_tiles
 
 
 def bent(model: str = "brick", bend: float = 0.5, seed: int = 0, side: int = 192, **departures: float) -> Texture:
@@ -192,7 +192,7 @@ def test_the_output_keeps_the_phase_of_the_sample(seed: int) -> None:
     task = Task(texture.image, (230, 240), lattice, np.random.default_rng(2))
     made = synthesize_straight(task, lattice, Tiling().synthesize)
     tile = MeanTile.of(texture.ideal, lattice)
-    means = [track_lattice(quantize(one), lattice, tile).field.mean((0, 1)) for one in (texture.image, made.image)]
+    means = [track_tiles(quantize(one), lattice, tile).field.mean((0, 1)) for one in (texture.image, made.image)]
     assert np.hypot(*lattice.wrap(means[1] - means[0])) < 2
 
 

@@ -175,6 +175,7 @@ def test_a_flat_sample_gives_a_flat_output(spec: str) -> None:
 
 CHANGES = {
     "ann-pixel": "neighborhood=5 search=k-coherence,coherence=0 coherence=1 dimensions=4",
+    "cartoon": "grain=white",
     "graph-cuts": "placement=sub-patch placement=random randomness=1 region=0.4 refine=random refine=minima "
     "refine=extremes passes=0 normalized=false feather=2",
     "patch-based": "patch=16 zone=5 epsilon=1",

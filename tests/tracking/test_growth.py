@@ -17,7 +17,7 @@ from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.deformation import Deformation
+from nrbench.tracking.bent_lattice import Deformation
 from nrbench.tracking.following import find_knots, follow_on, merit, probe
 from nrbench.tracking.growth import Knots, Start, grow_from, grow_on
 from nrbench.tracking.homography import fit_homography, map_points

@@ -19,7 +19,7 @@ from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.deformations.tracked_lattices import DeformationField
-from nrbench.tracking.tracker import LABELS, MeanTile, Nodes, Track, cell_covariance, track_lattice, unwrap
+from nrbench.tracking.tracker import LABELS, MeanTile, Nodes, Track, cell_covariance, track_tiles, unwrap
 
 MODELS: dict[str, Model] = {
     "brick": Brick(color=0.2, noise=0.03, rotation=13.0),
@@ -33,7 +33,7 @@ def tracked(model: Model, seed: int = 0, side: int = 192) -> tuple[Track, Deform
     drawn = model.render((side, side), np.random.default_rng(seed))
     assert drawn.lattice is not None and drawn.ideal is not None
     lattice = drawn.lattice.reduced()
-    found = track_lattice(quantize(drawn.image), lattice, MeanTile.of(drawn.ideal, lattice))
+    found = track_tiles(quantize(drawn.image), lattice, MeanTile.of(drawn.ideal, lattice))
     field = DeformationField.of(found)
     moved = np.zeros_like(field.places)
     if drawn.displacement is not None:

@@ -13,7 +13,7 @@ from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import interpolate
 from nrbench.plugins.forms import Detection, NoLatticeFound
-from nrbench.tracking.deformation import Deformation
+from nrbench.tracking.bent_lattice import Deformation
 from nrbench.tracking.homography import map_points
 from nrbench.views.deformed import find_deformation
 

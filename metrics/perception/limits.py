@@ -65,6 +65,7 @@ MOST_STEP = _limit("MOST_STEP", 0.25, "s", "a tile that is out of place by this 
 LOOSE = _limit("LOOSE", 1.5, "", "factor of LEAST_STEP and SLIP beside one sample: photographed walls wander by .1 s")
 OF_NOISE = _limit("OF_NOISE", 1.3, "", "margin over the largest departure of the references")
 TORN = _limit("TORN", 1.6, "", "margin over the largest misfit of a cell of the references")
+BLANK = _limit("BLANK", 0.05, "", "a contrast to other places that nobody sees; windows of fresh draws show 0.27")
 SLIP = _limit("SLIP", 0.1, "s", "smallest difference between the two sides of a line that counts as a slip")
 OF_SLIP = _limit("OF_SLIP", 1.2, "", "margin over the largest difference between two sides in the references")
 
@@ -139,6 +140,7 @@ LEAST_WHOLE = _limit("LEAST_WHOLE", 2.0, "sd", "convention: half of what was see
 LEAST_OF_SAMPLE = _limit("LEAST_OF_SAMPLE", 1.25, "sd", "the same beside one sample, whose own means count as exact")
 UNSEEN_TONES = _limit("UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones")
 OF_LOOKS = _limit("OF_LOOKS", 1.15, "", "margin over the largest distance of the references")
-OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters and the whole, of which there are few")
+OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters, of which there are few")
+OF_WHOLE = _limit("OF_WHOLE", 1.5, "", "the same for the whole: a copier draws from a sample")
 OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.25, "", "the same for parts of one sample")
 LOOKS_SLOPE = _limit("LOOKS_SLOPE", 2.0, "", "the score reaches 0 at 1.5 times the limit")

@@ -1,0 +1,156 @@
+"""Materials: what a surface shows beside its tints, as random fields of mean 0 that are stationary over draws.
+
+The ideal image is that of the plain model. A material adds to each pixel a sum of fields, each of variance 1 times a
+color, and multiplies everything by an uneven light of mean 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from nrbench.imaging.convert import Image
+from nrbench.plugins.forms import Shape
+
+from .pattern import Field, Pattern
+from .random_fields import grain, role_seed, uniform, waves
+from .recomposition import Draw
+
+Color = tuple[float, float, float]
+"""Standard deviation that a field has in each channel, with a sign: channels of equal sign vary together."""
+_NOTHING: Color = (0.0, 0.0, 0.0)
+_RARE = 1.7
+"""Number of standard deviations above which a smooth field shows a speckle: on about 4.5 % of the plane."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """The color, as :data:`Color`, of each part of a material.
+
+    Parameters
+    ----------
+    grain, soft
+        Grain about one px wide, and about 2.5 px wide, each of its own color.
+    streaks
+        Streaks along the model's x axis, stronger or weaker from element to element, dark here and bright there.
+    speckles
+        Rare spots 2 to 3 px wide.
+    relief
+        A rough surface under a light from the upper left.
+    stains
+        Blots that pass over elements, about 2.5 s long.
+    light
+        Standard deviation of the uneven light, in waves about 10 s long.
+    """
+
+    grain: Color = _NOTHING
+    soft: Color = _NOTHING
+    streaks: Color = _NOTHING
+    speckles: Color = _NOTHING
+    relief: Color = _NOTHING
+    stains: Color = _NOTHING
+    light: float = 0.0
+
+    def add(self, image: Image, pattern: Pattern, seed: int, numbers: Draw, s: float, rotation: float) -> None:
+        """Add the material to ``image``.
+
+        Stains and light belong to no element: they are those of the draw ``seed``. All else is that of ``numbers``.
+        """
+        read, shape = numbers.reader(pattern), (image.shape[0], image.shape[1])
+
+        def paint(color: Color, field: Field | NDArray[np.floating[Any]]) -> None:
+            for plane, strength in zip(np.moveaxis(image, -1, 0), color, strict=True):
+                plane += (strength * field).astype(np.float32)
+
+        if any(self.grain):
+            paint(self.grain, read(lambda size: _smooth(role_seed(numbers.seed, "material.grain"), size, 0.4)))
+        if any(self.soft):
+            paint(self.soft, read(lambda size: _smooth(role_seed(numbers.seed, "material.soft"), size, 1.4)))
+        if any(self.streaks):
+            streaks = read(lambda size: _streaks(role_seed(numbers.seed, "material.streaks"), size, rotation))
+            paint(self.streaks, streaks * _element_signs(pattern, numbers))
+        if any(self.speckles):
+            paint(self.speckles, read(lambda size: _speckles(role_seed(numbers.seed, "material.speckles"), size)))
+        if any(self.relief):
+            paint(self.relief, read(lambda size: _relief(role_seed(numbers.seed, "material.relief"), size)))
+        if any(self.stains):
+            paint(self.stains, waves(role_seed(seed, "material.stains"), shape, 2.5 * s))
+        if self.light:
+            image *= (1 + self.light * waves(role_seed(seed, "material.light"), shape, 10 * s))[..., np.newaxis]
+
+    def variance(self, mean: Field, variance: Field, pattern: Pattern) -> Field:
+        """Return the variance at each point, ``(H, W, 3)``, of a texture of this mean and variance, before clipping."""
+        parts = (self.grain, self.soft, self.speckles, self.relief, self.stains)
+        added = np.sum(np.square(parts), axis=0)
+        along = sum(layer.coverage**2 for layer in pattern.layers)[..., np.newaxis] * np.square(self.streaks)
+        total = variance + added + along
+        return np.asarray(total + self.light**2 * (mean**2 + total))
+
+
+MATERIALS: Mapping[str, Material] = {
+    "clay": Material(
+        grain=(0.03, 0.02, 0.01), soft=(0.03, 0.015, 0.0), speckles=(-0.05, -0.045, -0.04), relief=(0.03, 0.03, 0.03)
+    ),
+    "stone": Material(soft=(0.02, 0.025, 0.035), relief=(0.05, 0.05, 0.05), stains=(0.03, 0.02, 0.0), light=0.06),
+    "wood": Material(grain=(0.015, 0.012, 0.01), streaks=(0.07, 0.055, 0.035), stains=(0.02, 0.015, 0.01)),
+    "cloth": Material(grain=(0.04, 0.03, 0.03), streaks=(0.04, 0.04, 0.05), speckles=(0.03, 0.03, 0.02), light=0.05),
+}
+"""The named materials; ``"plain"`` has none of these parts."""
+
+
+def _smooth(seed: int, shape: Shape, width: float) -> Field:
+    """Return grain of mean 0 and variance 1, smoothed by a Gaussian of about ``width`` px more."""
+    return _blur(seed, shape, (width, width))
+
+
+def _blur(seed: int, shape: Shape, widths: tuple[float, float]) -> Field:
+    """Return grain smoothed by Gaussians of ``widths`` (y, x) px, of variance 1; windows of one seed agree."""
+    reach = [math.ceil(4 * width) for width in widths]
+    large = (shape[0] + 2 * reach[0], shape[1] + 2 * reach[1])
+    field = scipy.ndimage.gaussian_filter(grain(seed, large).astype(np.float64), widths)
+    # Gaussians of variances a and b, one after the other, smooth as one of variance a + b does.
+    kept = math.prod(math.sqrt(0.49 / (0.49 + width**2)) for width in widths)
+    return np.asarray(field[reach[0] : reach[0] + shape[0], reach[1] : reach[1] + shape[1]] / math.sqrt(kept))
+
+
+def _streaks(seed: int, shape: Shape, rotation: float) -> Field:
+    """Return streaks along ``rotation`` degrees, about 2 px broad and 20 px long, of mean 0 and variance 1."""
+    total, count = np.zeros(shape), 24
+    y, x = np.arange(shape[0])[:, np.newaxis], np.arange(shape[1])
+    angle = math.radians(rotation)
+    along, across = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
+    slow, fast, phase = uniform(seed, np.arange(3)[:, np.newaxis], np.arange(count)) / math.sqrt(3)
+    for a, b, c in zip(0.15 * slow, 0.7 + 0.6 * fast, math.pi * phase, strict=True):
+        total += np.cos(a * along + b * 1.6 * across + c)
+    return np.asarray(total * math.sqrt(2 / count))
+
+
+def _speckles(seed: int, shape: Shape) -> Field:
+    """Return rare spots on an even ground, of mean 0 and variance 1."""
+    share = 0.5 * math.erfc(_RARE / math.sqrt(2))
+    return np.asarray(((_smooth(seed, shape, 0.9) > _RARE) - share) / math.sqrt(share * (1 - share)))
+
+
+def _relief(seed: int, shape: Shape) -> Field:
+    """Return the slope, towards the upper left, of a rough surface: mean 0, variance 1."""
+    height = _smooth(seed, (shape[0] + 1, shape[1] + 1), 1.0)
+    # Points sqrt(2) px apart on a field smoothed by a Gaussian of variance v are correlated by exp(-2 / (4 v)).
+    correlation = math.exp(-0.5 / 1.49)
+    return np.asarray((height[1:, 1:] - height[:-1, :-1]) / math.sqrt(2 * (1 - correlation)))
+
+
+def _element_signs(pattern: Pattern, numbers: Draw) -> Field:
+    """Return a number of mean 0 and variance 1 for each element, times its coverage, at each pixel."""
+    total = np.zeros(pattern.layers[0].coverage.shape)
+    for number, layer in enumerate(pattern.layers):
+        census = layer.census()
+        source = numbers.elements(number, census.index)
+        table = uniform(role_seed(numbers.seed, f"{layer.name}.material"), *source.T)
+        total += layer.coverage * table.take(census.row)
+    return total
