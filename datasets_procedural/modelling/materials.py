@@ -88,7 +88,8 @@ class Material:
         """Return the variance at each point, ``(H, W, 3)``, of a texture of this mean and variance, before clipping."""
         parts = (self.grain, self.soft, self.speckles, self.relief, self.stains)
         added = np.sum(np.square(parts), axis=0)
-        along = sum(layer.coverage**2 for layer in pattern.layers)[..., np.newaxis] * np.square(self.streaks)
+        covered = np.sum([layer.coverage**2 for layer in pattern.layers], axis=0)
+        along = covered[..., np.newaxis] * np.square(self.streaks)
         total = variance + added + along
         return np.asarray(total + self.light**2 * (mean**2 + total))
 
