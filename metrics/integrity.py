@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -17,7 +18,7 @@ from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Column, Observation, Score
 
 from .judgment.examination import examine
-from .judgment.texture_reference import CannotTell, TextureReference
+from .judgment.texture_reference import STRIPS, CannotTell, TextureReference
 from .perception import limits
 from .randomness import gather_tiles
 from .registration.coarse_plane import CoarsePlane, shift_plane
@@ -155,16 +156,16 @@ def learn_elements(reference: TextureReference) -> ElementModel:
     """Learn the elements of a texture from its references.
 
     Noise that nobody sees is added to fresh draws before they are weighed, so that it breaks no element of an output.
-    Cells of a sample are weighed by a model of its other strips.
+    Cells of a sample are weighed by a model of its other strips, along both axes, because threads run through all
+    strips along them.
     """
     net = reference.net
     lags = list_lags(net)
     planes = [CoarsePlane(fine, known, net.samples) for fine, known in reference.residuals]
     model = ElementModel(learn_pairs(planes, lags))
-    parts = reference.split([plane.known for plane in planes])
     rng = np.random.default_rng(0)
     if reference.from_sample:
-        weighed = [_weigh_strip(planes[0], known, lags) for known in parts]
+        weighed = [_weigh_strip(planes[0], strip, lags) for strip in _cut_strips(net)]
     else:
         noise = [rng.normal(0, limits.UNSEEN_NOISE, plane.values.shape).astype(np.float32) for plane in planes]
         weighed = [model.weigh(plane.values + n, plane.complete) for plane, n in zip(planes, noise, strict=True)]
@@ -175,6 +176,15 @@ def learn_elements(reference: TextureReference) -> ElementModel:
         return model
     tried = [_set_limit(model.pairs, whole, joined, share, reference.from_sample) for share in limits.WHOLE_SHARES]
     return max(tried, key=lambda found: found.power - found.chance)
+
+
+def _cut_strips(net: LatticeNet) -> list[Mask]:
+    """Return the points of four strips of a picture along each axis."""
+    found = []
+    for axis in (0, 1):
+        edges = np.linspace(0, net.shape[1 - axis], STRIPS + 1)
+        found += [(net.points[..., axis] >= low) & (net.points[..., axis] < high) for low, high in pairwise(edges)]
+    return found
 
 
 def _weigh_strip(plane: CoarsePlane, strip: Mask, lags: Sequence[Lag]) -> NDArray[np.float64]:
@@ -199,7 +209,7 @@ def _set_limit(
     limit = float(np.quantile(np.concatenate(whole), 1 - share))
     shares = np.array([(evidence > limit).mean() for evidence in whole])
     spread = limits.DEVIATIONS * float(shares.std(ddof=1)) / (math.sqrt(len(shares)) if pooled else 1)
-    return ElementModel(pairs, limit, float((joined > limit).mean()), float(shares.mean()) + spread + 0.005)
+    return ElementModel(pairs, limit, float((joined > limit).mean()), float(shares.mean()) + spread + limits.OVERLOOKED)
 
 
 def _weigh_composites(

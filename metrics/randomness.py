@@ -318,7 +318,7 @@ def _score(observation: Observation) -> Score:
         distance = population.measure_distance(tiles.features)
         values["distance"] = distance
         parts["distance"] = 1 - max(distance - population.distance_limit, 0.0) / (1 - population.distance_limit)
-        parts["distance"] = max(1 - 4 * (1 - parts["distance"]), 0.0)
+        parts["distance"] = max(1 - limits.DISTANCE_SLOPE * (1 - parts["distance"]), 0.0)
         change = values["arrangement"] = _rate_arrangement(tiles, population)
         parts["arrangement"] = max(1 - change, 0.0)
         values["copied"] = _find_copies(examination, tiles, population)
@@ -395,7 +395,7 @@ def _rate_survival(examination: Examination) -> float | None:
     reference, followed = examination.reference, examination.followed
     usual = np.log(np.concatenate([picture.misfit[picture.valid] for picture in reference.pictures]))
     middle = float(np.median(usual))
-    odd = middle + 4.5 * max(float(np.median(np.abs(usual - middle))), 1e-6)
+    odd = middle + limits.ODD * max(float(np.median(np.abs(usual - middle))), 1e-6)
     share = float((usual > odd).mean())
     own = np.log(np.maximum(followed.misfit[followed.valid], 1e-9))
     return float((own > odd).mean()) / share if share > limits.SURE_SHARE else None

@@ -81,7 +81,7 @@ class TextureReference:
     def usual_misfit(self) -> tuple[float, float]:
         """Median misfit of the cells of the reference, and the misfit beyond which a cell is torn."""
         misfits = np.concatenate([picture.misfit[picture.valid & picture.in_place] for picture in self.pictures])
-        top, margin = (0.98, limits.TORN * 1.25) if self.from_sample else (0.999, limits.TORN)
+        top, margin = (limits.TOP_OF_SAMPLE, limits.TORN_OF_SAMPLE) if self.from_sample else (limits.TOP, limits.TORN)
         return float(np.median(misfits)), margin * float(np.quantile(misfits, top))
 
     @cached_property
@@ -275,7 +275,7 @@ def _choose_windows(
         if not all(picture.valid.any() for picture in followed):
             break
         away = np.concatenate([picture.away[picture.valid] for picture in followed])
-        chosen, noise = followed, float(np.quantile(away, 0.98 if strips else 0.999))
+        chosen, noise = followed, float(np.quantile(away, limits.TOP_OF_SAMPLE if strips else limits.TOP))
         if noise < limits.SURE:
             break
     if not chosen:

@@ -65,6 +65,9 @@ MOST_STEP = _limit("MOST_STEP", 0.25, "s", "a tile that is out of place by this 
 LOOSE = _limit("LOOSE", 1.5, "", "factor of LEAST_STEP and SLIP beside one sample: photographed walls wander by .1 s")
 OF_NOISE = _limit("OF_NOISE", 1.3, "", "margin over the largest departure of the references")
 TORN = _limit("TORN", 1.6, "", "margin over the largest misfit of a cell of the references")
+TORN_OF_SAMPLE = _limit("TORN_OF_SAMPLE", 2.0, "", "the same beside one sample, which shows fewer cells")
+TOP = _limit("TOP", 0.999, "", "quantile of the windows of the references that counts as the largest")
+TOP_OF_SAMPLE = _limit("TOP_OF_SAMPLE", 0.98, "", "the same for a sample: one window may lock onto a wrong place")
 BLANK = _limit("BLANK", 0.05, "", "a contrast to other places that nobody sees; windows of fresh draws show 0.27")
 SLIP = _limit("SLIP", 0.1, "s", "smallest difference between the two sides of a line that counts as a slip")
 OF_SLIP = _limit("OF_SLIP", 1.2, "", "margin over the largest difference between two sides in the references")
@@ -101,6 +104,7 @@ LEAST_POWER = _limit(
 UNSEEN_NOISE = _limit(
     "UNSEEN_NOISE", 0.75, "CIELAB", "measured: root mean square of what JPEG 85 changes, as it is seen"
 )
+OVERLOOKED = _limit("OVERLOOKED", 0.005, "", "convention: share of broken elements that is overlooked")
 FEW_CELLS = _limit("FEW_CELLS", 100.0, "cells", "with fewer cells, covariances of neighboring places are pooled")
 
 # Randomness
@@ -119,6 +123,8 @@ ARRANGED_DEVIATIONS = _limit(
     "ARRANGED_DEVIATIONS", 4.0, "sd", "theory: one of 30 normal values exceeds it once in 500 draws"
 )
 LEAST_DISTANCE = _limit("LEAST_DISTANCE", 0.03, "", "convention: share of the energy distance that is not seen")
+DISTANCE_SLOPE = _limit("DISTANCE_SLOPE", 4.0, "", "convention: the score reaches 0 at a quarter of what is possible")
+ODD = _limit("ODD", 4.5, "", "median absolute deviations of the logarithm of the misfit: one normal value in 400")
 OF_DISTANCE = _limit("OF_DISTANCE", 1.1, "", "margin over the largest distance of 24 parts of the references")
 AMPLITUDE = _limit("AMPLITUDE", 0.06, "s", "displacements of the references below which the geometry does not vary")
 AMPLITUDE_TOLERANCE = _limit(
