@@ -82,7 +82,14 @@ class TextureReference:
         """Median misfit of the cells of the reference, and the misfit beyond which a cell is torn."""
         misfits = np.concatenate([picture.misfit[picture.valid & picture.in_place] for picture in self.pictures])
         top, margin = (limits.TOP_OF_SAMPLE, limits.TORN_OF_SAMPLE) if self.from_sample else (limits.TOP, limits.TORN)
-        return float(np.median(misfits)), margin * float(np.quantile(misfits, top))
+        seen = max(limits.SEEN_MISFIT, limits.OF_FLAT * self._flat_misfit)
+        return max(float(np.median(misfits)), seen / 2), max(margin * float(np.quantile(misfits, top)), seen)
+
+    @cached_property
+    def _flat_misfit(self) -> float:
+        """Misfit of a flat cell of the mean color."""
+        mean = self.model.mean
+        return float(((mean - mean.mean((0, 1))) ** 2 / (self.model.variance + limits.JND**2)).mean())
 
     @cached_property
     def usual_contrast(self) -> float:

@@ -146,8 +146,8 @@ def test_bad_grids(grid: Any, message: str) -> None:
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("core", "780b36770bccd8c9"),
-        ("default", "117e3501a8740179"),
+        ("core", "d5356363117cf210"),
+        ("default", "342c0abb8e03f4cc"),
         ("detectors", "fd5456d95e2150ed"),
         ("frontier", "79c6c29e9724c398"),
         ("integer", "1bf655853a8029fd"),
