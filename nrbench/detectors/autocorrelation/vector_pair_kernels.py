@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nrbench.jit import Float64x1, Float64x2, Int32x2, Int64x1, kernel
+from nrbench.lattice.geometry import MOST_STEPS
 
 
 @kernel
@@ -138,7 +139,7 @@ def count_hits(
             area = abs(x1 * y2 - x2 * y1)
             if area < 4 or area * area < 0.01 * (x1 * x1 + y1 * y1) * (x2 * x2 + y2 * y2):
                 continue
-            while True:
+            for _ in range(MOST_STEPS):  # rounding errors may keep a tie between two bases from ending
                 if x1 * x1 + y1 * y1 > x2 * x2 + y2 * y2:
                     x1, y1, x2, y2 = x2, y2, x1, y1
                 times = np.rint((x1 * x2 + y1 * y2) / (x1 * x1 + y1 * y1))
