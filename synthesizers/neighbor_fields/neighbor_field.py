@@ -167,8 +167,13 @@ def rescale(image: Image, factor: float, shape: Shape) -> Image:
     planes = [
         scipy.ndimage.affine_transform(
             scipy.ndimage.gaussian_filter(plane, sigma, mode="nearest"),
-            [step, step], (step - 1) / 2, shape, np.float32, order=3, mode="nearest",
+            [step, step],
+            (step - 1) / 2,
+            shape,
+            output=np.float32,
+            order=3,
+            mode="nearest",
         )
         for plane in np.moveaxis(image, -1, 0)
-    ]  # fmt: skip
+    ]
     return np.stack(planes, -1)

@@ -39,7 +39,7 @@ def patch_distance(
         part = np.float32(0)
         for k in range(length):
             part += (ours[k] - theirs[k]) * (ours[k] - theirs[k])
-        total += part
+        total += float(part)
         if total > bound:
             break
     return total
