@@ -379,11 +379,11 @@ def _compare_draws(before: Floats, after: Floats) -> list[Estimate]:
     ]
     known = np.isfinite(mean_of_known(sides[0], 2) + mean_of_known(sides[1], 2))[..., None]
     strata = np.where(np.concatenate([known, known], 1), np.concatenate([-sides[0], sides[1]], 1), np.nan)
-    twice = estimate_means(strata)
-    half = [(None if one.value is None else 2 * one.value, one.ends or (None, None), one.n // 2) for one in twice]
     return [
-        Estimate(value, *(None if end is None else 2 * end for end in ends), n=n, of=before.shape[1])
-        for value, ends, n in half
+        Estimate(None, of=before.shape[1])
+        if one.value is None
+        else Estimate(2 * one.value, one.low and 2 * one.low, one.high and 2 * one.high, one.n // 2, before.shape[1])
+        for one in estimate_means(strata)
     ]
 
 

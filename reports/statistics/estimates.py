@@ -130,11 +130,11 @@ def estimate_means(
     else:
         ends = draw_intervals(values)
     totals = [values.shape[1]] * len(values) if of is None else of
-    numbers = np.column_stack([mean, ends]).tolist()
-    return [
-        Estimate(*(None if math.isnan(x) else x for x in row), n=int(count), of=total)
-        for row, count, total in zip(numbers, n, totals, strict=True)
+    known: list[list[float | None]] = [
+        [None if math.isnan(x) else x for x in row] for row in np.column_stack([mean, ends]).tolist()
     ]
+    rows = zip(known, n.tolist(), totals, strict=True)
+    return [Estimate(value, low, high, count, total) for (value, low, high), count, total in rows]
 
 
 def draw_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -293,7 +293,7 @@ def _build_comparison(run: Run, tests: bool, baseline: str, population: bool) ->
         ranked = [replace(one, leading=False) for one in ranked]
     methods = [one.method for one in ranked]
     differences = list_differences(run, methods, cells, fit if tests else (), population)
-    if tests and fit:
+    if tests and other is not None and fit:
         against = compare_with(cells, differences, other, [one for one in methods if one != other], population)
     score = QUALITY if has_quality(run) else SCORE
     notes = list(dict.fromkeys(record.note for record in run.cells if record.note))
