@@ -148,7 +148,7 @@ class _Search:
         if self.method.alpha:
             self.back.search(keys, image, self.rng, SWEEPS)
             alpha = self.method.alpha * UNIT**2 * self.method.patch**2 * image.shape[2]
-            factors = 1 / (np.float32(alpha) + self.back.costs)
+            factors = (1 / (alpha + self.back.costs)).astype(np.float32)
         self.forth.search(image, keys, self.rng, SWEEPS, factors)
         from_middle = np.arange(self.method.patch) - (self.method.patch - 1) / 2
         bell = np.exp(-8 * (from_middle / self.method.patch) ** 2)  # a standard deviation of a quarter of the patch

@@ -97,6 +97,6 @@ def match_ranks(projections: Float32x2, targets: Float32x2, slopes: Float32x2) -
             b = int((values[k] - low) * scale)
             difference = values[k] - wanted[first[b] * m // n]
             first[b] += 1
-            total += abs(difference)
+            total += float(abs(difference))
             signs[k] = np.sign(difference)
-    return total / (count * n)
+    return float(total / (count * n))
