@@ -235,7 +235,7 @@ def auc(low: pd.Series[float], high: pd.Series[float]) -> float:
 
 
 def study_planted(options: argparse.Namespace) -> None:
-    """Print how well each planted defect is told from fresh draws, by ``quality`` and by each peril."""
+    """Print how well ``quality`` and each peril separate each planted defect from fresh draws."""
     rows = []
     for seed in range(options.first, options.first + 5 * options.count):
         share, subject = planted_subject(seed)

@@ -10,7 +10,7 @@ import numpy as np
 from nrbench.errors import require
 
 from .modelling.model import Model, Vectors, check_sizes
-from .modelling.pattern import Field, Layer, Pattern, box, boxes, coverage, rim, split_period
+from .modelling.pattern import Field, Layer, Pattern, box, boxes, coverage, nearness, rim, split_period
 
 _CLAY = (0.55, 0.38, 0.32)
 _MORTAR = (0.75, 0.72, 0.67)
@@ -77,4 +77,6 @@ class Brick(Model):
                 np.where(j % self._courses == 0, *pair) for pair in zip(halves, (i, along, width), strict=True)
             )
         distance = box(along, across, width - self.joint, self.height - self.joint, radius=1.0)
-        return Pattern(_MORTAR, (Layer("brick", (i, j), coverage(distance), _CLAY, rim(distance, 0.15, 1.5)),))
+        return Pattern(
+            _MORTAR, (Layer("brick", (i, j), coverage(distance), _CLAY, rim(distance, 0.15, 1.5), nearness(distance)),)
+        )

@@ -9,7 +9,19 @@ from typing import Literal
 import numpy as np
 
 from .modelling.model import Model, Vectors, check_sizes
-from .modelling.pattern import Field, Index, Layer, Local, Pattern, coverage, hexagon, honeycomb, rim, round_profile
+from .modelling.pattern import (
+    Field,
+    Index,
+    Layer,
+    Local,
+    Pattern,
+    coverage,
+    hexagon,
+    honeycomb,
+    nearness,
+    rim,
+    round_profile,
+)
 
 _GLAZE = (0.32, 0.46, 0.52)
 _GROUT = (0.78, 0.77, 0.73)
@@ -51,7 +63,8 @@ class Hexagon(Model):
         if self.style == "net":
             return self._net(index, (right, down))
         distance = hexagon(right, down, self.period - self.joint, radius=0.5)
-        return Pattern(_GROUT, (Layer("tile", index, coverage(distance), _GLAZE, rim(distance, 0.2, 1.5)),))
+        tile = Layer("tile", index, coverage(distance), _GLAZE, rim(distance, 0.2, 1.5), nearness(distance))
+        return Pattern(_GROUT, (tile,))
 
     def _net(self, mesh: tuple[Index, Index], local: Local) -> Pattern:
         """Return the wires. The index of a wire is the sum of the indices of the two meshes that it separates."""

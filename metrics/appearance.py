@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Value
 
 from .judgment.examination import examine
-from .judgment.texture_reference import DRAWS, FIRST_DRAW, CannotTell
+from .judgment.texture_reference import DRAWS, FIRST_DRAW, STRIPS, CannotTell
 from .perception import limits
 from .perception.visible import Lab, measure_looks, perceive
 from .registration.lattice_net import LatticeNet, sample_planes, sum_boxes
@@ -176,8 +175,7 @@ def _group_windows(
         return [[_window_means(plane, net, size) for plane in planes]]
     found = []
     for axis in (0, 1):
-        edges, place = np.linspace(0, net.shape[1 - axis], 5), net.points[..., axis]
-        strips = [net.inside & (place >= low) & (place < high) for low, high in itertools.pairwise(edges)]
+        strips = [net.inside & strip for strip in net.cut_strips(axis, STRIPS)]
         groups = [_window_means(planes[0], net, size, strip) for strip in strips]
         found.append([group for group in groups if len(group)])
     return found

@@ -6,20 +6,20 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.imaging.convert import Image, gray
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Column, Observation, Score
 
 from .judgment.examination import examine
 from .judgment.texture_reference import STRIPS, CannotTell, TextureReference
 from .perception import limits
+from .perception.visible import tint_places
 from .randomness import gather_tiles
 from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.followed import FollowedPicture
@@ -27,7 +27,6 @@ from .registration.lattice_net import LatticeNet, Mask, Values, split_cells
 
 Lag = tuple[int, int]
 _COLOR = np.array((0.7, 0.1, 0.8), np.float32)
-_DIM = 0.5
 _DIRECTIONS = 8
 _DISTANCES = (0.25, 0.5)
 """Distances in s of two places of one element."""
@@ -165,7 +164,8 @@ def learn_elements(reference: TextureReference) -> ElementModel:
     model = ElementModel(learn_pairs(planes, lags))
     rng = np.random.default_rng(0)
     if reference.from_sample:
-        weighed = [_weigh_strip(planes[0], strip, lags) for strip in _cut_strips(net)]
+        strips = [strip for axis in (0, 1) for strip in net.cut_strips(axis, STRIPS)]
+        weighed = [_weigh_strip(planes[0], strip, lags) for strip in strips]
     else:
         noise = [rng.normal(0, limits.UNSEEN_NOISE, plane.values.shape).astype(np.float32) for plane in planes]
         weighed = [model.weigh(plane.values + n, plane.complete) for plane, n in zip(planes, noise, strict=True)]
@@ -176,15 +176,6 @@ def learn_elements(reference: TextureReference) -> ElementModel:
         return model
     tried = [_set_limit(model.pairs, whole, joined, share, reference.from_sample) for share in limits.WHOLE_SHARES]
     return max(tried, key=lambda found: found.power - found.chance)
-
-
-def _cut_strips(net: LatticeNet) -> list[Mask]:
-    """Return the points of four strips of a picture along each axis."""
-    found = []
-    for axis in (0, 1):
-        edges = np.linspace(0, net.shape[1 - axis], STRIPS + 1)
-        found += [(net.points[..., axis] >= low) & (net.points[..., axis] < high) for low, high in pairwise(edges)]
-    return found
 
 
 def _weigh_strip(plane: CoarsePlane, strip: Mask, lags: Sequence[Lag]) -> NDArray[np.float64]:
@@ -303,7 +294,6 @@ def _score(observation: Observation) -> Score:
 
 def draw_broken(output: Image, followed: FollowedPicture, broken: Mask) -> Image:
     """Return the output in faint gray, with the broken cells tinted."""
-    faint = np.repeat((1 - _DIM + _DIM * gray(output))[..., np.newaxis], 3, 2)
     y, x = np.indices(output.shape[:2])
     phase: Points = followed.expected[followed.in_place].mean(0) if followed.in_place.any() else np.zeros(2)
     cell = (
@@ -311,4 +301,4 @@ def draw_broken(output: Image, followed: FollowedPicture, broken: Mask) -> Image
     )
     number = np.clip(np.floor(cell).astype(int), 0, np.array(broken.shape) - 1)
     marked = broken[number[..., 0], number[..., 1]][..., np.newaxis]
-    return np.asarray(np.where(marked, (1 - _DIM) * faint + _DIM * _COLOR, faint), np.float32)
+    return tint_places(output, marked, _COLOR)

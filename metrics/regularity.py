@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import Image, gray
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Column, Observation, Score, Value
@@ -18,12 +18,12 @@ from nrbench.plugins.forms import Column, Observation, Score, Value
 from .judgment.examination import Examination, examine
 from .judgment.texture_reference import CannotTell
 from .perception import limits
+from .perception.visible import tint_places
 from .registration.followed import FollowedPicture
 from .registration.lattice_net import Mask
 
 COLORS = ((1.0, 0.6, 0.0), (0.9, 0.1, 0.1))
 """Colors of a cell that is a little out of place, and of one that is wholly out of place."""
-_DIM = 0.5
 
 
 def _distance(meaning: str, unit: str = "of s") -> Column:
@@ -110,7 +110,7 @@ def _score(observation: Observation) -> Score:
     if values["misplacement_ratio"] is None:
         reasons["misplacement_ratio"] = "not applicable: the geometry of the texture does not vary"
     if values["preserved"] is None:
-        share = f"{reference.misplaced.mean():.0%} of the reference itself is out of place"
+        share = f"up to {reference.most_misplaced:.0%} of the reference itself is out of place by chance"
         reasons |= dict.fromkeys(("misplaced_share", "preserved", "score"), f"undecided: {share}")
     values |= _compare_lattice(followed, followed.in_place & ~blank, reasons)
     records: dict[str, Any] = {
@@ -164,11 +164,10 @@ def _own_lattice(followed: FollowedPicture) -> Lattice:
 
 def draw_misplaced(output: Image, followed: FollowedPicture, bad: NDArray[np.float64]) -> Image:
     """Return the output in faint gray, with the cells around the nodes that are out of place in :data:`COLORS`."""
-    faint = np.repeat((1 - _DIM + _DIM * gray(output))[..., np.newaxis], 3, 2)
     shape = (output.shape[0], output.shape[1])
     y, x = np.indices(shape)
     cell = (np.stack([x, y], -1) - followed.net.origin) @ np.linalg.inv(followed.net.vectors) - followed.net.first
     node = np.clip(np.rint(2 * cell - followed.size).astype(int), 0, np.array(bad.shape) - 1)
     amount = np.where(followed.valid, bad, 0)[node[..., 0], node[..., 1]][..., np.newaxis]
     tint = np.where(amount < 0.5, COLORS[0], COLORS[1])
-    return np.asarray(np.clip(np.where(amount > 0.05, (1 - _DIM) * faint + _DIM * tint, faint), 0, 1), np.float32)
+    return tint_places(output, amount > 0.05, tint)

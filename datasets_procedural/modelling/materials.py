@@ -27,6 +27,8 @@ Color = tuple[float, float, float]
 _NOTHING: Color = (0.0, 0.0, 0.0)
 _RARE = 1.7
 """Number of standard deviations above which a smooth field shows a speckle: on about 4.5 % of the plane."""
+_COMMON = 1.0
+"""The same for a chip in an edge: on about 16 %."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class Material:
         Rare spots 2 to 3 px wide.
     relief
         A rough surface under a light from the upper left.
+    worn
+        Chips along the edges of bricks, tiles and threads; models of other elements have none.
     stains
         Blots that pass over elements, about 2.5 s long.
     light
@@ -54,6 +58,7 @@ class Material:
     streaks: Color = _NOTHING
     speckles: Color = _NOTHING
     relief: Color = _NOTHING
+    worn: Color = _NOTHING
     stains: Color = _NOTHING
     light: float = 0.0
 
@@ -76,9 +81,12 @@ class Material:
             streaks = read(lambda size: _streaks(role_seed(numbers.seed, "material.streaks"), size, rotation))
             paint(self.streaks, streaks * _element_signs(pattern, numbers))
         if any(self.speckles):
-            paint(self.speckles, read(lambda size: _speckles(role_seed(numbers.seed, "material.speckles"), size)))
+            paint(self.speckles, read(lambda size: _spots(role_seed(numbers.seed, "material.speckles"), size, _RARE)))
         if any(self.relief):
             paint(self.relief, read(lambda size: _relief(role_seed(numbers.seed, "material.relief"), size)))
+        if any(self.worn):
+            chips = read(lambda size: _spots(role_seed(numbers.seed, "material.worn"), size, _COMMON))
+            paint(self.worn, chips * _edges(pattern))
         if any(self.stains):
             paint(self.stains, waves(role_seed(seed, "material.stains"), shape, 2.5 * s))
         if self.light:
@@ -90,17 +98,39 @@ class Material:
         added = np.sum(np.square(parts), axis=0)
         covered = np.sum([layer.coverage**2 for layer in pattern.layers], axis=0)
         along = covered[..., np.newaxis] * np.square(self.streaks)
-        total = variance + added + along
+        worn = _edges(pattern)[..., np.newaxis] ** 2 * np.square(self.worn)
+        total = variance + added + along + worn
         return np.asarray(total + self.light**2 * (mean**2 + total))
 
 
 MATERIALS: Mapping[str, Material] = {
     "clay": Material(
-        grain=(0.03, 0.02, 0.01), soft=(0.03, 0.015, 0.0), speckles=(-0.05, -0.045, -0.04), relief=(0.03, 0.03, 0.03)
+        grain=(0.025, 0.015, 0.005),
+        soft=(0.035, 0.02, 0.0),
+        speckles=(-0.05, -0.045, -0.04),
+        relief=(0.025, 0.025, 0.025),
+        worn=(0.07, 0.07, 0.065),
     ),
-    "stone": Material(soft=(0.02, 0.025, 0.035), relief=(0.05, 0.05, 0.05), stains=(0.03, 0.02, 0.0), light=0.06),
-    "wood": Material(grain=(0.015, 0.012, 0.01), streaks=(0.07, 0.055, 0.035), stains=(0.02, 0.015, 0.01)),
-    "cloth": Material(grain=(0.04, 0.03, 0.03), streaks=(0.04, 0.04, 0.05), speckles=(0.03, 0.03, 0.02), light=0.05),
+    "stone": Material(
+        soft=(0.02, 0.025, 0.035),
+        relief=(0.05, 0.05, 0.05),
+        worn=(0.1, 0.095, 0.085),
+        stains=(0.035, 0.025, 0.0),
+        light=0.08,
+    ),
+    "wood": Material(
+        grain=(0.015, 0.012, 0.01),
+        streaks=(0.07, 0.055, 0.035),
+        worn=(-0.06, -0.05, -0.04),
+        stains=(0.02, 0.015, 0.01),
+    ),
+    "cloth": Material(
+        grain=(0.03, 0.02, 0.02),
+        streaks=(0.055, 0.055, 0.065),
+        speckles=(0.035, 0.035, 0.025),
+        worn=(-0.05, -0.05, -0.05),
+        light=0.06,
+    ),
 }
 """The named materials; ``"plain"`` has none of these parts."""
 
@@ -132,10 +162,15 @@ def _streaks(seed: int, shape: Shape, rotation: float) -> Field:
     return np.asarray(total * math.sqrt(2 / count))
 
 
-def _speckles(seed: int, shape: Shape) -> Field:
-    """Return rare spots on an even ground, of mean 0 and variance 1."""
-    share = 0.5 * math.erfc(_RARE / math.sqrt(2))
-    return np.asarray(((_smooth(seed, shape, 0.9) > _RARE) - share) / math.sqrt(share * (1 - share)))
+def _spots(seed: int, shape: Shape, level: float) -> Field:
+    """Return spots on an even ground, where smooth grain exceeds ``level``: of mean 0 and variance 1."""
+    share = 0.5 * math.erfc(level / math.sqrt(2))
+    return np.asarray(((_smooth(seed, shape, 0.9) > level) - share) / math.sqrt(share * (1 - share)))
+
+
+def _edges(pattern: Pattern) -> Field:
+    """Return how near each pixel is to the outline of the element that it shows."""
+    return np.asarray(np.sum([layer.coverage * layer.edge for layer in pattern.layers], axis=0))
 
 
 def _relief(seed: int, shape: Shape) -> Field:

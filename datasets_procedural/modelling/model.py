@@ -81,8 +81,9 @@ class Model(ABC):
         and y, in waves about 5 s long.
     material
         What the surface shows beside the tints, of mean 0 (:mod:`~.materials`): ``"plain"``: nothing; ``"clay"``: warm
-        grain, speckles and relief; ``"stone"``: relief, stains across elements and uneven light; ``"wood"``: streaks
-        along elements and stains; ``"cloth"``: colored grain, streaks, bright specks and uneven light.
+        grain, speckles, relief and chips; ``"stone"``: relief, chips, stains across elements and uneven light;
+        ``"wood"``: streaks along elements, worn edges and stains; ``"cloth"``: colored grain, streaks, bright specks,
+        frayed edges and uneven light.
     """
 
     rotation: float = 0.0

@@ -227,6 +227,11 @@ def bevel(distance: Field, x: Field, y: Field, depth: float, width: float) -> Fi
     return np.asarray(1 - depth * near * (x + y) / away / math.sqrt(2))
 
 
+def nearness(distance: Field) -> Field:
+    """Return how near each point is to an edge: 1 at the edge, and hardly anything 3 px from it."""
+    return np.asarray(np.exp(-((distance / 1.5) ** 2)))
+
+
 def mix(share: Field, under: ArrayLike, over: ArrayLike) -> NDArray[np.float64]:
     """Return the color ``under`` where ``share`` is 0, ``over`` where it is 1, and mixtures between, ``(H, W, 3)``."""
     weight = np.asarray(share)[..., np.newaxis]
@@ -267,7 +272,7 @@ class Thread:
 
     def layer(self, name: str, color: ArrayLike) -> Layer:
         """Return the layer of these threads."""
-        return Layer(name, (self.index,), self.coverage, color, self.shade)
+        return Layer(name, (self.index,), self.coverage, color, self.shade, nearness(self.distance))
 
 
 def interlace(
@@ -341,6 +346,8 @@ class Layer:
         Expected color in [0, 1], broadcastable to ``(H, W, 3)``.
     shade
         A factor of the color at each point.
+    edge
+        How near each point is to the outline, see :func:`nearness`; 0 where elements do not wear.
     """
 
     name: str
@@ -348,6 +355,7 @@ class Layer:
     coverage: Field
     color: ArrayLike
     shade: Field | float = 1.0
+    edge: Field | float = 0.0
 
     def paint(self) -> Image:
         """Return what the layer adds to the ideal image."""
@@ -427,7 +435,9 @@ class Pattern:
             return array[inside, inside] if array.ndim > 1 else array
 
         layers = (
-            Layer(each.name, tuple(map(trim, each.index)), trim(each.coverage), trim(each.color), trim(each.shade))
+            Layer(
+                each.name, tuple(map(trim, each.index)), *map(trim, (each.coverage, each.color, each.shade, each.edge))
+            )
             for each in self.layers
         )
         return Pattern(trim(self.ground), tuple(layers))

@@ -130,13 +130,6 @@ class TextureReference:
         mean = self.net.tile(self.model.mean)
         return [(plane - mean, known) for plane, known in (picture.straightened for picture in self.pictures)]
 
-    def split(self, known: Sequence[Mask]) -> list[Mask]:
-        """Return the known points of each picture, or those of each strip of the sample."""
-        if self.strips is None:
-            return list(known)
-        number = self.strips.number(self.net.points)
-        return [known[0] & (number == k) for k in range(STRIPS)]
-
     def follow(self, lab: Lab) -> FollowedPicture:
         """Follow the lattice through an output."""
         net = replace(self.net, shape=(lab.shape[0], lab.shape[1]))

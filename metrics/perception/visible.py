@@ -9,12 +9,15 @@ import skimage.color
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, gray
 
 from . import limits
 
 Lab = NDArray[np.float32]
 """``(H, W, 4)``: L*, a* and b* as they are seen, and L* before its blur."""
+
+
+_DIM = 0.5
 
 
 def perceive(image: Image) -> Lab:
@@ -33,6 +36,12 @@ def perceive(image: Image) -> Lab:
     sigmas = (limits.BLUR, limits.CHROMA_BLUR, limits.CHROMA_BLUR)
     seen = [gaussian_filter(lab[..., k], sigma, mode="nearest", truncate=3) for k, sigma in enumerate(sigmas)]
     return np.stack([*seen, lab[..., 0]], -1)
+
+
+def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> Image:
+    """Return an image in faint gray, with the marked places, ``(H, W, 1)``, in a color, (3,) or ``(H, W, 3)``."""
+    faint = np.repeat((1 - _DIM + _DIM * gray(image))[..., np.newaxis], 3, 2)
+    return np.asarray(np.clip(np.where(marked, (1 - _DIM) * faint + _DIM * tint, faint), 0, 1), np.float32)
 
 
 def measure_looks(lab: Lab) -> NDArray[np.float32]:

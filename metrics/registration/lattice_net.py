@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -79,6 +80,11 @@ class LatticeNet:
     def inside(self) -> Mask:
         """``(N1 n1, N2 n2)``: the points inside the picture."""
         return find_inside(self.points, self.shape)
+
+    def cut_strips(self, axis: int, count: int) -> list[Mask]:
+        """Return the points of each of ``count`` strips of the picture, side by side along x (axis 0) or y (axis 1)."""
+        edges, place = np.linspace(0, self.shape[1 - axis], count + 1), self.points[..., axis]
+        return [(place >= low) & (place < high) for low, high in pairwise(edges)]
 
     def tile(self, cell: Values) -> Values:
         """Repeat a cell ``(n1, n2, ...)`` over the whole net."""

@@ -1,4 +1,4 @@
-"""Claims about planted defects: each is of the size that is asked for, and known to the pixel."""
+"""Claims about planted defects: each has the size of its parameter, and is known to the pixel."""
 
 from dataclasses import replace
 
