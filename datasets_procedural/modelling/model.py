@@ -307,7 +307,7 @@ def check_degrees(model: Any, *names: str) -> None:
 
 def check_choices(model: Any) -> None:
     """Raise :class:`BadInput` unless each ``Literal`` field of ``model`` holds one of its words."""
-    for name, words in _choices(type(model)).items():
+    for name, words in _choices(type(model)).items():  # type: ignore[arg-type]
         word = getattr(model, name)
         require(word in words, f"{name} is {word!r}; give one of: {', '.join(words)}")
 
