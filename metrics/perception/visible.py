@@ -79,7 +79,7 @@ def measure_detail(lab: Lab) -> NDArray[np.float32]:
     level of what is brighter than its surroundings over that of what is darker. None of them changes with the contrast.
     """
 
-    def level(energy: NDArray[np.float32]) -> NDArray[np.float32]:
+    def level(energy: NDArray[Any]) -> NDArray[Any]:
         return np.asarray(10 * np.log(energy + np.float32(limits.BAND_OFFSET**2)))
 
     def blur(plane: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
@@ -90,7 +90,7 @@ def measure_detail(lab: Lab) -> NDArray[np.float32]:
     for _ in range(2):
         low = blur(octave, 1.2)
         band = octave - low
-        down, right = np.gradient(octave)
+        down, right = (np.asarray(slope, np.float32) for slope in np.gradient(octave))
         near, energy = blur(band * band, 1), blur(band * band, 2)
         bright = blur(np.maximum(band, 0) ** 2, 2)
         planes += [level(right**2) - level(down**2), level((right + down) ** 2 / 2) - level((right - down) ** 2 / 2)]
