@@ -1,4 +1,4 @@
-"""Whether labels agree with the scores; the labels were given without knowing the methods or the scores.
+"""Whether labels given by two vision-language models agree with the scores.
 
 ``python benchmarks/labels.py [FILE.csv] [--photographs FOLDER] [--outputs FOLDER] [--sets NAME ...]``
 

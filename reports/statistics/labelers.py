@@ -222,14 +222,13 @@ def compare_orders(outputs: pd.DataFrame, leading: Collection[str], name: str) -
     return [_compare_order(*part, name) for part in zip(parts, SUBSETS, strict=True)]
 
 
-def _compare_order(outputs: pd.DataFrame, subset: str, name: str) -> RaterAgreement:
+def _compare_order(outputs: pd.DataFrame, subset: str, second: str) -> RaterAgreement:
     methods = outputs.groupby(["texture", "label"], sort=False)[["score", "answer"]].mean()
-    orders = [
-        [texture, *rank_agreement(*part.to_numpy().T)] for texture, part in methods.groupby("texture", sort=False)
-    ]
+    orders = [[name, *rank_agreement(*part.to_numpy().T)] for name, part in methods.groupby("texture", sort=False)]
     means = means_over_textures(pd.DataFrame(orders, columns=["texture", "tau", "ordered"]), ["tau", "ordered"])
     textures = [part.to_numpy() for _, part in outputs.groupby("texture", sort=False)[["score", "answer"]]]
-    return RaterAgreement(JUDGE, name, len(outputs), subset, spearman=_estimate_spearman(textures), **means)
+    spearman, tau, ordered = _estimate_spearman(textures), means["tau"], means["ordered"]
+    return RaterAgreement(JUDGE, second, len(outputs), subset, spearman=spearman, tau=tau, ordered=ordered)
 
 
 def _estimate_spearman(textures: Sequence[NDArray[np.float64]]) -> Estimate:
@@ -241,14 +240,15 @@ def _estimate_spearman(textures: Sequence[NDArray[np.float64]]) -> Estimate:
 
     def correlate(chosen: Iterable[int]) -> float:
         ranks = rankdata(np.concatenate([textures[i] for i in chosen]), axis=0)
-        return float(np.corrcoef(ranks.T)[0, 1]) if np.ptp(ranks, axis=0).all() else np.nan
+        return float(np.asarray(np.corrcoef(ranks.T))[0, 1]) if np.ptp(ranks, axis=0).all() else np.nan
 
     value = correlate(range(n)) if n else np.nan
     if np.isnan(value) or n < 2:
         return Estimate(None if np.isnan(value) else value, n=n, of=n)
     draws = [correlate(chosen) for chosen in stream("bootstrap").integers(0, n, (1999, n))]
     tail = expanded_tail(n)
-    return Estimate(value, *np.nanquantile(draws, [tail, 1 - tail]).tolist(), n, n)
+    low, high = np.nanquantile(draws, [tail, 1 - tail]).tolist()
+    return Estimate(value, low, high, n, n)
 
 
 def _compare_each(pairs: Sequence[RaterPair], textures: Mapping[str, str], group: str) -> list[RaterAgreement]:
@@ -296,8 +296,8 @@ def agreement_table(comparison: LabelerComparison) -> pd.DataFrame:
     agreement of the orders of methods in their place.
     """
     return pd.DataFrame(
-        {"question": name, "kind": kind, "first": agreement.first, "second": agreement.second}
-        | {"outputs": agreement.outputs, "items": agreement.n, "share_equal": agreement.equal}
+        {"question": name, "kind": kind, "first": agreement.first, "second": agreement.second, "items": agreement.n}
+        | {"outputs": agreement.outputs, "share_equal": agreement.equal}
         | agreement.kappa.columns("kappa", "kappa_", ("low", "high"))
         | agreement.decided.columns("kappa_decided", "kappa_decided_", ("low", "high"))
         | agreement.spearman.columns("spearman", "spearman_", ("low", "high"))

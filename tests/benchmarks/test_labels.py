@@ -36,8 +36,8 @@ def test_stored_labels_are_read(script: ModuleType) -> None:
     assert set(counts.index.get_level_values("question")) == {*QUESTIONS, script.GRADE}
     assert set(counts.index.get_level_values("labeler")) == {"first", "second"}
     assert {name: set(part) for name, part in counts.groupby("set")} == {
-        "models 1": {334},
-        "models 2": {118},
+        "models-1": {334},
+        "models-2": {118},
         "photographs": {62},
     }
     assert set(labels["labeled_by"]) == {"vision-language model"}
