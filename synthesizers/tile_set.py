@@ -48,11 +48,11 @@ class TileSet:
 
     The paper stitches by dynamic programming along both directions, in a similar manner as Efros and Freeman, whose two
     seams meet where the sum of errors over both is least, and blends where these seams conflict (``stitch=dynamic``).
-    Anchored in the middle of a joint between two courses, at whole pixels, nine of ten bricks stay whole. But such seams
-    move by at most a pixel sideways in each row: from any other anchor, or where periods are not whole pixels, a fifth
-    to two fifths of the bricks of mild walls become two-toned. The default is an exact minimum cut that leads around
-    elements: seams cost differences over gradients (Kwatra et al. 2003, section 5), the border of the filled region
-    costs double, covering an old seam regains its cost, and tiles are slightly larger.
+    Anchored in the middle of a joint between two courses, at whole pixels, nine of ten bricks stay whole. But these
+    seams move by at most a pixel sideways in each row: from any other anchor, or where periods are not whole pixels, a
+    fifth to two fifths of the bricks of mild walls become two-toned. The default is an exact minimum cut that leads
+    around elements: seams cost differences over gradients (Kwatra et al. 2003, section 5), the border of the filled
+    region costs double, covering an old seam regains its cost, and tiles are slightly larger.
 
     What the paper does by hand is automatic. The lattice is anchored in the middle of what differs from tile to tile,
     so that tiles show elements whole. The threshold is computed from the differences between the tiles of the sample
