@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from textwrap import fill
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.forms import Column
@@ -20,18 +21,26 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
 from .markdown import escape_markdown
-from .statistics.estimates import Estimate, means_over_textures, paired_differences
+from .statistics.estimates import (
+    FEWEST,
+    Estimate,
+    estimate_means,
+    mean_of_known,
+    stack_draws,
+)
 from .statistics.format import format_interval, format_number, format_signed, pluralize
+from .statistics.pair_tests import ALPHA, p_values_by_flips
 from .statistics.summaries import count_statuses, describe_scores, headline_columns
-from .statistics.verdicts import method_label, tabulate_cells
+from .statistics.verdicts import tabulate_cells
 
+Floats = NDArray[np.float64]
 State = Literal["same", "better", "worse", "changed", "noise", "unknown"]
 WORDS: Mapping[State, str] = {
     "same": "the same",
     "better": "better",
     "worse": "worse",
     "changed": "changed",
-    "noise": "within noise",
+    "noise": "within draws",
     "unknown": "too few textures",
 }
 PRESERVED = "preserved"
@@ -40,10 +49,13 @@ COSTS = ("seconds", "peak_mib")
 """Costs of a method. They depend on the machine, so they are no reason to fail unless they are named."""
 HEADS = ("method", "score", "first", "second", "difference", "textures", "change")
 """The headings of the table of changes."""
+FAILED = "failed"
+"""The score that is 1 where a cell failed, was refused or is missing, and 0 where it has an output."""
 LEGEND = (
-    "Differences are second minus first, paired by texture and draw: means over the textures that both runs have, with "
-    "95 % intervals over these textures. Better or worse: the interval excludes zero. One test in twenty does so by "
-    "chance."
+    "Differences are second minus first: means over the textures that both runs have, with 95 % intervals over draws "
+    "where these carry one. Better or worse: by more than other draws of the textures would move it, tested by sign "
+    f"flips within textures, for all methods and scores at once, at {100 * ALPHA:g} % for the whole table. It takes "
+    f"{FEWEST} textures."
 )
 
 
@@ -51,9 +63,10 @@ LEGEND = (
 class Changes:
     """What changed since another run: ``changes.md`` and ``changes.json``.
 
-    For each method that both runs have, each score is compared on the textures that both runs have. Cells are paired by
-    texture and draw. The table holds both means, the mean difference with its 95 % interval over textures, and whether
-    the score is better, worse, the same, or moved within noise. ``nrbench compare`` prints the same table.
+    For each method that both runs have, each score is compared on the textures that both runs have. Where the samples
+    are equal, cells are paired; where they are other draws, means over draws are compared. The table holds both means,
+    the difference with its 95 % interval over draws, and whether the score is better, worse, the same, or moved by no
+    more than draws do. ``nrbench compare`` prints the same table.
 
     Parameters
     ----------
@@ -124,10 +137,12 @@ class Change:
     before, after
         Means over the textures of both runs that have a value in each.
     difference
-        The mean of ``after - before``, paired.
+        The mean of ``after - before``.
+    p
+        p-value that the score is worse, adjusted for all scores and methods; None if too few textures are known.
     state
-        ``same``: no value changed. ``better``, ``worse``, or ``changed`` where no way is better: the interval excludes
-        zero. ``noise``: it does not. ``unknown``: fewer than two textures have a value in both runs.
+        ``same``: no value changed. ``better``, ``worse``, or ``changed`` where no way is better: by more than draws do.
+        ``noise``: by no more. ``unknown``: fewer than six textures have a value in both runs.
     """
 
     method: str
@@ -136,6 +151,7 @@ class Change:
     before: float | None
     after: float | None
     difference: Estimate
+    p: float | None
     state: State
 
     def as_dict(self) -> dict[str, Any]:
@@ -168,6 +184,8 @@ class RunChanges:
     counts
         For each method of both runs how its cells ended: ``ok``, ``refused``, ``missing`` and ``failed``, in the first
         and in the second run.
+    newly_failed
+        The methods of which a cell had an output in the first run, and has none in the second for the same sample.
     pairs, equal_samples
         Number of cells of the second run that the first one has, too, and how many of them have the same sample.
     named
@@ -181,6 +199,7 @@ class RunChanges:
     only_first: Sequence[str]
     only_second: Sequence[str]
     counts: Mapping[str, tuple[Mapping[str, int], Mapping[str, int]]]
+    newly_failed: Sequence[str]
     pairs: int
     equal_samples: int
     named: bool
@@ -188,17 +207,7 @@ class RunChanges:
     @property
     def worse(self) -> list[Change]:
         """The changes for the worse of methods that are no references; costs only if the caller named them."""
-        counted = (change for change in self.changes if self.named or change.score not in COSTS)
-        return [change for change in counted if change.state == "worse" and not change.reference]
-
-    @property
-    def newly_failed(self) -> list[str]:
-        """The methods of which more cells fail or are refused in the second run."""
-
-        def bad(counts: Mapping[str, int]) -> int:
-            return counts["refused"] + counts["failed"] + counts["missing"]
-
-        return [method for method, (before, after) in self.counts.items() if bad(after) > bad(before)]
+        return [change for change in self.changes if change.state == "worse" and _counts(change, self.named)]
 
     def below(self, score: str, limit: float) -> dict[str, float]:
         """Return the methods of the second run whose mean of a score is below a limit, with their means.
@@ -222,7 +231,9 @@ class RunChanges:
                 lines.append(f"{method}: {_count_text(before)} in the first run, {_count_text(after)} in the second")
         if self.equal_samples < self.pairs:
             other = self.pairs - self.equal_samples
-            lines.append(f"{pluralize(other, 'cell')} of {self.pairs} have another sample, so their pairs scatter more")
+            lines.append(
+                f"{pluralize(other, 'cell')} of {self.pairs} have another sample, so draws are compared, not pairs"
+            )
         return [*lines, *self.obstacles]
 
     @property
@@ -247,6 +258,7 @@ class RunChanges:
             "only_first": list(self.only_first),
             "only_second": list(self.only_second),
             "cells": {method: {"first": a, "second": b} for method, (a, b) in self.counts.items()},
+            "newly_failed": list(self.newly_failed),
             "pairs": self.pairs,
             "equal_samples": self.equal_samples,
             "obstacles": self.obstacles,
@@ -271,59 +283,108 @@ def compare_runs(first: Run, second: Run, scores: Sequence[str] = ()) -> RunChan
     headlines = headline_columns(second) | headline_columns(first)
     columns = describe_scores(first) | describe_scores(second) | headlines
     columns[PRESERVED] = Column("Whether the lattice is preserved; failures and refusals count as no.", better="higher")
-    chosen = list(scores) or [name for name in headlines if name != "seconds"] + [PRESERVED, "seconds"]
+    columns[FAILED] = Column("Whether the cell failed, was refused or is missing.", better="lower")
+    chosen = list(scores) or [*(name for name in headlines if name != "seconds"), PRESERVED, FAILED, "seconds"]
     if unknown := [name for name in chosen if name not in columns]:
         raise BadInput(f"score {unknown[0]!r} is not known{nearest(unknown[0], columns)}")
-    before, after = ({str(label): rows for label, rows in _tabulate(run, chosen)} for run in (first, second))
+    before, after = (_tabulate(run, chosen) for run in (first, second))
     common = [label for label in before if label in after]
-    samples, others = (_sample_hashes(run) for run in (first, second))
-    both = samples.keys() & others.keys()
+    keys = ["texture", "replicate"]
+    pairs = {label: before[label].merge(after[label], on=keys, suffixes=("_before", "_after")) for label in common}
+    alike = {label: both["sample_before"] == both["sample_after"] for label, both in pairs.items()}
+    moves = [move for label in common for move in _moves(before[label], after[label], alike[label], columns, chosen)]
     contestants = {label: rows for label, rows in after.items() if not rows["reference"].any()}
-    means = {label: means_over_textures(rows, chosen) for label, rows in contestants.items()}
+    means = {
+        label: mean_of_known(mean_of_known(stack_draws(rows, chosen), 2), 1) for label, rows in contestants.items()
+    }
+    lost = {label: (both[f"{FAILED}_after"] > both[f"{FAILED}_before"]) & alike[label] for label, both in pairs.items()}
     return RunChanges(
         first,
         second,
-        [change for label in common for change in _changes(label, before[label], after[label], columns, chosen)],
-        {name: {label: _number(means[label][name].value) for label in means} for name in chosen},
+        _decide(moves, columns, bool(scores)),
+        {name: {label: float(means[label][i]) for label in means} for i, name in enumerate(chosen)},
         [label for label in before if label not in after],
         [label for label in after if label not in before],
         {label: (_count(before[label]), _count(after[label])) for label in common},
-        len(both),
-        sum(samples[pair] == others[pair] for pair in both),
+        [label for label, found in lost.items() if found.any() and not after[label]["reference"].any()],
+        sum(map(len, pairs.values())),
+        sum(int(same.sum()) for same in alike.values()),
         bool(scores),
     )
 
 
-def _tabulate(run: Run, scores: Sequence[str]) -> Any:
-    """Return the cells by method, with the preserved lattices as numbers, and NaN for scores that the run lacks."""
+def _counts(change: Change, named: bool) -> bool:
+    """Return whether a change for the worse is a reason to fail."""
+    return not change.reference and (named or change.score not in COSTS)
+
+
+def _tabulate(run: Run, scores: Sequence[str]) -> dict[str, pd.DataFrame]:
+    """Return the cells by method, with the hashes of their samples, and NaN for scores that the run lacks."""
     table = tabulate_cells(run)
     known = table["verdict"].map({"preserved": 1.0, "lost": 0.0, "failed": 0.0, "refused": 0.0})
     table[PRESERVED] = known.astype(float).where(table["applicable"].astype(bool))
+    table[FAILED] = table["status"].ne("ok").astype(float)
+    table["sample"] = [record.cell.sample_hash for record in run.cells]
     for name in scores:
         if name not in table:
             table[name] = np.nan
-    return table.groupby("label", sort=False)
+    return {str(label): rows for label, rows in table.groupby("label", sort=False)}
 
 
-def _changes(
-    label: str, before: pd.DataFrame, after: pd.DataFrame, columns: Mapping[str, Column], scores: Sequence[str]
-) -> list[Change]:
-    """Return the change of each score of one method that has a value in any of the runs."""
+def _moves(
+    before: pd.DataFrame,
+    after: pd.DataFrame,
+    alike: pd.Series[bool],
+    columns: Mapping[str, Column],
+    names: Sequence[str],
+) -> list[tuple[Change, pd.Series[float]]]:
+    """Return for each score of a method its change, not yet decided, and its improvement on each texture.
+
+    If all samples are equal, the differences of the cells are taken, else those of the means over draws.
+    """
     reference = bool(before["reference"].any() or after["reference"].any())
-    both = before.merge(after, on=["texture", "replicate"], suffixes=("_before", "_after"))
-    differences = paired_differences(after, before, scores)
-    merits = paired_differences(_merit(after, scores, columns), _merit(before, scores, columns), scores)
-    found = []
-    for name in scores:
+    keys = ["texture", "replicate"] if alike.all() else ["texture"]
+    rows = [
+        one.merge(other[keys].drop_duplicates(), on=keys).sort_values(["texture", "replicate"])
+        for one, other in ((before, after), (after, before))
+    ]
+    textures = sorted(set(rows[0]["texture"]))
+    ends = [stack_draws(part, names) for part in rows]
+    merits = [stack_draws(_merit(part, names, columns), names) for part in rows]
+    if alike.all():
+        estimates, gains = estimate_means(ends[1] - ends[0]), mean_of_known(merits[1] - merits[0], 2)
+    else:
+        estimates, gains = _compare_draws(*ends), mean_of_known(merits[1], 2) - mean_of_known(merits[0], 2)
+    moves = []
+    for i, name in enumerate(names):
         if before[name].isna().all() and after[name].isna().all():
             continue
-        pair = both[["texture", f"{name}_before", f"{name}_after"]].dropna()
-        means = pair.groupby("texture", sort=False).mean().mean()
-        equal = len(pair) > 0 and bool((pair[f"{name}_before"] == pair[f"{name}_after"]).all())
-        state = "same" if equal else _state(merits[name], columns[name])
+        known = np.isfinite(gains[i])
+        means = [mean_of_known(mean_of_known(end[i, known], 1)[None], 1)[0] for end in ends]
         values = [None if math.isnan(value) else float(value) for value in means]
-        found.append(Change(label, reference, name, values[0], values[1], differences[name], state))
-    return found
+        equal = (
+            known.any() and ends[0].shape == ends[1].shape and np.array_equal(ends[0][i], ends[1][i], equal_nan=True)
+        )
+        state: State = "same" if equal else "unknown"
+        change = Change(str(after["label"].iloc[0]), reference, name, values[0], values[1], estimates[i], None, state)
+        moves.append((change, pd.Series(gains[i], textures)))
+    return moves
+
+
+def _compare_draws(before: Floats, after: Floats) -> list[Estimate]:
+    """Return the differences of means over draws that are not paired, with intervals over the draws of both."""
+    draws = max(before.shape[2], after.shape[2])
+    sides = [
+        np.pad(side, ((0, 0), (0, 0), (0, draws - side.shape[2])), constant_values=np.nan) for side in (before, after)
+    ]
+    known = np.isfinite(mean_of_known(sides[0], 2) + mean_of_known(sides[1], 2))[..., None]
+    strata = np.where(np.concatenate([known, known], 1), np.concatenate([-sides[0], sides[1]], 1), np.nan)
+    return [
+        Estimate(None, of=before.shape[1])
+        if one.value is None
+        else Estimate(2 * one.value, one.low and 2 * one.low, one.high and 2 * one.high, one.n // 2, before.shape[1])
+        for one in estimate_means(strata)
+    ]
 
 
 def _merit(table: pd.DataFrame, scores: Sequence[str], columns: Mapping[str, Column]) -> pd.DataFrame:
@@ -332,18 +393,27 @@ def _merit(table: pd.DataFrame, scores: Sequence[str], columns: Mapping[str, Col
     return table.assign(**{name: ways[way](table[name]) for name in scores if (way := columns[name].better) in ways})
 
 
-def _state(merit: Estimate, column: Column) -> State:
-    if merit.excludes_zero is None or merit.value is None:
-        return "unknown"
-    if not merit.excludes_zero:
-        return "noise"
-    if column.better == "none":
-        return "changed"
-    return "better" if merit.value > 0 else "worse"
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value
+def _decide(
+    moves: Sequence[tuple[Change, pd.Series[float]]], columns: Mapping[str, Column], named: bool
+) -> list[Change]:
+    """Return the changes with their states: the reasons to fail are tested together, and the other scores together."""
+    decided: dict[int, Change] = {}
+    for counted in (True, False):
+        family = [i for i, (change, _) in enumerate(moves) if _counts(change, named) == counted]
+        if not family:
+            continue
+        gains = pd.DataFrame({i: moves[i][1] for i in family}).to_numpy(np.float64)
+        p_better, p_worse = (p_values_by_flips(sign * gains, one_sided=True) for sign in (1, -1))
+        for i, better, worse in zip(family, p_better.tolist(), p_worse.tolist(), strict=True):
+            change = moves[i][0]
+            if change.state == "same" or math.isnan(worse):
+                decided[i] = change
+                continue
+            moved: State = "better" if better <= ALPHA else "worse" if worse <= ALPHA else "noise"
+            if columns[change.score].better == "none":
+                moved = "changed" if 2 * min(better, worse) <= ALPHA else "noise"
+            decided[i] = replace(change, p=worse, state=moved)
+    return [decided[i] for i in range(len(moves))]
 
 
 def _count(cells: pd.DataFrame) -> dict[str, int]:
@@ -352,10 +422,3 @@ def _count(cells: pd.DataFrame) -> dict[str, int]:
 
 def _count_text(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {word}" for word, count in counts.items() if count) or "no cells"
-
-
-def _sample_hashes(run: Run) -> dict[tuple[str, str, int], str]:
-    return {
-        (method_label(record.method, record.lattice_source), record.texture, record.replicate): record.cell.sample_hash
-        for record in run.cells
-    }

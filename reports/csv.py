@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,15 +56,14 @@ class CsvTables:
     - ``cells.csv``: one row a cell, one column a score.
     - ``comparison.csv``: textures by methods.
     - ``summary.csv``: for each method its rank, whether it is in the leading group, whether its quality is an upper
-      bound, counts, success rate and means, with 95 % intervals over textures. ``quality`` counts a failed or refused
+      bound, counts, success rate and means, with 95 % intervals. ``quality`` counts a failed or refused
       cell as 0, ``quality.score`` leaves it out.
-    - ``differences.csv``: the paired differences between methods.
+    - ``differences.csv``: the paired differences between methods, and from 6 textures up the p-value of each pair of
+      ranked methods, adjusted for all pairs.
     - ``columns.csv``: for every column of ``cells.csv`` its meaning, unit, range, and which values are better.
     - ``perils.csv``: the points of the perils plane.
     - ``baseline.csv``: for each method the difference in quality to one method, by default the best, with the effect
-      size and, from 10 textures up, the p-value of Wilcoxon's test with Holm's correction.
-    - ``significance.csv``: for each pair of ranked methods the average ranks and whether they differ; from 10 textures
-      up.
+      size and the p-value of ``differences.csv``.
 
     If the suite has textures at two levels or more of one departure, ``levels.csv`` has the mean quality of each method
     at each level, and ``breaking_points.csv`` the first level at which it is below 0.5.
@@ -92,11 +90,14 @@ class CsvTables:
         Whether to test which methods differ. Without tests there is no leading group.
     baseline
         The method with which the others are compared, by its name or label; by default the best ranked one.
+    population
+        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     labels: tuple[Path, ...] = ()
     tests: bool = True
     baseline: str = ""
+    population: bool = False
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
@@ -110,7 +111,7 @@ class CsvTables:
 
     def tables(self, run: Run) -> dict[str, pd.DataFrame]:
         """Return the tables by the names of their files."""
-        comparison = compare_methods(run, self.tests, self.baseline)
+        comparison = compare_methods(run, self.tests, self.baseline, self.population)
         tables = {
             "cells": cells_table(run),
             "comparison": comparison_table(comparison),
@@ -120,8 +121,6 @@ class CsvTables:
         }
         if comparison.against:
             tables["baseline"] = baseline_table(comparison)
-        if comparison.tests:
-            tables["significance"] = significance_table(comparison)
         if points := perils_points(comparison.summaries):
             tables["perils"] = perils_table(points)
         if panels := compare_levels(run, comparison):
@@ -186,14 +185,14 @@ def summary_table(comparison: Comparison) -> pd.DataFrame:
 
 
 def differences_table(comparison: Comparison) -> pd.DataFrame:
-    """Return one row a headline and pair of methods: the mean of first minus second, with its interval."""
-    parts = ("low", "high", "n", "of", "excludes_zero")
+    """Return one row a headline and pair of methods: the mean of first minus second, its interval and p-value."""
+    parts = ("low", "high", "n", "of")
     rows = [
         {"score": one.score, "first": one.first.label, "second": one.second.label}
-        | one.estimate.columns("difference", parts=parts)
+        | {**one.estimate.columns("difference", parts=parts), "p": one.p}
         for one in comparison.differences
     ]
-    return pd.DataFrame(rows, columns=["score", "first", "second", "difference", *parts])
+    return pd.DataFrame(rows, columns=["score", "first", "second", "difference", *parts, "p"])
 
 
 def baseline_table(comparison: Comparison) -> pd.DataFrame:
@@ -202,24 +201,9 @@ def baseline_table(comparison: Comparison) -> pd.DataFrame:
     return pd.DataFrame(
         {"method": one.method.label, "baseline": comparison.baseline.label}
         | one.estimate.columns("difference")
-        | {"rank_biserial": one.effect, "p_holm": one.p}
+        | {"rank_biserial": one.effect, "p": one.p}
         for one in comparison.against
     )
-
-
-def significance_table(comparison: Comparison) -> pd.DataFrame:
-    """Return one row a pair of ranked methods: their average ranks, the adjusted p-value, and whether they differ."""
-    tests, labels = comparison.tests, [one.label for one in comparison.ranked]
-    assert tests is not None
-    rows = [
-        {
-            **{"first": labels[i], "second": labels[j], "first_rank": tests.ranks[i], "second_rank": tests.ranks[j]},
-            **{"p_holm": tests.adjusted[i, j], "differ": bool(tests.different[i, j])},
-            **{"n": tests.n, "p_friedman": tests.friedman},
-        }
-        for i, j in itertools.combinations(tests.order, 2)
-    ]
-    return pd.DataFrame(rows)
 
 
 def columns_table(run: Run) -> pd.DataFrame:

@@ -75,12 +75,15 @@ class HtmlReport:
         Whether to test which methods differ. Without tests there is no leading group.
     baseline
         The method with which the others are compared, by its name or label; by default the best ranked one.
+    population
+        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     single_file: bool = False
     labels: tuple[Path, ...] = ()
     tests: bool = True
     baseline: str = ""
+    population: bool = False
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "report"
@@ -93,7 +96,7 @@ class HtmlReport:
 
     def render(self, run: Run, directory: Path) -> str:
         """Return the page as it will lie in ``directory``."""
-        comparison = compare_methods(run, self.tests, self.baseline)
+        comparison = compare_methods(run, self.tests, self.baseline, self.population)
         pictures = PictureStore(directory, self.single_file)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         people, claims, timed = compare_people(run, self.labels), evaluate_claims(run), timed_methods(comparison)

@@ -29,10 +29,13 @@ class JsonSummary:
         Whether to test which methods differ. Without tests there is no leading group.
     baseline
         The method with which the others are compared, by its name or label; by default the best ranked one.
+    population
+        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     tests: bool = True
     baseline: str = ""
+    population: bool = False
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
@@ -45,7 +48,7 @@ class JsonSummary:
 
     def render(self, run: Run) -> str:
         """Return the comparison as JSON; it ends in a newline."""
-        content = _content(run, compare_methods(run, self.tests, self.baseline))
+        content = _content(run, compare_methods(run, self.tests, self.baseline, self.population))
         return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -58,6 +61,7 @@ def _content(run: Run, comparison: Comparison) -> dict[str, Any]:
         "versions": {name: run.info.get("versions", {}).get(name) for name in ("nrbench", "python", "numpy", "scipy")},
         "cells": dict(comparison.counts),
         "score": comparison.score,
+        "estimand": comparison.estimand,
         "leading": comparison.leading_legend,
         "columns": {
             name: {"meaning": one.meaning, "unit": one.unit, "range": one.range, "better": one.better}
@@ -81,18 +85,16 @@ def _content(run: Run, comparison: Comparison) -> dict[str, Any]:
         ],
         "baseline": comparison.baseline.label if comparison.baseline else None,
         "differences": [
-            {"method": one.method.label, "quality": vars(one.estimate), "rank_biserial": one.effect, "p_holm": one.p}
+            {"method": one.method.label, "quality": vars(one.estimate), "rank_biserial": one.effect, "p": one.p}
             for one in comparison.against
         ],
         "tests": None
         if tests is None
         else {
-            "n": tests.n,
-            "p_friedman": tests.friedman,
-            "methods": [comparison.ranked[i].label for i in tests.order],
-            "average_ranks": [tests.ranks[i] for i in tests.order],
+            "methods": [one.label for one in comparison.ranked],
+            "common_textures": tests.common.tolist(),
             "cliques": tests.cliques,
-            "p_holm": [[tests.adjusted[i, j] for j in tests.order] for i in tests.order],
+            "p": tests.p.tolist(),
         },
     }
 
@@ -105,7 +107,6 @@ def _method(one: MethodSummary) -> dict[str, Any]:
         "reference": one.method.reference,
         "rank": one.rank,
         "leading": one.leading if one.rank else None,
-        "average_rank": one.average_rank,
         "cells": dict(one.counts),
         "means": {name: vars(mean) for name, mean in one.all_means.items()},
     }

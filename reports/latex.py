@@ -54,12 +54,15 @@ class LatexTables:
         Whether to test which methods differ. Without tests there is no leading group.
     baseline
         The method with which the others are compared, by its name or label; by default the best ranked one.
+    population
+        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     columns: int = 6
     scores: tuple[str, ...] = ()
     tests: bool = True
     baseline: str = ""
+    population: bool = False
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
@@ -71,7 +74,7 @@ class LatexTables:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; without a regularity score only ``patches.tex``, if at all."""
-        comparison, terms = compare_methods(run, self.tests, self.baseline), list_patch_terms(run)
+        comparison, terms = compare_methods(run, self.tests, self.baseline, self.population), list_patch_terms(run)
         texts = {"patches.tex": _fill(run, comparison, "patches", patch_terms=terms)} if terms else {}
         if comparison.scored and comparison.rows:
             texts["summary.tex"] = latex_text(run, comparison, self.scores)

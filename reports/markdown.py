@@ -32,10 +32,13 @@ class MarkdownTables:
         Whether to test which methods differ. Without tests there is no leading group.
     baseline
         The method with which the others are compared, by its name or label; by default the best ranked one.
+    population
+        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     tests: bool = True
     baseline: str = ""
+    population: bool = False
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
@@ -49,7 +52,7 @@ class MarkdownTables:
     def render(self, run: Run) -> str:
         """Return the tables as text; every line ends in a newline."""
         template = make_environment({"escape_markdown": escape_markdown}).get_template("comparison.md")
-        comparison = compare_methods(run, self.tests, self.baseline)
+        comparison = compare_methods(run, self.tests, self.baseline, self.population)
         return template.render(comparison=comparison, reasons=count_reasons(run), patch_terms=list_patch_terms(run))
 
 

@@ -23,8 +23,8 @@ class PerilsPlane:
     ``perils.svg`` and ``perils.pdf`` hold the perils plane, with one point for each method. The horizontal axis says
     whether elements are in place, whole and alike: the smallest of ``quality.regularity``, ``quality.integrity`` and
     ``quality.appearance``. The vertical axis is ``quality.randomness``. Both are computed output by output and then
-    averaged over textures. A fresh draw of the texture lies at (1, 1), wallpaper at (1, 0). Bars are 95 % intervals
-    over textures. Gray lines are contours of equal quality. Reference methods have diamonds and no rank.
+    averaged over textures. A fresh draw of the texture lies at (1, 1), wallpaper at (1, 0). Bars are 95 % intervals.
+    Gray lines are contours of equal quality. Reference methods have diamonds and no rank.
 
     Randomness is not scored where the lattice is lost. A method that loses every lattice has an open sign below the
     plane. ``[k of n]`` behind a name says that the height rests on k of n textures. A double dagger marks a baseline
@@ -33,7 +33,7 @@ class PerilsPlane:
     ``levels.svg`` and ``levels.pdf`` show the quality of each method by the level of a difficulty, with one panel for
     each difficulty. They are written if the suite has textures at two levels or more of one departure.
 
-    ``ranks.svg`` and ``ranks.pdf`` show average ranks, with bars over methods that do not differ, from 10 textures up;
+    ``ranks.svg`` and ``ranks.pdf`` show mean qualities, with bars over methods that do not differ, from 6 textures up;
     ``cost.*`` shows quality against time, ``heat-map.*`` the quality of every method on every texture.
 
     Parameters
@@ -42,10 +42,13 @@ class PerilsPlane:
         Width in inches, from 3 to 12; the text keeps its size.
     tests
         Whether to test which methods differ. Without tests there are no ``ranks.*``.
+    population
+        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     width: float = 5.5
     tests: bool = True
+    population: bool = False
 
     version: ClassVar[str] = "2"
     folder: ClassVar[str] = "report"
@@ -56,7 +59,7 @@ class PerilsPlane:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; none if no method has a quality."""
-        comparison = compare_methods(run, self.tests)
+        comparison = compare_methods(run, self.tests, population=self.population)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         paths = []
         for kind in ("svg", "pdf"):

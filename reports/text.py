@@ -22,7 +22,7 @@ from nrbench.storage import write_text
 from .statistics import verdicts
 from .statistics.detections import DetectorSummary, compare_detectors
 from .statistics.estimates import Estimate
-from .statistics.format import format_number, format_percent, format_value, pluralize
+from .statistics.format import format_interval, format_number, format_percent, format_value, pluralize
 from .statistics.method_comparison import Comparison, Entry, choose_rows, compare_methods
 from .statistics.summaries import MethodSummary, SummaryRow
 
@@ -52,12 +52,15 @@ class TextTable:
         Whether to test which methods differ. Without tests there is no leading group.
     baseline
         The method with which the others are compared, by its name or label; by default the best ranked one.
+    population
+        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     width: int = 120
     columns: tuple[str, ...] = ()
     tests: bool = True
     baseline: str = ""
+    population: bool = False
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
@@ -75,12 +78,13 @@ class TextTable:
 
     def render(self, run: Run) -> str:
         """Return the comparison as text without color codes; every line ends in a newline."""
-        comparison, detectors = compare_methods(run, self.tests, self.baseline), compare_detectors(run)
+        comparison, detectors = compare_methods(run, self.tests, self.baseline, self.population), compare_detectors(run)
         lines = choose_rows(run, comparison, self.columns)
         file = StringIO()
         console = Console(file=file, width=self.width, color_system=None, force_terminal=False, emoji=False)
         console.print(Text(comparison.title))
         if comparison.scored or self.columns:
+            console.print(Text(comparison.estimand))
             console.print(*_split_table(partial(_summary_table, comparison, lines), len(lines), console), sep="")
             methods = len(comparison.methods) if comparison.scored else 0
             console.print(*_split_table(partial(_texture_table, comparison), methods, console), sep="")
@@ -121,7 +125,9 @@ def _summary_table(comparison: Comparison, lines: Sequence[SummaryRow], start: i
     for i, one in enumerate(comparison.summaries):
         if one.method.reference and i and not comparison.summaries[i - 1].method.reference:
             table.add_section()
-        table.add_row(_method(one, " "), *(_estimate(line.shown[i], line.rate) for line in lines[start:stop]))
+        table.add_row(
+            _method(one, " "), *(_estimate(line.shown[i], line.values[i], line.rate) for line in lines[start:stop])
+        )
     return table
 
 
@@ -150,13 +156,14 @@ def _entry(entry: Entry | None) -> Text:
     return Text(f"{entry.text}{sign} {notes}".rstrip())
 
 
-def _estimate(one: Estimate | None, rate: bool) -> Text:
+def _estimate(one: Estimate | None, value: str, rate: bool) -> Text:
     """Return two short lines: the value with the number of textures that it rests on, and its interval."""
     if one is None or one.value is None:
-        return Text("–")
-    value = format_value(one, rate) + (f" ({one.value * one.n:.3g}/{one.n})" if rate else "")
+        return Text(value)
+    if rate:
+        value += f" ({one.value * one.n:.3g}/{one.n})"
     short = f" ({one.n}/{one.of})" if not rate and one.n < one.of else ""
-    if one.ends is None:
+    if one.ends is None or not format_interval(one, rate):
         return Text(value + short)
     low, high = map(format_percent if rate else format_number, one.ends)
     return Text(f"{value}{short}\n{low.removesuffix(' %')}–{high}")
@@ -166,7 +173,11 @@ def _detector_table(summaries: Sequence[DetectorSummary]) -> Table:
     table = _make_table("detector", "exact", "false", "error", "calibration", "seconds")
     for one in summaries:
         numbers = (Text(format_number(value)) for value in (one.vector_error, one.calibration.error, one.seconds))
-        table.add_row(Text(one.detector), _estimate(one.exact, True), _estimate(one.false, True), *numbers)
+        table.add_row(
+            Text(one.detector),
+            *(_estimate(rate, format_value(rate, True), True) for rate in (one.exact, one.false)),
+            *numbers,
+        )
     return table
 
 
@@ -179,11 +190,11 @@ def _legend(comparison: Comparison) -> Iterator[str]:
     if comparison.has_ranking:
         yield "Methods are ranked by their mean quality over textures. A failed or refused cell has quality 0."
         if comparison.leading_legend:
-            yield f"{verdicts.LEADING_SIGN} {comparison.leading_legend}."
+            yield comparison.leading_sentence
         yield "Quality: the worst of regularity, integrity, randomness and appearance. 1 is as good as a fresh draw."
         if comparison.has_bounds:
             yield f"{verdicts.BOUND_SIGN} {verdicts.BOUND_LEGEND}."
-    yield "Means over textures, with 95 % intervals. (n/N): the mean counts n of N textures."
+    yield "(n/N): the mean counts n of N textures. A rate counts outputs and has Wilson's interval. –: not measured."
     yield "References calibrate the scores and are never ranked. Under a method: the source of its lattice."
     yield f"{marks}. Beside the mark: {comparison.score}. share: regular share of the texture."
     if comparison.has_valid_baseline:

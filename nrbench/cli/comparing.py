@@ -31,8 +31,8 @@ _PATH = click.Path(path_type=Path)
 @click.option(
     "--fail-on-worse",
     is_flag=True,
-    help="Exit with 1 if any score of a method is worse by more than noise, or if more of its cells fail, and with 2 "
-    "if the runs cannot be compared.",
+    help="Exit with 1 if any score of a method is worse by more than draws move it, or if a cell fails now on the same "
+    "sample, and with 2 if the runs cannot be compared.",
 )
 def compare_command(
     first: Path,
@@ -43,10 +43,11 @@ def compare_command(
     limits: tuple[str, ...],
     fail_on_worse: bool,
 ) -> int:
-    """Compare RUN_B with RUN_A: which scores moved, by how much, and whether by more than noise.
+    """Compare RUN_B with RUN_A: which scores moved, by how much, and whether by more than draws move them.
 
-    Cells are paired by method, texture and draw. Reference methods and wall times are shown, but they are no reason to
-    fail, except for wall times that --columns names.
+    Cells with equal samples are paired; runs with other samples are compared by their draws. All scores are tested
+    together: fewer --columns find smaller changes. Reference methods and wall times are shown, but they are no reason
+    to fail, except for wall times that --columns names.
     """
     from nrbench import plugins
     from nrbench.runs.records import Run
@@ -71,7 +72,7 @@ def compare_command(
     if fail_on_worse:
         for change in changes.worse:
             reasons.append(f"{change.method}: {change.score} is worse by {abs(change.difference.value):.3g}")
-        reasons += [f"{method}: more cells fail or are refused" for method in changes.newly_failed]
+        reasons += [f"{method}: a cell fails or is refused that had an output" for method in changes.newly_failed]
     if as_json:
         print(json.dumps({**changes.as_dict(), "failures": reasons}, indent=1))
     else:

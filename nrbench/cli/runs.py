@@ -192,7 +192,10 @@ def plan_command(**arguments: Any) -> None:
     help="Files with people's answers, one for each person. The reports then compare the verdicts with them.",
 )
 @click.option("--single-file", is_flag=True, help="Embed all pixels of all pictures in the HTML page.")
-@click.option("--no-tests", is_flag=True, help="Make no statistical tests: no leading group, no average ranks.")
+@click.option("--no-tests", is_flag=True, help="Make no statistical tests: no leading group, no p-values.")
+@click.option(
+    "--population", is_flag=True, help="Intervals over a population of textures, of which the suite is a sample."
+)
 @limit_options("synthesis, metric or report")
 def report_command(
     run: Path,
@@ -201,6 +204,7 @@ def report_command(
     labels: tuple[Path, ...],
     single_file: bool,
     no_tests: bool,
+    population: bool,
     timeout: float,
     memory: float,
 ) -> int:
@@ -224,6 +228,8 @@ def report_command(
         shared["single_file"] = True
     if no_tests:
         shared["tests"] = False
+    if population:
+        shared["population"] = True
     limits = Limits(timeout, memory)
     with live_progress(patience=True) as progress:
         written, broken = summary.write_reports(record, wanted, shared=shared, limits=limits, progress=progress)

@@ -301,7 +301,7 @@ class Run:
         return self._tables()["comparison"].set_index("texture")
 
     def summary(self) -> pd.DataFrame:
-        """Return one row for each method: rank, counts, success rate and means, with 95 % intervals over textures.
+        """Return one row for each method: rank, counts, success rate and means, with 95 % intervals.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Plot the methods of a run: the perils plane, average ranks, the heat map, cost, quality by level, and claims."""
+"""Plot the methods of a run: the perils plane, which methods differ, heat map, cost, quality by level, claims."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from scipy.optimize import isotonic_regression
 
 from ..statistics.estimates import Estimate, as_numbers, mean_of_known
 from ..statistics.expectations import ClaimResult
+from ..statistics.format import format_value
 from ..statistics.levels import BROKEN, LevelPanel
 from ..statistics.method_comparison import Comparison, ComparisonRow
 from ..statistics.summaries import Method, MethodSummary, PerilsPoint
@@ -153,7 +154,7 @@ _NAME_LETTER = 4.6
 
 @returns_file
 def plot_ranks(comparison: Comparison, width: float = 5.5) -> Figure:
-    """Plot the average rank of each method, the best at the top; bars at the right join methods that do not differ.
+    """Plot the mean quality of each ranked method, best first; bars at the right join those that do not differ.
 
     Parameters
     ----------
@@ -164,16 +165,20 @@ def plot_ranks(comparison: Comparison, width: float = 5.5) -> Figure:
     """
     tests = comparison.tests
     assert tests is not None
-    names = [f"{comparison.ranked[i].label}  {tests.ranks[i]:.2f}" for i in tests.order]
+    means = [one.means[RANKING] for one in comparison.summaries if one.rank]
+    names = [f"{method.label}  {format_value(mean)}" for method, mean in zip(comparison.ranked, means, strict=True)]
     left, right = 12 + _NAME_LETTER * max(map(len, names)), 12 + 7 * len(tests.cliques)
     figure = make_figure(width, 13 * len(names) + 40)
     axes = add_axes(figure, left, 34, right, 6)
     open_frame(axes)
-    axes.plot([tests.ranks[i] for i in tests.order], range(len(names)), "o", ms=4, color=INK, clip_on=False)
+    for place, mean in enumerate(means):
+        if mean.ends is not None:
+            axes.plot(mean.ends, (place, place), color=INK, lw=0.9)
+    axes.plot(as_numbers([one.value for one in means]), range(len(names)), "o", ms=4, color=INK, clip_on=False)
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.grid(True, axis="y", color=FAINT, lw=0.5)
-    axes.set_xlabel(f"average rank over {tests.n} textures, 1 is the best", loc="right")
+    axes.set_xlabel(f"mean quality over {len(comparison.rows)} textures", loc="right")
     for place, clique in enumerate(tests.cliques):
         x = 1 + 7 * (place + 1) / (72 * width - left - right)
         style: Any = {"color": INK, "lw": 3, "solid_capstyle": "butt", "clip_on": False}

@@ -1,21 +1,22 @@
-"""Estimate means, success rates, differences and agreement over textures, each with a 95 % interval.
+"""Estimate means, success rates, differences and agreement, each with a 95 % interval where the data carry one.
 
-The texture is the unit: its replicates are averaged first, because draws of one texture are not independent evidence.
+Two questions have two intervals. *Over draws*: the textures are a fixed list, and new draws of each would give other
+values. *Over textures*: the textures are a sample of a population, and other textures would give other values, too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr, ndtri, stdtrit
-from scipy.stats import kendalltau
+from scipy.special import ndtr, stdtrit
+from scipy.stats import binomtest, kendalltau
 
 from nrbench.streams import stream
 
@@ -23,6 +24,9 @@ LEVEL = 0.95
 """Confidence level of every interval."""
 RESAMPLES = 9999
 """Number of bootstrap resamples."""
+FEWEST = 6
+"""An interval of a mean needs so many textures that scatter, and a test so many textures: with five no sign test of a
+pair can be significant at 5 %."""
 _BATCH = 256
 """Number of means whose resamples are in memory at the same time."""
 
@@ -39,9 +43,9 @@ class Estimate:
     value
         The number; None if no texture was counted.
     low, high
-        The ends of the interval; None if too few textures were counted.
+        The ends of the interval; None if the data carry none.
     n, of
-        Number of textures counted, and of all textures.
+        Number of textures counted, and of all textures; of outputs for a rate.
     at_most
         Whether the number is an upper bound.
     """
@@ -58,10 +62,13 @@ class Estimate:
         """The interval; None if there is none."""
         return None if self.low is None or self.high is None else (self.low, self.high)
 
-    @property
-    def excludes_zero(self) -> bool | None:
-        """Whether zero lies outside the interval; None if there is no interval."""
-        return None if self.ends is None else self.ends[0] > 0 or self.ends[1] < 0
+    def within(self, limits: tuple[float, float]) -> Estimate:
+        """Return the estimate with the ends of its interval inside the range of its score."""
+        return (
+            self
+            if self.ends is None
+            else replace(self, low=max(self.ends[0], limits[0]), high=min(self.ends[1], limits[1]))
+        )
 
     def columns(
         self, name: str, prefix: str = "", parts: Sequence[str] = ("low", "high", "n", "of")
@@ -74,98 +81,135 @@ NO_ESTIMATE = Estimate(None)
 """The estimate of a number that does not exist."""
 
 
-def wilson_interval(successes: float, n: int) -> tuple[float, float] | None:
-    """Compute Wilson's score interval of a proportion.
+def estimate_proportion(outcomes: ArrayLike, of: int | None = None) -> Estimate:
+    """Return the share of true ``outcomes`` with Wilson's interval.
 
-    This is our own code because ``scipy.stats.binomtest`` accepts only whole numbers of successes, and a texture whose
-    replicates disagree counts as a fraction.
+    The draws of a fixed list of textures scatter less than as many draws of one binomial distribution, so the interval
+    is then conservative.
 
     Parameters
     ----------
-    successes
-        From 0 to n. Fractions are allowed: a sum of shares in [0, 1] scatters less than a sum of zeros and ones with
-        the same mean, so the interval is then conservative.
-    n
-        Number of trials.
-
-    Returns
-    -------
-    tuple of float or None
-        The ends of the interval; None if ``n`` is 0.
+    outcomes
+        Truth values, one a draw.
+    of
+        Number of all draws; by default that of the outcomes.
 
     References
     ----------
     E. B. Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22, 1927.
-
-    Examples
-    --------
-    >>> low, high = wilson_interval(2.5, 9)
-    >>> round(low, 2), round(high, 2)
-    (0.09, 0.6)
     """
-    if n == 0:
-        return None
-    z = float(ndtri(0.5 + LEVEL / 2))
-    share, shrink = successes / n, 1 + z * z / n
-    center = (share + z * z / (2 * n)) / shrink
-    half = z / shrink * math.sqrt(max(0.0, share * (1 - share)) / n + z * z / (4 * n * n))
-    return max(0.0, min(share, center - half)), min(1.0, max(share, center + half))
-
-
-def estimate_proportion(outcomes: ArrayLike) -> Estimate:
-    """Return the share of true ``outcomes`` with Wilson's interval; the unit is the outcome, not the texture."""
     known = np.asarray(outcomes, bool)
-    interval = wilson_interval(float(known.sum()), known.size)
-    return NO_ESTIMATE if interval is None else Estimate(float(known.mean()), *interval, known.size, known.size)
+    n, total = known.size, known.size if of is None else of
+    if n == 0:
+        return Estimate(None, of=total)
+    ends = binomtest(int(known.sum()), n).proportion_ci(LEVEL, "wilson")
+    return Estimate(float(known.mean()), float(ends.low), float(ends.high), n, total)
 
 
-def bootstrap_intervals(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute bootstrap intervals of means: bias-corrected and accelerated (BCa), at expanded levels.
-
-    Plain bootstrap intervals are too narrow for the ten or so textures of a suite, so the level is raised by the ratio
-    of Student's to the normal quantile. The result agrees with the method ``BCa`` of ``scipy.stats.bootstrap`` at that
-    level. It is our own code because a run has thousands of means of equally many textures: here they share the
-    resamples, which is about a hundred times faster.
+def estimate_means(
+    values: NDArray[np.float64], of: Sequence[int] | None = None, population: bool = False
+) -> list[Estimate]:
+    """Return the mean over textures of each of several scores; a texture counts as the mean over its draws.
 
     Parameters
     ----------
-    samples
-        ``(k, n)``: k samples of n > 1 values. The order of the values does not matter.
+    values
+        ``(scores, textures, draws)``; NaN is no value.
+    of
+        The number of all textures of each score; by default the length of the axis.
+    population
+        Whether the interval is over textures and draws, else over draws: :func:`draw_intervals` and
+        :func:`population_intervals` say when there is one.
+    """
+    counts = np.isfinite(values).sum(2)
+    means = mean_of_known(values, 2)
+    n, mean = (counts > 0).sum(1), mean_of_known(means, 1)
+    if population:
+        parts = [population_intervals(values[at : at + _BATCH]) for at in range(0, len(values), _BATCH)]
+        ends = np.concatenate(parts) if parts else np.empty((0, 2))
+    else:
+        ends = draw_intervals(values)
+    totals = [values.shape[1]] * len(values) if of is None else of
+    known: list[list[float | None]] = [
+        [None if math.isnan(x) else x for x in row] for row in np.column_stack([mean, ends]).tolist()
+    ]
+    rows = zip(known, n.tolist(), totals, strict=True)
+    return [Estimate(value, low, high, count, total) for (value, low, high), count, total in rows]
+
+
+def draw_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute intervals of means over a fixed list of textures, over draws: Student's t, stratified by texture.
+
+    The variance of the mean is the sum of the variances of the textures' means. Its degrees of freedom are
+    Satterthwaite's in the form of Welch (1947), which allows for the error of the variances themselves; two draws of
+    each texture suffice. There is no interval unless every texture has two draws and :data:`FEWEST` textures have
+    draws that differ: a few rare differences do not tell how often they occur.
+
+    Parameters
+    ----------
+    values
+        ``(scores, textures, draws)``; NaN is no value.
 
     Returns
     -------
     numpy.ndarray
-        ``(k, 2)``: the ends of the intervals. If all values of a sample are equal, both ends are that value.
+        ``(scores, 2)``: the ends of the intervals, NaN where there is none.
 
     References
     ----------
-    B. Efron, "Better bootstrap confidence intervals", JASA 82, 1987.
+    B. L. Welch, "The generalization of Student's problem when several different population variances are involved",
+    Biometrika 34, 1947.
+    """
+    known = np.isfinite(values)
+    counts = known.sum(2)
+    away = np.where(known, values - mean_of_known(values, 2)[..., None], 0.0)
+    parts = (away**2).sum(2) / np.maximum(counts * (counts - 1), 1)
+    largest = np.abs(np.where(known, values, 0.0)).max(2, initial=0.0)
+    parts[parts <= (1e-12 * largest) ** 2] = 0.0
+    carried = ((parts > 0).sum(1) >= FEWEST) & (counts != 1).all(1)
+    variance, n = parts.sum(1), np.maximum((counts > 0).sum(1), 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        freedom = np.maximum(variance**2 / (parts**2 / (counts + 1)).sum(1) - 2, 1.0)
+        half = np.where(carried, stdtrit(freedom, 0.5 + LEVEL / 2) * np.sqrt(variance) / n, np.nan)
+    return mean_of_known(mean_of_known(values, 2), 1)[:, None] + half[:, None] * (-1.0, 1.0)
+
+
+def population_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute intervals of means over a population of textures: a hierarchical bootstrap over textures and draws.
+
+    Textures are drawn with replacement, and of each the draws. Percentiles of few textures are too narrow, so the level
+    is raised by the ratio of Student's to the normal quantile. There is no interval for fewer than :data:`FEWEST`
+    different textures. It is our own code because ``scipy.stats.bootstrap`` draws at one level only.
+
+    Parameters
+    ----------
+    values
+        ``(scores, textures, draws)``; NaN is no value.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``(scores, 2)``: the ends of the intervals, NaN where there is none.
+
+    References
+    ----------
+    A. C. Davison and D. V. Hinkley, "Bootstrap methods and their application", 1997, section 3.8.
     T. C. Hesterberg, "What teachers should know about the bootstrap", The American Statistician 69, 2015.
     """
-    ordered = np.sort(np.asarray(samples, np.float64), axis=1)
-    parts = [_bca_ends(ordered[start : start + _BATCH]) for start in range(0, len(ordered), _BATCH)]
-    return np.concatenate(parts) if parts else np.empty((0, 2))
-
-
-def _bca_ends(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    n = samples.shape[1]
-    mean = samples.mean(1, keepdims=True)
-    draws = np.sort(samples @ _resample_counts(n), axis=1)
-    rounding = 1e-12 * np.abs(samples).max(1, keepdims=True)
-    below = ((draws < mean - rounding).sum(1) + (draws <= mean + rounding).sum(1)) / (2 * RESAMPLES)
-    bias = ndtri(np.clip(below, 0.5 / RESAMPLES, 1 - 0.5 / RESAMPLES))
-    away = samples - mean
-    largest = np.abs(away).max(1, keepdims=True)
-    constant = np.ptp(samples, axis=1) <= rounding[:, 0]
-    away = away / np.where(constant[:, None], 1.0, largest)
-    acceleration = (away**3).sum(1) / (6 * np.where(constant, 1.0, (away**2).sum(1)) ** 1.5)
-    reach = float(ndtri(expanded_tail(n)))
-    z = bias + np.array([[reach], [-reach]])
-    place = ndtr(bias + z / np.maximum(1 - acceleration * z, 1e-3)).T * (RESAMPLES - 1)
-    left = np.minimum(place.astype(np.int64), RESAMPLES - 2)
-    low, high = np.take_along_axis(draws, left, 1), np.take_along_axis(draws, left + 1, 1)
-    ends = np.clip(low + (place - left) * (high - low), samples[:, :1], samples[:, -1:])
-    return np.where(constant[:, None], samples[:, :1], ends)
+    means = mean_of_known(values, 2)
+    known, ends = np.isfinite(means), np.full((len(values), 2), np.nan)
+    if values.shape[1] < FEWEST:
+        return ends
+    filled = np.nan_to_num(np.where(np.isfinite(values), values, means[..., None]))
+    weights = _resample_weights(*values.shape[1:])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        totals = weights.reshape(RESAMPLES, -1) @ filled.reshape(len(values), -1).T
+        draws = np.sort(totals / (weights.sum(2) @ known.T), axis=0)
+    for i, row in enumerate(known):
+        if len(np.unique(means[i, row])) >= FEWEST:
+            tail = expanded_tail(int(row.sum()))
+            ends[i] = np.quantile(draws[: np.isfinite(draws[:, i]).sum(), i], (tail, 1 - tail))
+    return ends
 
 
 def expanded_tail(n: int) -> float:
@@ -173,84 +217,58 @@ def expanded_tail(n: int) -> float:
     return float(ndtr(-math.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + LEVEL / 2)))
 
 
-@lru_cache(maxsize=16)
-def _resample_counts(n: int) -> NDArray[np.float64]:
-    """Return the weight of each of n values in each resample, ``(n, RESAMPLES)``, the same at every call."""
-    chosen = stream("bootstrap").integers(0, n, (RESAMPLES, n))
-    places = np.arange(RESAMPLES)[:, None] * n + chosen
-    counts = np.bincount(places.ravel(), minlength=RESAMPLES * n).reshape(RESAMPLES, n)
-    return np.ascontiguousarray(counts.T / n)
+@lru_cache(maxsize=8)
+def _resample_weights(textures: int, draws: int) -> NDArray[np.float64]:
+    """Return the weight of each draw in each resample, ``(RESAMPLES, textures, draws)``, the same at every call."""
+    rng = stream("bootstrap")
+    chosen = rng.integers(0, textures, (RESAMPLES, textures, 1)) * draws
+    places = (chosen + rng.integers(0, draws, (RESAMPLES, textures, draws))).reshape(RESAMPLES, -1)
+    size = textures * draws
+    counts = np.bincount((np.arange(RESAMPLES)[:, None] * size + places).ravel(), minlength=RESAMPLES * size)
+    return counts.reshape(RESAMPLES, textures, draws) / draws
+
+
+def stack_draws(cells: pd.DataFrame, names: Sequence[str]) -> NDArray[np.float64]:
+    """Return the scores ``names`` as ``(scores, textures, draws)``, from rows with ``texture`` and ``replicate``."""
+    if cells.empty or not names:
+        return np.empty((len(names), cells["texture"].nunique(), 1))
+    table = cells.groupby(["texture", "replicate"])[list(names)].mean().unstack()
+    return table.to_numpy(np.float64).reshape(len(table), len(names), -1).swapaxes(0, 1)
 
 
 def means_over_textures(cells: pd.DataFrame, names: Sequence[str]) -> dict[str, Estimate]:
-    """Compute the mean of each score over textures, with bootstrap intervals.
+    """Compute the mean of each score over textures, with intervals over a population of textures.
 
     Parameters
     ----------
     cells
-        Rows of one method and lattice source, with the columns ``texture`` and ``names`` (NaN: no value).
+        Rows of one method and lattice source, with the columns ``texture`` and ``names`` (NaN: no value), and
+        ``replicate`` if there are several draws.
     names
         The scores.
     """
-    by_texture = cells.groupby("texture", sort=False)[list(names)].mean()
-    return dict(zip(names, estimate_means(list(by_texture.to_numpy(np.float64).T)), strict=True))
+    rows = cells if "replicate" in cells else cells.assign(replicate=0)
+    return dict(zip(names, estimate_means(stack_draws(rows, names), population=True), strict=True))
 
 
 def paired_differences(first: pd.DataFrame, second: pd.DataFrame, names: Sequence[str]) -> dict[str, Estimate]:
-    """Compute the mean of ``first - second`` of each score over the textures that both have, with bootstrap intervals.
+    """Compute the mean of ``first - second`` of each score over a population of textures, of those that both have.
 
     Cells are paired by texture and replicate: both methods received the same sample.
     """
     on = ["texture", "replicate"]
     both = first[[*on, *names]].merge(second[[*on, *names]], on=on, suffixes=("_first", "_second"))
     gaps = {name: both[f"{name}_first"] - both[f"{name}_second"] for name in names}
-    return means_over_textures(pd.DataFrame({"texture": both["texture"], **gaps}), names)
+    return means_over_textures(both[on].assign(**gaps), names)
 
 
 def estimate_mean(values: ArrayLike, of: int) -> Estimate:
-    """Return the mean of values, one a texture, with a bootstrap interval; ``of`` is the number of all textures."""
-    return estimate_means([np.asarray(values, np.float64)], [of])[0]
-
-
-def estimate_means(columns: Sequence[NDArray[np.float64]], of: Sequence[int] | None = None) -> list[Estimate]:
-    """Return the mean of each column of values, one value a texture, with bootstrap intervals.
-
-    Parameters
-    ----------
-    columns
-        One-dimensional arrays; NaN is no value.
-    of
-        The number of all textures of each column; by default its length.
-    """
-    known = [column[np.isfinite(column)] for column in columns]
-    ends: dict[int, tuple[float, float]] = {}
-    for count in {len(values) for values in known} - {0, 1}:
-        places = [i for i, values in enumerate(known) if len(values) == count]
-        intervals = bootstrap_intervals(np.stack([known[i] for i in places])).tolist()
-        ends |= {i: (low, high) for i, (low, high) in zip(places, intervals, strict=True)}
-    totals = [len(column) for column in columns] if of is None else of
-    estimates = []
-    for i, (values, total) in enumerate(zip(known, totals, strict=True)):
-        low, high = ends.get(i, (None, None))
-        estimates.append(Estimate(float(values.mean()) if len(values) else None, low, high, len(values), total))
-    return estimates
-
-
-def estimate_rate(shares: ArrayLike, of: int) -> Estimate:
-    """Return the mean of shares, one a texture, with an interval; ``of`` is the number of all textures.
-
-    The interval is a bootstrap over textures. If all shares are 0 or all are 1, every resample is equal and the
-    bootstrap says nothing about the uncertainty: then it is Wilson's interval of a proportion.
-    """
-    known = np.asarray(shares, np.float64)
-    if known.size and known.min() == known.max() and known[0] in (0.0, 1.0):
-        low, high = wilson_interval(float(known.sum()), known.size) or (None, None)
-        return Estimate(float(known[0]), low, high, known.size, of)
-    return estimate_mean(known, of)
+    """Return the mean of values, one a texture, with an interval over a population of ``of`` textures."""
+    return estimate_means(np.asarray(values, np.float64)[None, :, None], [of], population=True)[0]
 
 
 def success_rate(cells: pd.DataFrame, leave_refusals_out: bool = False) -> Estimate:
-    """Compute the mean over textures of the share of preserved replicates, with an interval over textures.
+    """Compute the share of outputs that preserve the lattice, with Wilson's interval over outputs.
 
     A failed cell counts as not preserved. So does a refused cell, unless refusals are left out. Undecided, unscored and
     missing cells are left out. Textures without a lattice to preserve do not count at all.
@@ -258,15 +276,14 @@ def success_rate(cells: pd.DataFrame, leave_refusals_out: bool = False) -> Estim
     Parameters
     ----------
     cells
-        Rows of one method and lattice source, with the columns ``texture``, ``verdict`` and ``applicable``.
+        Rows of one method and lattice source, with the columns ``verdict`` and ``applicable``.
     leave_refusals_out
         Leave refused cells out.
     """
     applicable = cells[cells["applicable"].astype(bool)]
     verdicts = ["preserved", "lost", "failed"] if leave_refusals_out else ["preserved", "lost", "failed", "refused"]
     counted = applicable[applicable["verdict"].isin(verdicts)]
-    shares = counted["verdict"].eq("preserved").groupby(counted["texture"]).mean()
-    return estimate_rate(shares, applicable["texture"].nunique())
+    return estimate_proportion(counted["verdict"].eq("preserved"), len(applicable))
 
 
 def as_numbers(values: Sequence[Any]) -> NDArray[np.float64]:
@@ -297,7 +314,7 @@ def mean_kappa(pairs: ConfusionTables) -> Estimate:
 
     Textures are drawn with replacement, and with each texture all answers of all pairs, because outputs of one
     texture are not independent evidence; the intervals of statistical packages treat every item as independent.
-    Percentiles are expanded as in :func:`bootstrap_intervals`. Resamples in which no pair has a kappa are left out.
+    Percentiles are expanded as in :func:`population_intervals`. Resamples in which no pair has a kappa are left out.
     Time and memory grow with pairs times textures times resamples.
 
     Parameters

@@ -31,7 +31,7 @@ from .estimates import (
     NO_ESTIMATE,
     Estimate,
     estimate_mean,
-    estimate_rate,
+    estimate_proportion,
     kappa,
     means_over_textures,
     paired_differences,
@@ -122,7 +122,8 @@ class ClaimResult:
 def evaluate_claims(run: Run) -> list[ClaimResult]:
     """Return the claims of a run's suite with what the scores show of them; none if the suite has no claims.
 
-    A mean over textures has Wilson's interval for ``regularity.preserved``, else a bootstrap interval. A difference of
+    A claim speaks of textures that no suite lists, so intervals are over a population of textures: Wilson's for
+    ``regularity.preserved``, else a bootstrap interval, from six textures up. A difference of
     two series, or of two levels, is paired by texture and replicate; by family and replicate if the two have no
     texture in common, for example where the levels are sizes of the output.
     """
@@ -310,10 +311,10 @@ class RateRow:
     method
         The method as measured.
     published
-        The published rate over all figures of the group, with its interval: a bootstrap over figures, or Wilson's
-        interval if all figures agree.
+        The published rate over all figures of the group, with Wilson's interval.
     same, measured
-        The published and the measured rate over the figures with a measured verdict, with such intervals.
+        The published and the measured rate over the figures with a measured verdict, with Wilson's intervals. A figure
+        counts as measured preserved if half of its replicates are.
     difference
         Measured minus published over these figures, with a bootstrap interval over figures.
     """
@@ -467,9 +468,9 @@ def _compare_rates(group: str, method: Method, pairs: pd.DataFrame) -> RateRow:
     return RateRow(
         group=group,
         method=method,
-        published=estimate_rate(pairs["published"], of),
-        same=estimate_rate(same["published"], of),
-        measured=estimate_rate(same["measured_share"], of),
+        published=estimate_proportion(pairs["published"], of),
+        same=estimate_proportion(same["published"], of),
+        measured=estimate_proportion(same["measured_share"] >= 0.5, of),
         difference=estimate_mean(same["measured_share"] - same["published"], of),
     )
 

@@ -45,12 +45,11 @@ def format_signed(value: float | None) -> str:
 
 
 def format_interval(estimate: Estimate, as_percent: bool = False) -> str:
-    """Return ``"[low, high]"``; empty if the estimate has no interval."""
-    if estimate.low is None or estimate.high is None:
+    """Return ``"[low, high]"``; empty if there is no interval, or both ends are the same at the printed digits."""
+    if estimate.ends is None:
         return ""
-    if as_percent:
-        return f"[{100 * estimate.low:.0f}, {100 * estimate.high:.0f}]"
-    return f"[{format_number(estimate.low)}, {format_number(estimate.high)}]"
+    low, high = (f"{100 * end:.0f}" if as_percent else format_number(end) for end in estimate.ends)
+    return "" if low == high else f"[{low}, {high}]"
 
 
 def round_small(estimate: Estimate) -> Estimate:

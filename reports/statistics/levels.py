@@ -9,7 +9,7 @@ import pandas as pd
 
 from nrbench.runs.records import Run
 
-from .estimates import Estimate, means_over_textures
+from .estimates import Estimate, estimate_means, stack_draws
 from .method_comparison import Comparison
 from .summaries import Method
 from .verdicts import RANKING, has_quality, tabulate_cells
@@ -110,7 +110,7 @@ def compare_levels(run: Run, comparison: Comparison) -> list[LevelPanel]:
 def _level_series(method: Method, names: dict[float, list[str]], cells: pd.DataFrame) -> LevelSeries:
     own = cells[cells["label"] == method.label]
     parts = (own[own["texture"].isin(textures)] for textures in names.values())
-    return LevelSeries(method, list(names), [means_over_textures(part, [RANKING])[RANKING] for part in parts])
+    return LevelSeries(method, list(names), [estimate_means(stack_draws(part, [RANKING]))[0] for part in parts])
 
 
 def levels_table(panels: Sequence[LevelPanel]) -> pd.DataFrame:

@@ -6,35 +6,36 @@ Every report format prints the one :class:`Comparison` that :func:`compare_metho
 from __future__ import annotations
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import friedmanchisquare, rankdata, wilcoxon
+from scipy.stats import rankdata
 
 from nrbench.errors import BadInput
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import CellRecord, Run
 
-from .estimates import Estimate, estimate_means
+from .estimates import FEWEST, Estimate, estimate_means, mean_of_known, stack_draws
 from .format import pluralize
+from .pair_tests import ALPHA, PairTests, adjust_means, compare_pairs
 from .summaries import (
     Method,
     MethodSummary,
     SummaryRow,
     headline_columns,
     other_score_rows,
-    rank_methods,
     summarize_methods,
     summary_rows,
 )
 from .verdicts import (
     BOUND_SIGN,
     COMPLETE,
+    LEADING_SIGN,
     MARKS,
     PRESERVED,
     QUALITY,
@@ -43,58 +44,33 @@ from .verdicts import (
     explain_verdict,
     has_quality,
     is_valid_baseline,
-    keep_common_textures,
+    keep_listed_textures,
     method_label,
     tabulate_cells,
     verdict,
 )
 
-FEWEST = 10
-"""The tests need at least so many textures: with fewer, Wilcoxon's test of several pairs can hardly be significant."""
-ALPHA = 0.05
-"""Significance level."""
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class RankTests:
-    """The ranks of methods over textures, and which methods differ.
-
-    Parameters
-    ----------
-    order
-        Indices of the methods from the best average rank to the worst.
-    ranks
-        Average rank of each method over the textures, in the order of the input; 1 is the best.
-    n
-        Number of textures.
-    friedman
-        p-value of Friedman's test that all methods have equal ranks; None for two methods.
-    adjusted
-        ``(k, k)``: p-values of Wilcoxon's signed-rank test of each pair, adjusted by Holm's method for all pairs.
-    different
-        ``(k, k)``: the pairs that differ. No pair differs unless Friedman's test says that the methods do.
-    cliques
-        First and last position in ``order`` of each longest series of neighbors of which no two differ.
-    """
-
-    order: tuple[int, ...]
-    ranks: tuple[float, ...]
-    n: int
-    friedman: float | None
-    adjusted: Floats
-    different: NDArray[np.bool_]
-    cliques: tuple[tuple[int, int], ...]
+_LEADING = (
+    "leading group: the method of the highest mean quality, and the methods that are not significantly worse (sign "
+    f"flips within textures, all pairs at once, {100 * ALPHA:g} % for the whole table)"
+)
+_TOO_FEW = f"no leading group: fewer than {FEWEST} textures cannot tell which methods differ"
 
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """The mean difference of two methods in one score, over the textures that both have."""
+    """The mean difference of two methods in one score, over the textures that both have.
+
+    ``p`` is the p-value of :func:`~nrbench.reports.statistics.pair_tests.compare_pairs`, adjusted for all pairs of
+    ranked methods; None for other pairs, for scores of which no way is better, and without tests.
+    """
 
     score: str
     first: Method
     second: Method
     estimate: Estimate
+    p: float | None
 
 
 @dataclass(frozen=True)
@@ -110,8 +86,7 @@ class BaselineDifference:
     effect
         The rank-biserial correlation of the differences, in [-1, 1].
     p
-        p-value of Wilcoxon's signed-rank test, adjusted by Holm's method for all methods of the list; None with fewer
-        than :data:`FEWEST` textures, and without tests.
+        p-value of the difference, as in :class:`PairedDifference`.
     """
 
     method: Method
@@ -215,14 +190,16 @@ class Comparison:
     against
         The difference of each other method to it in quality.
     ranked
-        The methods of :attr:`tests`, in the order of its input.
+        The ranked methods, best first.
     tests
-        Ranks over the textures on which every ranked method has a quality; None with fewer than
-        :data:`FEWEST` of them, and without tests.
+        Which of them differ in quality; None without a ranking, with fewer than
+        :data:`~nrbench.reports.statistics.estimates.FEWEST` textures, and without tests.
     tested
         Whether tests and a leading group were wanted.
     leading_legend
-        What the sign of the leading group means in this table.
+        What the sign of the leading group means in this table, or why there is none.
+    estimand
+        What the means estimate, and what their intervals say, in two sentences.
     """
 
     title: str
@@ -238,15 +215,22 @@ class Comparison:
     baseline: Method | None = None
     against: Sequence[BaselineDifference] = ()
     ranked: Sequence[Method] = ()
-    tests: RankTests | None = None
+    tests: PairTests | None = None
     tested: bool = True
     leading_legend: str = ""
+    estimand: str = ""
 
     @property
     def legend(self) -> list[tuple[str, str]]:
         """The verdicts that occur, each with its mark."""
         verdicts = {entry.verdict for row in self.rows for entry in row.entries if entry}
         return [(mark, name) for name, mark in MARKS.items() if name in verdicts]
+
+    @property
+    def leading_sentence(self) -> str:
+        """The legend of the leading group, behind its sign if any method has it; empty without a legend."""
+        sign = f"{LEADING_SIGN} " if any(one.leading for one in self.summaries) else ""
+        return f"{sign}{self.leading_legend}." if self.leading_legend else ""
 
     @property
     def score_meaning(self) -> str:
@@ -271,7 +255,7 @@ class Comparison:
         return any(one.validity.n for one in self.summaries)
 
 
-def compare_methods(run: Run, tests: bool = True, baseline: str = "") -> Comparison:
+def compare_methods(run: Run, tests: bool = True, baseline: str = "", population: bool = False) -> Comparison:
     """Build the comparison of a run, or return the one that was built before; without rows if the run has no cells.
 
     Parameters
@@ -283,38 +267,34 @@ def compare_methods(run: Run, tests: bool = True, baseline: str = "") -> Compari
     baseline
         The name, or the label with its lattice source, of the method with which the others are compared; by default
         the best ranked one.
+    population
+        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
 
     Raises
     ------
     BadInput
         If the run has no such method, or the name stands for several.
     """
-    return run.shared(_build_comparison, tests, baseline)
+    return run.shared(_build_comparison, tests, baseline, population)
 
 
-def _build_comparison(run: Run, tests: bool, baseline: str) -> Comparison:
-    cells = keep_common_textures(tabulate_cells(run))
-    summaries = summarize_methods(run, cells)
+def _build_comparison(run: Run, tests: bool, baseline: str, population: bool) -> Comparison:
+    cells = keep_listed_textures(tabulate_cells(run))
+    summaries = summarize_methods(run, cells, population)
     other = _find_method([one.method for one in summaries], baseline)
-    rule, ranks, against = "", None, []
-    scored = [one for one in summaries if RANKING in one.means and not one.method.reference and one.means[RANKING].n]
-    known = [one.method for one in scored if not one.at_most]
-    ties = {one.method.label: find_leading_group(cells, one.method, known)[0] for one in scored if one.at_most}
-    ranked = rank_methods(summaries, ties)
-    best = next((one.method for one in ranked if one.rank == 1), None)
+    ranked, found = rank_by_quality(cells, summaries)
     fit = [one.method for one in ranked if one.rank]
-    if tests and best is not None:
-        measured = [method for method in fit if method in known]
-        leading, rule = find_leading_group(cells, best, measured) if best in measured else (set[str](), "")
-        ranks = rank_by_texture(cells, fit)
-        places = dict(zip([one.label for one in fit], ranks.ranks, strict=True)) if ranks else {}
-        ranked = [
-            replace(one, leading=one.method.label in leading, average_rank=places.get(one.method.label))
-            for one in ranked
-        ]
-        other = other or best
-        against = compare_with(cells, other, [one.method for one in ranked if one.method != other])
+    enough = any(one.leading for one in ranked) or (found is not None and np.isfinite(found.p).any())
+    legend, against = "", []
+    if tests and fit:
+        legend = "" if ranked[0].at_most else _LEADING if enough else _TOO_FEW
+        other = other or fit[0]
+    else:
+        ranked = [replace(one, leading=False) for one in ranked]
     methods = [one.method for one in ranked]
+    differences = list_differences(run, methods, cells, fit if tests else (), population)
+    if tests and other is not None and fit:
+        against = compare_with(cells, differences, other, [one for one in methods if one != other], population)
     score = QUALITY if has_quality(run) else SCORE
     notes = list(dict.fromkeys(record.note for record in run.cells if record.note))
     rows = _texture_rows(run, methods, score, {note: number for number, note in enumerate(notes, 1)})
@@ -328,15 +308,91 @@ def _build_comparison(run: Run, tests: bool, baseline: str) -> Comparison:
         summary_rows=summary_rows(run, ranked),
         notes=notes,
         summaries=ranked,
-        differences=list_differences(run, methods, cells),
+        differences=differences,
         counts=counts,
         baseline=other if against else None,
         against=against,
-        ranked=fit if ranks else (),
-        tests=ranks,
+        ranked=fit,
+        tests=found if tests and enough else None,
         tested=tests,
-        leading_legend=rule,
+        leading_legend=legend,
+        estimand=_describe_estimand(len(rows), 1 + max((one.replicate for one in run.cells), default=0), population),
     )
+
+
+def _describe_estimand(textures: int, draws: int, population: bool) -> str:
+    if population:
+        return (
+            f"Estimated: the mean over a population of textures, of which these {textures} are a sample. Intervals: "
+            f"95 %, by a hierarchical bootstrap over textures and draws, where {FEWEST} textures or more differ."
+        )
+    intervals = (
+        f"Intervals: 95 %, over draws, where {FEWEST} textures or more scatter between them."
+        if draws > 1
+        else "One draw of each carries no interval of a mean."
+    )
+    return f"Estimated: the mean over this fixed list of {pluralize(textures, 'texture')}, over draws. {intervals}"
+
+
+def rank_by_quality(
+    cells: pd.DataFrame, summaries: Sequence[MethodSummary]
+) -> tuple[list[MethodSummary], PairTests | None]:
+    """Rank methods by mean quality, and find the leading group.
+
+    A suite may give each method its own textures; a method that has a quality on fewer than half as many textures as
+    the method with the most is not ranked. A ranked method that lacks textures has the mean of :func:`adjust_means`,
+    and no interval. A method whose mean is an upper bound stands behind the measured methods that are not significantly
+    worse. A method that shares fewer than half of the best one's textures is not in the leading group.
+
+    Parameters
+    ----------
+    cells
+        The table of :func:`~nrbench.reports.statistics.verdicts.tabulate_cells`.
+    summaries
+        The methods.
+
+    Returns
+    -------
+    list of MethodSummary
+        The summaries, best first, then methods without a rank, then references.
+    PairTests or None
+        Which of the ranked methods differ, in their order; None if there are none.
+    """
+    counts = {one.method.label: one.means[RANKING].n for one in summaries if RANKING in one.means}
+    candidates = [one for one in summaries if not one.method.reference and counts.get(one.method.label)]
+    most = max((counts[one.method.label] for one in candidates), default=0)
+    fit = [one for one in candidates if 2 * counts[one.method.label] >= most]
+    rest = sorted((one for one in summaries if one not in fit), key=lambda one: one.method.reference)
+    if not fit:
+        return rest, None
+    labels = [one.method.label for one in fit]
+    values = mean_of_known(_draws(cells, RANKING, [one.method for one in fit]), 2).T
+    values = values[np.isfinite(values).any(1)]
+    found, means = compare_pairs(values), adjust_means(values)
+    fit = [
+        one if np.isfinite(column).all() else _with_mean(one, float(mean))
+        for one, mean, column in zip(fit, means, values.T, strict=True)
+    ]
+    bounded = np.array([one.at_most for one in fit])
+    means = means.round(12)
+    lowest = [min([mean, *means[~bounded & ~found.better[i]]]) if bounded[i] else mean for i, mean in enumerate(means)]
+    places = [(-low, bound, -mean) for low, bound, mean in zip(lowest, bounded.tolist(), means, strict=True)]
+    order = sorted(range(len(fit)), key=lambda i: places[i])
+    best = order[0]
+    near = np.isfinite(found.p[best]) & ~found.better[best] & (2 * found.common[best] >= counts[labels[best]])
+    near[best] = len(values) >= FEWEST
+    near &= ~bounded & ~bounded[best]
+    ranked = [
+        replace(fit[i], rank=1 + sum(bool(place < places[i]) for place in places), leading=bool(near[i])) for i in order
+    ]
+    pick = np.ix_(order, order)
+    return [*ranked, *rest], PairTests(found.p[pick], found.better[pick], found.common[pick])
+
+
+def _with_mean(one: MethodSummary, mean: float) -> MethodSummary:
+    """Return a summary with another mean quality, without an interval."""
+    estimate = replace(one.means[RANKING], value=min(max(mean, 0.0), 1.0), low=None, high=None)
+    return replace(one, means={**one.means, RANKING: estimate})
 
 
 def _find_method(methods: Sequence[Method], name: str) -> Method | None:
@@ -423,99 +479,6 @@ def choose_rows(run: Run, comparison: Comparison, names: Sequence[str]) -> Seque
     return [rows[name] for name in names]
 
 
-def compare_ranks(values: Floats) -> RankTests:
-    """Rank methods on each texture, and test whether they differ.
-
-    Parameters
-    ----------
-    values
-        ``(textures, methods)``, without NaN; higher is better. At least 2 methods and 2 textures.
-
-    References
-    ----------
-    J. Demsar, "Statistical comparisons of classifiers over multiple data sets", JMLR 7, 2006.
-    A. Benavoli, G. Corani and F. Mangili, "Should we really use post-hoc tests based on mean-ranks?", JMLR 17, 2016.
-    """
-    count = values.shape[1]
-    ranks = rankdata(-values, axis=1).mean(0)
-    order = np.argsort(ranks, kind="stable")
-    first, second = np.triu_indices(count, 1)
-    p = adjust_holm(signed_rank_p_values(values[:, first] - values[:, second]))
-    adjusted = np.ones((count, count))
-    adjusted[first, second] = adjusted[second, first] = p
-    friedman = None
-    if count > 2:
-        equal = bool((values == values[:, :1]).all())
-        friedman = 1.0 if equal else float(friedmanchisquare(*values.T).pvalue)
-    different = (adjusted < ALPHA) & (friedman is None or friedman < ALPHA)
-    return RankTests(
-        tuple(order.tolist()),
-        tuple(ranks.tolist()),
-        len(values),
-        friedman,
-        adjusted,
-        different,
-        find_cliques(different[np.ix_(order, order)]),
-    )
-
-
-def signed_rank_p_values(differences: Floats) -> Floats:
-    """Return the two-sided p-value of Wilcoxon's signed-rank test of each column of paired differences.
-
-    Differences of zero are split evenly between the signs. A column without zeros and ties has the exact distribution,
-    if it has at most 50 values; the others have the normal approximation.
-
-    Parameters
-    ----------
-    differences
-        ``(textures, pairs)``, without NaN.
-    """
-    n, count = differences.shape
-    size = np.sort(np.abs(differences), axis=0)
-    distinct = (size[0] > 0) & (np.diff(size, axis=0) > 0).all(0) & (n <= 50)
-    p = np.ones(count)
-    some = np.flatnonzero(size[-1] > 0)
-    for exact, columns in ((True, some[distinct[some]]), (False, some[~distinct[some]])):
-        if len(columns):
-            method: Any = "exact" if exact else "asymptotic"
-            tested: Any = wilcoxon(differences[:, columns], None, "zsplit", method=method, axis=0)
-            p[columns] = tested.pvalue
-    return p
-
-
-def adjust_holm(p: Floats) -> Floats:
-    """Return p-values adjusted for their number by Holm's step-down method, in the order given.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> adjust_holm(np.array([0.01, 0.04, 0.03])).tolist()
-    [0.03, 0.06, 0.06]
-    """
-    order = np.argsort(p, kind="stable")
-    adjusted = np.empty_like(p)
-    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p)))))
-    return adjusted
-
-
-def find_cliques(different: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
-    """Return the longest series of at least two neighbors of which no two differ, as first and last index.
-
-    Parameters
-    ----------
-    different
-        ``(k, k)``: which methods differ, in the order of their ranks.
-    """
-    found: list[tuple[int, int]] = []
-    for first in range(len(different)):
-        last = first
-        while last + 1 < len(different) and not different[first : last + 1, last + 1].any():
-            last += 1
-        if last > first and (not found or last > found[-1][1]):
-            found.append((first, last))
-    return tuple(found)
-
-
 def rank_biserial(differences: Sequence[float] | Floats) -> float | None:
     """Compute the matched-pairs rank-biserial correlation, the effect size of Wilcoxon's test.
 
@@ -545,64 +508,51 @@ def rank_biserial(differences: Sequence[float] | Floats) -> float | None:
     return float((ranks * np.sign(values)).sum() / ranks.sum())
 
 
-def find_leading_group(cells: pd.DataFrame, best: Method, ranked: Sequence[Method]) -> tuple[set[str], str]:
-    """Return the labels of the leading group, and what the group is.
-
-    A method that shares fewer than half of the best method's textures with it is not in the group: their difference is
-    not known.
-    """
-    behind = _differences(cells, RANKING, best)
-    gaps = {one.label: behind[one.label].dropna().to_numpy() for one in ranked if one != best}
-    near = {label: gap for label, gap in gaps.items() if 2 * len(gap) >= behind[best.label].count()}
-    what = "leading group: the method of the highest mean quality, and the methods"
-    if near and all(len(gap) >= FEWEST for gap in near.values()):
-        p = adjust_holm(np.array([_signed_rank_p(gap) for gap in near.values()]))
-        tied = (p >= ALPHA).tolist()
-        rule = f"{what} that do not differ from it over textures (Wilcoxon's test with Holm's correction, 5 %)"
-    else:
-        tied = [one.low is None or one.low <= 0 for one in estimate_means(list(near.values()))]
-        rule = f"{what} whose paired difference to it over textures has a 95 % interval that contains 0"
-    return {best.label, *itertools.compress(near, tied)}, rule
-
-
-def _differences(cells: pd.DataFrame, score: str, first: Method) -> pd.DataFrame:
-    """Return a score of ``first`` minus that of every method, by texture and label: means over paired replicates."""
-    scores = cells.pivot(index=["texture", "replicate"], columns="label", values=score)
-    return scores.rsub(scores[first.label], axis=0).groupby(level="texture").mean()
-
-
-def _signed_rank_p(differences: Floats) -> float:
-    return float(signed_rank_p_values(differences[:, None])[0])
-
-
-def rank_by_texture(cells: pd.DataFrame, ranked: Sequence[Method]) -> RankTests | None:
-    """Return the tests over the textures on which every ranked method has a quality; None with too few."""
-    qualities = cells.pivot_table(RANKING, "texture", "label")[[one.label for one in ranked]].dropna()
-    return compare_ranks(qualities.to_numpy()) if len(qualities) >= FEWEST and len(ranked) > 1 else None
-
-
-def compare_with(cells: pd.DataFrame, other: Method, methods: Sequence[Method]) -> list[BaselineDifference]:
+def compare_with(
+    cells: pd.DataFrame,
+    differences: Sequence[PairedDifference],
+    other: Method,
+    methods: Sequence[Method],
+    population: bool = False,
+) -> list[BaselineDifference]:
     """Return the difference of each method to ``other`` in quality; methods without common textures are left out."""
-    gaps = -_differences(cells, RANKING, other)
-    known = [one for one in methods if gaps[one.label].notna().any()]
-    estimates = estimate_means([gaps[one.label].to_numpy() for one in known])
-    clean = [gaps[one.label].dropna().to_numpy() for one in known]
-    many = [_signed_rank_p(gap) for gap in clean if len(gap) >= FEWEST]
-    adjusted = iter(adjust_holm(np.array(many)).tolist())
+    gaps = _draws(cells, RANKING, methods) - _draws(cells, RANKING, [other])
+    p = {frozenset((one.first.label, one.second.label)): one.p for one in differences if one.score == RANKING}
     return [
-        BaselineDifference(one, estimate, rank_biserial(gap), next(adjusted) if estimate.n >= FEWEST else None)
-        for one, gap, estimate in zip(known, clean, estimates, strict=True)
+        BaselineDifference(
+            one, estimate, rank_biserial(mean_of_known(gap, 1)), p.get(frozenset((one.label, other.label)))
+        )
+        for one, estimate, gap in zip(methods, estimate_means(gaps, population=population), gaps, strict=True)
+        if estimate.n
     ]
 
 
-def list_differences(run: Run, methods: Sequence[Method], cells: pd.DataFrame) -> list[PairedDifference]:
-    """Return the differences of all pairs whose first method is no reference, in every headline."""
-    pairs = [(a, b) for a, b in itertools.combinations(methods, 2) if not a.reference]
-    textures = {str(label): set(names) for label, names in cells.groupby("label")["texture"]}
-    common = [len(textures[a.label] & textures[b.label]) for a, b in pairs]
+def _draws(cells: pd.DataFrame, score: str, methods: Sequence[Method]) -> Floats:
+    """Return a score as ``(methods, textures, draws)``."""
+    labels = [one.label for one in methods]
+    wide = cells.pivot(index=["texture", "replicate"], columns="label", values=score)
+    return stack_draws(wide.reset_index(), labels)
+
+
+def list_differences(
+    run: Run, methods: Sequence[Method], cells: pd.DataFrame, tested: Sequence[Method] = (), population: bool = False
+) -> list[PairedDifference]:
+    """Return the differences of all pairs whose first method is no reference, in every headline.
+
+    The methods ``tested`` have p-values.
+    """
+    pairs = [(i, j) for i, j in itertools.combinations(range(len(methods)), 2) if not methods[i].reference]
+    textures = [set(cells.loc[cells["label"] == one.label, "texture"]) for one in methods]
+    common = [len(textures[i] & textures[j]) for i, j in pairs]
+    places = {methods.index(one): k for k, one in enumerate(tested)}
     found = []
-    for name in headline_columns(run):
-        gaps = {a.label: _differences(cells, name, a) for a in methods if not a.reference}
-        estimates = estimate_means([gaps[a.label][b.label].to_numpy() for a, b in pairs], common)
-        found += [PairedDifference(name, a, b, one) for (a, b), one in zip(pairs, estimates, strict=True)]
+    for name, column in headline_columns(run).items():
+        values = _draws(cells, name, methods)
+        gaps = values[[i for i, _ in pairs]] - values[[j for _, j in pairs]]
+        estimates = estimate_means(gaps, common, population)
+        p = compare_pairs(mean_of_known(values[list(places)], 2).T).p if places and column.better != "none" else None
+        for (i, j), estimate in zip(pairs, estimates, strict=True):
+            known = p is not None and i in places and j in places
+            value = float(p[places[i], places[j]]) if p is not None and known else math.nan
+            found.append(PairedDifference(name, methods[i], methods[j], estimate, None if math.isnan(value) else value))
     return found

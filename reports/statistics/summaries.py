@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from nrbench import plugins
@@ -16,7 +14,7 @@ from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from .estimates import Estimate, estimate_means, success_rate
+from .estimates import Estimate, estimate_means, stack_draws, success_rate
 from .format import (
     describe_column,
     format_count,
@@ -29,6 +27,7 @@ from .format import (
 from .verdicts import (
     COMPLETE,
     DERIVED_COLUMNS,
+    MARKS,
     PERILS,
     PRESERVED,
     QUALITY,
@@ -50,12 +49,12 @@ COSTS: Mapping[str, Column] = {
     "seconds": Column("Wall time of the synthesis, including its own lattice detection.", "s", (0, math.inf), "lower"),
     "peak_mib": Column("Peak memory above the idle worker.", "MiB", (0, math.inf), "lower"),
 }
-RATE = Column("Share of textures whose lattice is preserved.", better="higher")
+RATE = Column("Share of outputs whose lattice is preserved.", better="higher")
 RATE_MEANING = (
-    "With a 95 % bootstrap interval over textures (Wilson's if all textures agree). A texture counts as the mean over "
-    "its replicates. Failures and refusals count as not preserved. Undecided cells are left out."
+    "With Wilson's 95 % interval over outputs. Failures and refusals count as not preserved. Undecided cells are left "
+    "out."
 )
-MEAN_MEANING = "Mean over textures, with a 95 % bootstrap interval. A texture counts as the mean over its replicates."
+MEAN_MEANING = "Mean over textures, with a 95 % interval. A texture counts as the mean over its draws."
 
 
 @dataclass(frozen=True)
@@ -119,18 +118,16 @@ class MethodSummary:
     counts
         Number of ``cells``, and of those that are ``ok``, ``refused``, ``failed`` and ``missing``.
     success, success_answered
-        Success rate; refusals count as not preserved, or are left out.
+        Success rate; refusals of a method count as not preserved, or are left out.
     means
         Mean over textures of every score and cost.
     validity, validity_scored
         On how many textures a baseline is valid: of all, and of those with a quality.
     rank
-        Position by mean quality, 1 the best, see :func:`rank_methods`; None for a reference, without a quality, and if
-        the method has a quality on fewer than half as many textures as the method with the most.
+        Position by mean quality, 1 the best; None for a reference, without a quality, and if the method has a quality
+        on fewer than half as many textures as the method with the most.
     leading
         Whether it is in the leading group.
-    average_rank
-        Mean over textures of its rank on each texture, among the ranked methods; None without :class:`RankTests`.
     """
 
     method: Method
@@ -142,7 +139,6 @@ class MethodSummary:
     validity_scored: BaselineValidity
     rank: int | None = None
     leading: bool = False
-    average_rank: float | None = None
 
     @property
     def at_most(self) -> bool:
@@ -172,6 +168,8 @@ class SummaryRow:
         Whether it is a success rate.
     variant
         Whether it is the number of the row before, computed without some of the cells.
+    blanks
+        For each method the text where there is no number: a dash, or N/A if it refused every cell.
     """
 
     name: str
@@ -180,6 +178,7 @@ class SummaryRow:
     estimates: Sequence[Estimate | None]
     rate: bool = False
     variant: bool = False
+    blanks: Sequence[str] = ()
 
     @property
     def title(self) -> str:
@@ -193,8 +192,10 @@ class SummaryRow:
 
     @property
     def values(self) -> list[str]:
-        """The values as text; a dash if there is none."""
-        return [format_value(estimate, self.rate) if estimate else "–" for estimate in self.shown]
+        """The values as text."""
+        blanks = self.blanks or ["–"] * len(self.shown)
+        pairs = zip(self.shown, blanks, strict=True)
+        return [format_value(estimate, self.rate) if estimate else blank for estimate, blank in pairs]
 
     @property
     def intervals(self) -> list[str]:
@@ -267,18 +268,16 @@ def list_methods(run: Run) -> list[Method]:
     return sorted(methods.values(), key=lambda method: method.reference)
 
 
-def summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
+def summarize_methods(run: Run, cells: pd.DataFrame, population: bool = False) -> list[MethodSummary]:
     """Return each method of a run in numbers, from the rows of its cells, in the order of the suite."""
-    names, methods = list(describe_scores(run)), list_methods(run)
-    by_texture = cells.groupby(["label", "texture"], sort=False)[names].mean()
+    columns, methods = describe_scores(run), list_methods(run)
     own_cells = dict(iter(cells.groupby("label", sort=False)))
-    columns = [column for one in methods for column in by_texture.loc[one.label].to_numpy(np.float64).T]
-    estimates = iter(estimate_means(columns))
     summaries = []
     for method in methods:
         own = own_cells[method.label]
         scored = own[own[STRUCTURE].notna()] if STRUCTURE in own else own.iloc[:0]
-        means = dict(zip(names, itertools.islice(estimates, len(names)), strict=True))
+        estimates = estimate_means(stack_draws(own, list(columns)), population=population)
+        means = {name: one.within(column.range) for (name, column), one in zip(columns.items(), estimates, strict=True)}
         if COMPLETE in own and RANKING in own:
             bounds = own.loc[own[COMPLETE].eq(0), [RANKING, QUALITY]].notna().any()
             means |= {str(name): replace(means[str(name)], at_most=bool(found)) for name, found in bounds.items()}
@@ -286,7 +285,7 @@ def summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
             MethodSummary(
                 method=method,
                 counts=count_statuses(own["status"]),
-                success=success_rate(own),
+                success=success_rate(own, leave_refusals_out=method.reference),
                 success_answered=success_rate(own, leave_refusals_out=True),
                 means=means,
                 validity=count_valid_textures(own),
@@ -294,38 +293,6 @@ def summarize_methods(run: Run, cells: pd.DataFrame) -> list[MethodSummary]:
             )
         )
     return summaries
-
-
-def rank_methods(summaries: Sequence[MethodSummary], ties: Mapping[str, Iterable[str]]) -> list[MethodSummary]:
-    """Return the summaries by mean quality, best first, then methods without a rank, then references.
-
-    Means over different textures are not comparable. A suite may give each method its own textures; a method that has
-    a quality on fewer than half as many textures as the method with the most is therefore listed without a rank.
-
-    Parameters
-    ----------
-    summaries
-        The methods.
-    ties
-        For the label of each method whose mean is an upper bound the labels of the measured methods that are not
-        significantly worse. It stands behind them.
-    """
-    known = {
-        one.method.label: (mean.value, mean.n)
-        for one in summaries
-        if not one.method.reference and RANKING in one.means and (mean := one.means[RANKING]).value is not None
-    }
-    most = max((n for _, n in known.values()), default=0)
-    means = {label: value for label, (value, n) in known.items() if value is not None and 2 * n >= most}
-    lowest = {label: min(means[other] for other in {label, *ties.get(label, ())} & means.keys()) for label in means}
-    places = {label: (-lowest[label], label in ties, -value) for label, value in means.items()}
-
-    def rank(one: MethodSummary) -> MethodSummary:
-        place = places.get(one.method.label)
-        return one if place is None else replace(one, rank=1 + sum(other < place for other in places.values()))
-
-    last = len(means) + 1
-    return sorted(map(rank, summaries), key=lambda one: (one.method.reference, one.rank or last))
 
 
 def count_statuses(status: pd.Series[str]) -> dict[str, int]:
@@ -354,7 +321,8 @@ def summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRo
             note = f"{MEAN_MEANING} Failures, refusals and undecided cells are left out."
             means.append(SummaryRow("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
     seconds = len(means) - 1 if RANKING in columns else 0
-    return [*means[:seconds], *rates, *means[seconds:]]
+    blanks = [MARKS["refused"] if one.counts["refused"] == one.counts["cells"] else "–" for one in summaries]
+    return [replace(row, blanks=blanks) for row in (*means[:seconds], *rates, *means[seconds:])]
 
 
 def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRow]:

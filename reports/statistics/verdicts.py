@@ -45,7 +45,8 @@ REGULARITY, INTEGRITY, RANDOMNESS, APPEARANCE = PERILS
 RANKING, STRUCTURE = "quality", "perils.structure"
 DERIVED_COLUMNS: Mapping[str, Column] = {
     RANKING: Column(
-        "The number that methods are ranked by: quality.score, or 0 where the method failed or refused.",
+        "The number that methods are ranked by: quality.score, or 0 where a method failed or refused; a refusal of a "
+        "reference does not count.",
         better="higher",
     ),
     STRUCTURE: Column(
@@ -141,16 +142,17 @@ def tabulate_cells(run: Run) -> pd.DataFrame:
         table.loc[table["verdict"] == "undecided", SCORE] = np.nan
     if has_quality(run):
         judged = table["applicable"] | table["texture"].isin(table.loc[table[QUALITY].notna(), "texture"])
-        table[RANKING] = table[QUALITY].mask(judged & table["verdict"].isin(["failed", "refused"]), 0.0)
+        ended = table["verdict"].eq("failed") | (table["verdict"].eq("refused") & ~table["reference"])
+        table[RANKING] = table[QUALITY].mask(judged & ended, 0.0)
         table[STRUCTURE] = table[[REGULARITY, INTEGRITY, APPEARANCE]].min(axis=1)
     return table
 
 
-def keep_common_textures(cells: pd.DataFrame) -> pd.DataFrame:
-    """Return the table without the ranking quality of textures on which that of a method is undecided.
+def keep_listed_textures(cells: pd.DataFrame) -> pd.DataFrame:
+    """Return the table without the ranking quality of textures on which that of most methods is undecided.
 
-    Rubble is called lost where a fault of a good output could stay undetected. Means over the textures that each method
-    happens to be decided on would not be comparable. If no texture is left, the table is unchanged.
+    Rubble is called lost where a fault of a good output could stay undetected, so a texture on which hardly any method
+    is decided says nothing about the others. If no texture is left, the table is unchanged.
 
     Parameters
     ----------
@@ -160,11 +162,11 @@ def keep_common_textures(cells: pd.DataFrame) -> pd.DataFrame:
     if RANKING not in cells:
         return cells
     ranked = cells[~cells["reference"] & (cells["status"] != "missing")]
-    undecided = ranked.loc[ranked[RANKING].isna(), "texture"]
-    common = ranked.loc[~ranked["texture"].isin(undecided), RANKING]
-    if common.notna().sum() == 0:
+    decided = ranked[RANKING].notna().groupby([ranked["texture"], ranked["label"]]).any().groupby("texture").mean()
+    listed = decided.index[decided > 0.5]
+    if listed.empty:
         return cells
-    return cells.assign(**{RANKING: cells[RANKING].mask(cells["texture"].isin(undecided))})
+    return cells.assign(**{RANKING: cells[RANKING].where(cells["texture"].isin(listed))})
 
 
 def has_quality(run: Run) -> bool:

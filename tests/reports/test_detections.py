@@ -16,7 +16,7 @@ from nrbench.plugins.forms import Column, FoundLattice
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.statistics.detections import calibrate, compare_detectors, detectors_table, tabulate_answers
-from nrbench.reports.statistics.estimates import wilson_interval
+from nrbench.reports.statistics.estimates import estimate_proportion
 from nrbench.reports.text import TextTable
 from nrbench.runs.records import CellRecord, Run
 
@@ -96,7 +96,7 @@ def test_rates_are_those_of_the_answers(answered: Run) -> None:
     assert (gncc.exact.value, gncc.exact.n, (gncc.exact.low, gncc.exact.high)) == (
         pytest.approx(1 / 3),
         3,
-        wilson_interval(1, 3),
+        estimate_proportion([True, False, False]).ends,
     )
     assert (gncc.false.value, hostile.false.value) == (0, 1)
     assert gncc.kinds == {"exact": 1, "supercell": 1, "subcell": 0, "wrong": 0, "none": 1, "failed": 0}

@@ -11,20 +11,13 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike
-from scipy.stats import bootstrap
+from scipy.stats import bootstrap, permutation_test, ttest_ind
 
 from nrbench.errors import BadInput
 from nrbench.reports.statistics import estimates
-from nrbench.reports.statistics.estimates import bootstrap_intervals, expanded_tail
-from nrbench.reports.statistics.method_comparison import (
-    adjust_holm,
-    compare_methods,
-    compare_ranks,
-    find_cliques,
-    rank_biserial,
-    signed_rank_p_values,
-)
+from nrbench.reports.statistics.estimates import expanded_tail
+from nrbench.reports.statistics.method_comparison import compare_methods, rank_biserial
+from nrbench.reports.statistics.pair_tests import PairTests, adjust_means, compare_pairs
 from nrbench.runs.records import Run
 
 
@@ -34,56 +27,65 @@ def _cells(**columns: list[object]) -> pd.DataFrame:
     return pd.DataFrame({"replicate": [0] * size, "label": ["m"] * size, "applicable": [True] * size, **columns})
 
 
-def _interval(values: ArrayLike) -> tuple[float, float]:
-    """Return the bootstrap interval of the mean of one sample."""
-    low, high = estimates.bootstrap_intervals(np.asarray(values, float)[None])[0]
-    return float(low), float(high)
+def _qualities(n: int, gaps: tuple[float, ...], seed: int = 0) -> np.ndarray:
+    """Return distinct qualities of methods that are worse by ``gaps``, on n textures of different hardness."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.4, 0.8, (n, 1)) - np.array(gaps) + rng.normal(0, 0.05, (n, len(gaps)))
 
 
 @pytest.mark.parametrize(
     ("successes", "n", "low", "high"),
     [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)],
 )
-def test_wilson_gives_the_published_intervals(successes: int, n: int, low: float, high: float) -> None:
-    """Wilson's interval agrees with Newcombe (1998), table I, method 3; without trials there is none."""
-    assert estimates.wilson_interval(successes, n) == pytest.approx((low, high), abs=6e-5)
-    assert estimates.wilson_interval(0, 0) is None
+def test_rates_have_the_published_intervals(successes: int, n: int, low: float, high: float) -> None:
+    """The interval of a rate agrees with Newcombe (1998), table I, method 3; without outcomes there is none."""
+    estimate = estimates.estimate_proportion(np.arange(n) < successes)
+    assert estimate.ends == pytest.approx((low, high), abs=6e-5)
+    assert estimates.estimate_proportion([]).ends is None
 
 
-@given(st.integers(1, 50), st.floats(0, 1))
-def test_wilson_holds_the_share_inside_zero_and_one(n: int, share: float) -> None:
-    """Wilson's interval lies in [0, 1], contains the share, and is mirrored if failures are counted."""
-    estimate = estimates.wilson_interval(share * n, n)
-    assert estimate is not None
-    assert 0 <= estimate[0] <= share * n / n <= estimate[1] <= 1
-    assert estimates.wilson_interval(n - share * n, n) == pytest.approx((1 - estimate[1], 1 - estimate[0]), abs=1e-9)
+def test_draws_of_two_methods_give_the_interval_of_welch() -> None:
+    """With many draws of each texture the interval over draws is that of Welch's t for the mean of two samples."""
+    rng = np.random.default_rng(1)
+    one, other = rng.normal(0.2, 0.1, 40), rng.normal(0.6, 0.3, 40)
+    scattered = np.tile(np.stack([one, other]), (3, 1))
+    ends = estimates.draw_intervals(scattered[None])[0]
+    half = ttest_ind(one, -other, equal_var=False).confidence_interval()
+    assert (ends[1] - ends[0]) * np.sqrt(3) == pytest.approx((half.high - half.low) / 2, rel=0.02)
+    assert ends.mean() == pytest.approx(scattered.mean())
 
 
-def test_bootstrap_is_deterministic_and_ignores_order() -> None:
-    """Equal values give an equal interval, whatever their order."""
-    values = np.random.default_rng(0).random(12)
-    assert _interval(values) == _interval(values[::-1])
+def test_two_draws_of_each_texture_cover_the_mean_of_the_list() -> None:
+    """The interval over draws holds the mean of a fixed list in 93 to 97 % of all runs, however the textures differ."""
+    rng = np.random.default_rng(0)
+    level, scatter = rng.uniform(0.2, 0.9, (1, 24, 1)), rng.uniform(0.02, 0.2, (1, 24, 1))
+    ends = estimates.draw_intervals(level + scatter * rng.standard_normal((4000, 24, 2)))
+    assert 0.93 < ((ends[:, 0] <= level.mean()) & (level.mean() <= ends[:, 1])).mean() < 0.97
 
 
-def test_bootstrap_covers_the_mean_of_few_values() -> None:
-    """On five normal values the interval holds the true mean about as often as it says (plain percentiles: 83 %)."""
-    draws = np.random.default_rng(3).normal(0, 1, (300, 5))
-    ends = np.array([_interval(draw) for draw in draws])
-    assert ((ends[:, 0] <= 0) & (ends[:, 1] >= 0)).mean() > 0.88
+def test_data_that_carry_no_interval_have_none() -> None:
+    """One draw, equal values, five textures that scatter, and a texture with a single draw give a mean alone."""
+    values = np.random.default_rng(0).random((1, 8, 2))
+    assert estimates.estimate_means(values)[0].ends is not None
+    single, five = values.copy(), values.copy()
+    single[0, 0, 0] = np.nan
+    five[0, :3] = 1.0
+    for bare in (values[..., :1], np.ones((1, 8, 2)), single, five):
+        for population in (False, True):
+            (estimate,) = estimates.estimate_means(bare, population=population)
+            assert estimate.value == pytest.approx(np.nanmean(np.nanmean(bare, 2)))
+            assert estimate.ends is None or (population and len(np.unique(np.nanmean(bare, 2))) >= 6)
 
 
-def test_bootstrap_of_one_value_is_none_and_of_equal_values_a_point() -> None:
-    """One value has no interval; the interval of equal values is a point."""
-    assert estimates.estimate_mean([0.5], 1).ends is None
-    assert _interval([0.5] * 6) == (0.5, 0.5)
-
-
-@settings(max_examples=20)
-@given(st.lists(st.floats(-10, 10), min_size=2, max_size=12))
-def test_bootstrap_stays_between_the_extremes(values: list[float]) -> None:
-    """A mean of resamples lies between the smallest and the largest value."""
-    low, high = _interval(values)
-    assert min(values) - 1e-9 <= low <= high <= max(values) + 1e-9
+def test_a_population_scatters_more_than_draws() -> None:
+    """The bootstrap over textures and draws agrees with SciPy's over texture means and is wider than over draws."""
+    rng = np.random.default_rng(2)
+    values = rng.uniform(0.2, 0.9, (1, 12, 1)) + rng.normal(0, 0.01, (1, 12, 3))
+    (ends,) = estimates.population_intervals(values)
+    level = 1 - 2 * expanded_tail(12)
+    theirs = bootstrap((values.mean(2)[0],), np.mean, method="percentile", confidence_level=level, rng=1)
+    assert ends == pytest.approx(tuple(theirs.confidence_interval), abs=0.05 * np.ptp(ends))
+    assert np.ptp(ends) > 5 * np.ptp(estimates.draw_intervals(values)[0])
 
 
 def test_mean_averages_replicates_before_textures() -> None:
@@ -99,7 +101,6 @@ def test_paired_difference_uses_common_samples_only() -> None:
     second = _cells(texture=["b", "a", "c"], score=[2.0, 0.5, 9.0])
     estimate = estimates.paired_differences(first, second, ["score"])["score"]
     assert (estimate.value, estimate.n, estimate.of) == (0.75, 2, 3)
-    assert estimate.excludes_zero
     assert estimates.paired_differences(second, first, ["score"])["score"].value == -0.75
 
 
@@ -108,7 +109,7 @@ def test_success_rate_counts_failures_against_the_method() -> None:
     verdicts = ["preserved", "lost", "failed", "refused", "undecided", "unscored", "missing"]
     estimate = estimates.success_rate(_cells(texture=list("abcdefg"), verdict=verdicts))
     assert (estimate.value, estimate.n, estimate.of) == (0.25, 4, 7)
-    assert (estimate.low, estimate.high) == pytest.approx(_interval([1, 0, 0, 0]))
+    assert estimate.ends == estimates.estimate_proportion([True, False, False, False]).ends
 
 
 def test_success_rate_can_leave_refusals_out() -> None:
@@ -200,62 +201,58 @@ def test_rank_agreement_counts_pairs(pairs: list[tuple[int, int]]) -> None:
 Make = Callable[..., Any]
 
 
-def _qualities(n: int, gaps: tuple[float, ...], seed: int = 0) -> np.ndarray:
-    """Return distinct qualities of methods that are worse by ``gaps``, on n textures of different hardness."""
-    rng = np.random.default_rng(seed)
-    return rng.uniform(0.4, 0.8, (n, 1)) - np.array(gaps) + rng.normal(0, 0.05, (n, len(gaps)))
-
-
-@pytest.mark.parametrize("n", [9, 12, 43])
-def test_intervals_agree_with_scipy(n: int) -> None:
-    """The intervals are SciPy's BCa intervals at the expanded level, up to the scatter of the resamples."""
-    values = np.random.default_rng(n).beta(0.5, 0.8, n)
-    level = 1 - 2 * expanded_tail(n)
-    ours = bootstrap_intervals(values[None])[0]
-    theirs = bootstrap((values,), np.mean, method="BCa", confidence_level=level, n_resamples=20_000, rng=1)
-    width = ours[1] - ours[0]
-    assert ours == pytest.approx(tuple(theirs.confidence_interval), abs=0.05 * width)
-
-
-def test_intervals_do_not_depend_on_the_company() -> None:
-    """An interval is the same alone and among others."""
-    samples = np.random.default_rng(0).random((300, 9))
-    assert bootstrap_intervals(samples)[17] == pytest.approx(bootstrap_intervals(samples[17:18])[0], abs=1e-12)
-
-
-def test_pairs_agree_with_scikit_posthocs() -> None:
-    """The adjusted p-values are those of ``posthoc_wilcoxon`` with Holm's method, and so are the average ranks."""
-    posthocs = pytest.importorskip("scikit_posthocs", reason="needs scikit-posthocs, of the extra test")
-    values = _qualities(14, (0.0, 0.02, 0.1, 0.12, 0.3))
-    theirs = posthocs.posthoc_wilcoxon(values.T.tolist(), zero_method="zsplit", p_adjust="holm").to_numpy()
-    ours = compare_ranks(values)
-    off = ~np.eye(5, dtype=bool)
-    assert ours.adjusted[off] == pytest.approx(theirs[off])
-    p = np.random.default_rng(1).random(20) ** 3
-    multipletests = pytest.importorskip("statsmodels.stats.multitest").multipletests
-    assert adjust_holm(p) == pytest.approx(multipletests(p, method="holm")[1])
+@pytest.mark.parametrize("n", [6, 12, 40])
+def test_a_single_pair_has_the_permutation_test_of_scipy(n: int) -> None:
+    """For two methods the p-value is that of SciPy's permutation test of paired samples."""
+    values = _qualities(n, (0.0, 0.03), seed=n)
+    theirs = permutation_test((values[:, 0], values[:, 1]), lambda a, b: (a - b).mean(), permutation_type="samples")
+    assert compare_pairs(values).p[0, 1] == pytest.approx(theirs.pvalue, abs=0.015)
 
 
 def test_equal_methods_do_not_differ() -> None:
     """Methods with the same values on every texture have p-value 1, and form one clique."""
-    ours = compare_ranks(np.repeat(np.random.default_rng(0).random((12, 1)), 4, 1))
-    assert not ours.different.any() and ours.cliques == ((0, 3),) and ours.friedman == 1
+    ours = compare_pairs(np.repeat(np.random.default_rng(0).random((12, 1)), 4, 1))
+    off = ~np.eye(4, dtype=bool)
+    assert (ours.p[off] == 1).all() and not ours.better.any() and ours.cliques == ((0, 3),)
 
 
 def test_a_method_that_is_always_worse_differs() -> None:
-    """Two groups that are far apart are two cliques."""
-    ours = compare_ranks(_qualities(20, (0.0, 0.005, 0.4, 0.402)))
+    """Two groups that are far apart are two cliques, and the sign says which is better."""
+    ours = compare_pairs(_qualities(20, (0.0, 0.005, 0.4, 0.402)))
     assert ours.cliques == ((0, 1), (2, 3))
-    assert set(ours.order[:2]) == {0, 1}
+    assert ours.better[:2, 2:].all() and not ours.better[2:].any()
 
 
-def test_wilcoxon_of_a_known_example() -> None:
-    """Ten differences of one sign have p = 2/1024; ties and zeros use the normal approximation."""
-    rising = np.arange(1.0, 11.0)
-    mixed = np.array([0, 0, 1, 1, 1, -1, 2, 2, 3, 3.0])
-    p = signed_rank_p_values(np.stack([rising, -rising, mixed, np.zeros(10)], 1))
-    assert p[:2] == pytest.approx(2 / 1024)
-    assert 0.01 < p[2] < 0.2 and p[3] == 1
+def test_one_refusal_does_not_turn_the_sign() -> None:
+    """A method that is better on 17 of 18 textures and refused once is not called worse."""
+    values = _qualities(18, (0.0, 0.1))
+    values[4, 0] = 0.0
+    assert not compare_pairs(values).better[1, 0]
+
+
+def test_equal_methods_rarely_differ_anywhere() -> None:
+    """Among five equal methods on six textures, any pair differs in at most 5 % of the tables, up to chance."""
+    found = [compare_pairs(_qualities(6, (0.0,) * 5, seed)).better.any() for seed in range(200)]
+    assert np.mean(found) < 0.05 + 2.6 * np.sqrt(0.05 * 0.95 / 200)
+
+
+def test_six_textures_can_tell_and_five_cannot() -> None:
+    """A method that is worse on each of six textures differs; on five there is no p-value."""
+    assert compare_pairs(_qualities(6, (0.0, 0.5))).better[0, 1]
+    assert np.isnan(compare_pairs(_qualities(5, (0.0, 0.5))).p[0, 1])
+
+
+def test_cells_of_a_method_do_not_move_two_others() -> None:
+    """Without cells of a third method the means of two others differ by the same amount, and have the same order."""
+    values = _qualities(12, (0.0, 0.02, 0.1))
+    holed = values.copy()
+    holed[[1, 4, 7], 2] = np.nan
+    whole, part = adjust_means(values), adjust_means(holed)
+    assert np.diff(part)[0] == pytest.approx(np.diff(whole)[0])
+    easy = values.copy()
+    easy[np.argsort(values[:, 0])[:5], 2] = np.nan
+    assert adjust_means(easy)[2] == pytest.approx(whole[2], abs=0.03)
+    assert np.nanmean(easy[:, 2]) > whole[2] + 0.05
 
 
 @given(st.integers(2, 9), st.integers(0, 2**31))
@@ -263,7 +260,7 @@ def test_cliques_hold_no_pair_that_differs(count: int, seed: int) -> None:
     """No clique holds a pair that differs, none lies in another, and equal neighbors share one."""
     half = np.triu(np.random.default_rng(seed).random((count, count)) < 0.4, 1)
     different = half | half.T
-    cliques = find_cliques(different)
+    cliques = PairTests(np.where(different, 0.0, 1.0), half, np.full((count, count), 9.0)).cliques
     for first, last in cliques:
         assert not different[first : last + 1, first : last + 1].any()
     assert all(a < c and b < d for (a, b), (c, d) in itertools.pairwise(cliques))
@@ -313,18 +310,18 @@ def test_a_method_that_shares_no_texture_with_the_best_does_not_lead(make_cell: 
     assert [one.leading for one in compare_methods(run).summaries] == [True, False]
 
 
-def test_tests_begin_at_ten_textures(make_cell: Make, make_run: Make) -> None:
-    """Ranks and p-values need ten textures; the differences and effect sizes do not."""
-    for n in (9, 10):
+def test_tests_begin_at_six_textures(make_cell: Make, make_run: Make) -> None:
+    """Stars and p-values need six textures; the differences and effect sizes do not."""
+    for n in (5, 6):
         values = _qualities(n, (0.0, 0.2))
         run = _run(make_cell, make_run, {m: {f"t{i}": values[i, j] for i in range(n)} for j, m in enumerate("ab")})
         found = compare_methods(run)
         (against,) = found.against
         assert against.estimate.value == pytest.approx((values[:, 1] - values[:, 0]).mean())
         assert against.effect == -1
-        assert (found.tests is None, against.p is None) == (n == 9, n == 9)
-    assert [one.average_rank for one in found.summaries] == [1, 2]
-    assert "Wilcoxon" in found.leading_legend
+        assert (found.tests is None, against.p is None) == (n == 5, n == 5)
+        assert [one.leading for one in found.summaries] == [n == 6, False]
+        assert ("sign flips" in found.leading_sentence, "fewer than 6" in found.leading_sentence) == (n == 6, n == 5)
 
 
 def test_a_chosen_baseline(ranked: Run) -> None:

@@ -276,7 +276,7 @@ def test_without_tests_nothing_is_called_tied(ranked: Run, tmp_path: Path) -> No
 
 def test_equal_best_methods_are_tied(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
     """Two methods of exactly the same quality are named as tied."""
-    cells = [make_cell(f"t{i}", name, perils=0.9) for i in range(3) for name in ("one", "two")]
+    cells = [make_cell(f"t{i}", name, perils=0.9) for i in range(6) for name in ("one", "two")]
     page = " ".join(Page(HtmlReport().render(make_run(cells), tmp_path)).text.split())
     assert "one (own) has the highest quality" in page
     assert "Tied with it, because the difference is not significant: two (own)" in page

@@ -213,11 +213,14 @@ def _point(comparison: Comparison, method: str) -> PerilsPoint:
     return next(point for point in perils_points(comparison.summaries) if point.method.name == method)
 
 
-def test_points_are_means_over_textures(comparison: Comparison) -> None:
-    """Both coordinates of a point are means over textures, each inside its interval."""
+def test_points_are_means_over_textures(comparison: Comparison, make_cell: Make, make_run: Make) -> None:
+    """Both coordinates of a point are means over textures, each inside its interval over draws."""
     point = _point(comparison, "good")
     assert point.structure.value == pytest.approx(0.9)
     assert point.randomness.value == pytest.approx(0.69)
+    assert point.structure.ends is None
+    cells = [make_cell(f"t{i}", "m", replicate=j, perils=0.5 + 0.01 * i + 0.02 * j) for i in range(6) for j in (0, 1)]
+    point = _point(compare_methods(make_run(cells)), "m")
     for one in (point.structure, point.randomness):
         assert one.low is not None and one.high is not None and one.value is not None
         assert one.low <= one.value <= one.high

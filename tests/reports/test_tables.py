@@ -317,7 +317,7 @@ def test_latex_is_as_approved(golden_run: Run, tmp_path: Path) -> None:
         assert text == _check(path.name, text)
 
 
-@pytest.mark.parametrize("name", ["summary.csv", "comparison.csv", "baseline.csv", "significance.csv"])
+@pytest.mark.parametrize("name", ["summary.csv", "comparison.csv", "baseline.csv", "differences.csv"])
 def test_csv_is_as_approved(golden_run: Run, tmp_path: Path, name: str) -> None:
     """Each table has the approved words, and the approved numbers up to rounding."""
     text = next(path for path in CsvTables().write(golden_run, tmp_path) if path.name == name).read_text("utf-8")

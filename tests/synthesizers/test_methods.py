@@ -164,6 +164,7 @@ def test_any_basis_of_the_lattice_gives_the_same_bytes(spec: str, lattice: Latti
     "spec",
     [
         "representative-tile",
+        "texture-optimization",
         *(f"rsgf:block=8,border=2,match={m},seam={s}" for m in ("ncc", "color") for s in ("graphcut", "blend")),
     ],
 )
@@ -183,6 +184,7 @@ CHANGES = {
     "representative-tile": "continuity_weight=0 rated_share=1e-4 best_tiles=50 rescale=false",
     "rsgf": "block=36 border=8 match=ncc search=everywhere search=stochastic tolerance=0 subpixel=false seam=blend "
     "candidate_fraction=0 candidate_fraction=1 prefer_unused=false",
+    "texture-optimization": "neighborhood=16 levels=1 iterations=2 exponent=2",
     "tile-set": "tile=upright tile=rectangle tile=cell cells=2 quantile=0.1 threshold=30 registration=3 parts=3 "
     "margin=0 stitch=dynamic anchor=quiet anchor=given threshold=40,overlap_measure=sum",
 }
@@ -219,6 +221,7 @@ BAD = {
     "candidate_fraction=-0.1 candidate_fraction=1.5 candidate_fraction=nan candidate_fraction=0.5,search=everywhere "
     "geometry=straighten,search=stochastic",
     "scatter": "border=11,block=20",
+    "texture-optimization": "neighborhood=7 levels=0 iterations=0 exponent=0 exponent=2.5 exponent=nan",
     "tile-set": "quantile=1.2 threshold=-1 threshold=nan registration=-1 margin=-1 registration=inf parts=0 parts=17 "
     "cells=0 cells=65",
 }
