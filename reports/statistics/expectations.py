@@ -39,7 +39,7 @@ from .estimates import (
 )
 from .method_comparison import Comparison
 from .summaries import Method
-from .verdicts import PRESERVED, QUALITY, RANKING, tabulate_cells
+from .verdicts import MARKS, PRESERVED, QUALITY, RANKING, tabulate_cells
 
 _WORDS = {"less": "less than", "greater": "greater than", "equal": "equal to"}
 GROUPS: Mapping[str, tuple[int, int, tuple[str, ...]]] = {
@@ -355,7 +355,7 @@ class PublishedComparison:
     methods
         The methods that the report ran and the run has.
     figures
-        The figures of which the run has an analogue.
+        The figures whose analogues the run has cells of.
     verdicts
         One row a figure and method: the published verdict and the measured share of preserved replicates.
     rates, classes
@@ -381,9 +381,49 @@ class PublishedComparison:
         "They are a fixed list and no sample of a population of textures."
     )
 
+    titles: ClassVar[Mapping[bool, str]] = {
+        True: "Table 2: regular textures", False: "Table 3: near-regular textures"
+    }  # fmt: skip
+
     def table(self, regular: bool) -> list[FigureRow]:
         """Return the rows of table 2 (regular textures, figures 3 to 7) or of table 3 (figures 8 to 45)."""
         return [row for row in self.figures if (row.figure.number <= 7) == regular]
+
+    def success(self, regular: bool) -> list[tuple[str, str]]:
+        """Return the bottom row of table 2 or 3: for each method the published and the measured rate, preserved/total.
+
+        A figure without a verdict does not count. The share of a figure's replicates counts as so much of a figure.
+        """
+        rows = self.table(regular)
+        pairs = []
+        for i, method in enumerate(self.methods):
+            words = [word for row in rows if (word := row.figure.verdicts.get(method.base))]
+            shares = [share for row in rows if (share := row.measured[i]) is not None]
+            pairs.append(
+                (_rate_text(float(words.count("preserved")), len(words)), _rate_text(sum(shares), len(shares)))
+            )
+        return pairs
+
+    def lines(self, regular: bool) -> list[list[str]]:
+        """Return table 2 or 3 as text: the heads, a line for each figure, and the success rates.
+
+        In each place the published mark stands before the measured one.
+        """
+        lines = [["figure", "description", *(method.label for method in self.methods)]]
+        for row in self.table(regular):
+            words = [MARKS[row.figure.verdicts.get(method.base, "refused")] for method in self.methods]
+            shares = [
+                "?" if one is None else MARKS["preserved"] if one == 1 else MARKS["lost"] if one == 0 else f"{one:.0%}"
+                for one in row.measured
+            ]
+            marks = [f"{word} {share}" for word, share in zip(words, shares, strict=True)]
+            lines.append([str(row.figure.number), row.figure.description, *marks])
+        rates = [f"{published}, {measured}" for published, measured in self.success(regular)]
+        return [*lines, ["success rate", "preserved/total", *rates]]
+
+
+def _rate_text(preserved: float, total: int) -> str:
+    return f"{preserved / total:.0%} ({preserved:.3g}/{total})" if total else "–"
 
 
 def compare_with_published(run: Run, comparison: Comparison) -> PublishedComparison | None:
@@ -397,7 +437,8 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
         The comparison of the run, which gives the methods.
     """
     rows = run.info.get("suite", {}).get("content", {}).get("texture", [])
-    names = {row["figure"]: row["name"] for row in rows if row.get("figure")}
+    textures = {record.cell.texture for record in run.cells}
+    names = {row["figure"]: row["name"] for row in rows if row.get("figure") and row["name"] in textures}
     ran = dict.fromkeys(method for figure in read_published() for method in figure.verdicts)
     methods = [found for name in ran if (found := _find_method(name, comparison.methods)) is not None]
     known = [figure for figure in read_published() if figure.number in names]

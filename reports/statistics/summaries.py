@@ -100,16 +100,25 @@ def method_classes(cells: Iterable[CellRecord]) -> dict[str, type | None]:
 
 
 def list_patch_terms(run: Run) -> list[tuple[str, ...]]:
-    """Return the rows of the table of patches (Lin et al. 2004, table 1), as the methods that copy patches declare.
+    """Return the rows of table 1 of the report of 2004, as the methods that copy patches declare for their parameters.
 
     Returns
     -------
     list of tuple
-        The name of the method, what a patch is, how its place is chosen, and how it is joined to the others.
+        The method, what a patch is, how its place is chosen, and how it is joined to the others.
     """
-    classes = method_classes(record for record in run.cells if not record.cell.reference)
-    rows = [(name, *(getattr(cls, term, "") for term in plugins.PATCH_TERMS)) for name, cls in classes.items()]
-    return [row for row in rows if all(row)]
+    records = {record.method: record for record in run.cells if not record.cell.reference}
+    classes = method_classes(records.values())
+    found = {
+        name: plugins.describe_patches(cls, {**_defaults(cls), **record.parameters})
+        for name, record in records.items()
+        if (cls := classes.get(record.cell.method)) is not None
+    }
+    return [(name, *terms) for name, terms in found.items() if len(terms) == len(plugins.PATCH_TERMS)]
+
+
+def _defaults(cls: type) -> dict[str, Any]:
+    return {name: getattr(cls, name, "") for name in getattr(cls, "__dataclass_fields__", {})}
 
 
 @dataclass(frozen=True)

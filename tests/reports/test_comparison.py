@@ -55,13 +55,16 @@ Make = Callable[..., Any]
 
 
 def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """Methods that copy patches are listed once each, in the plugins' words; all three formats have the table."""
+    """Methods that copy patches are listed once each, with their parameters; all three formats have the table."""
     methods = ("tile-set", "ann-pixel", "nowhere", "rsgf")
-    run = make_run([make_cell(texture, method) for texture in "ab" for method in methods])
+    cells = [make_cell(texture, method) for texture in "ab" for method in methods]
+    cells += [make_cell("a", "tile-set:stitch=dynamic", parameters={"stitch": "dynamic"})]
+    run = make_run(cells)
     terms = list_patch_terms(run)
-    assert [row[0] for row in terms] == ["tile-set", "rsgf"]
+    assert [row[0] for row in terms] == ["tile-set", "rsgf", "tile-set:stitch=dynamic"]
     shape = "tile shape/size from translational symmetry analysis"
-    assert terms[0][1:] == (shape, TileSet.patch_placement, TileSet.patch_stitching)
+    assert terms[0][1:] == (shape, TileSet.patch_placement, "seams, stitch=graphcut")
+    assert terms[2][3] == "seams, stitch=dynamic"
     tables = LatexTables().write(run, tmp_path)
     latex = next(path for path in tables if path.name == "patches.tex").read_text("utf-8")
     for text in (MarkdownTables().render(run), HtmlReport().render(run, tmp_path), latex):
