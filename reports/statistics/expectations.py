@@ -360,6 +360,9 @@ class PublishedComparison:
         One row a figure and method: the published verdict and the measured share of preserved replicates.
     rates, classes
         Rates over groups of figures, and the agreement by class of texture.
+    types
+        For textures of type II (irregular geometry, regular colors) and III (both irregular), which are analogues of no
+        figure: for each method the number that preserve the lattice, and the number with a verdict.
     kappa
         Cohen's kappa of measured and published verdicts, figure by figure; None if it does not exist. A share of
         one half or more counts as preserved.
@@ -373,6 +376,7 @@ class PublishedComparison:
     verdicts: pd.DataFrame
     rates: Sequence[RateRow]
     classes: Sequence[ClassRow]
+    types: Mapping[str, Sequence[tuple[float, int]]]
     kappa: float | None
     chance: tuple[float, float] | None
 
@@ -389,8 +393,10 @@ class PublishedComparison:
         """Return the rows of table 2 (regular textures, figures 3 to 7) or of table 3 (figures 8 to 45)."""
         return [row for row in self.figures if (row.figure.number <= 7) == regular]
 
-    def success(self, regular: bool) -> list[tuple[str, str]]:
-        """Return the bottom row of table 2 or 3: for each method the published and the measured rate, preserved/total.
+    def footers(self, regular: bool) -> dict[str, list[tuple[str, str]]]:
+        """Return the bottom rows of table 2 or 3 by their names: for each method the published and the measured rate.
+
+        Below the success rate of table 3, which is that of textures of type I, stand those of types II and III.
 
         A figure without a verdict does not count. The share of a figure's replicates counts as so much of a figure.
         """
@@ -399,10 +405,13 @@ class PublishedComparison:
         for i, method in enumerate(self.methods):
             words = [word for row in rows if (word := row.figure.verdicts.get(method.base))]
             shares = [share for row in rows if (share := row.measured[i]) is not None]
-            pairs.append(
-                (_rate_text(float(words.count("preserved")), len(words)), _rate_text(sum(shares), len(shares)))
-            )
-        return pairs
+            published = _rate_text(words.count("preserved"), len(words))
+            pairs.append((published, _rate_text(sum(shares), len(shares))))
+        others = {} if regular else self.types
+        return {
+            "success rate": pairs,
+            **{f"type {kind}": [("–", _rate_text(*rate)) for rate in rates] for kind, rates in others.items()},
+        }
 
     def lines(self, regular: bool) -> list[list[str]]:
         """Return table 2 or 3 as text: the heads, a line for each figure, and the success rates.
@@ -418,8 +427,9 @@ class PublishedComparison:
             ]
             marks = [f"{word} {share}" for word, share in zip(words, shares, strict=True)]
             lines.append([str(row.figure.number), row.figure.description, *marks])
-        rates = [f"{published}, {measured}" for published, measured in self.success(regular)]
-        return [*lines, ["success rate", "preserved/total", *rates]]
+        for name, pairs in self.footers(regular).items():
+            lines.append([name, "preserved/total", *(f"{published}, {measured}" for published, measured in pairs)])
+        return lines
 
 
 def _rate_text(preserved: float, total: int) -> str:
@@ -467,9 +477,21 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
         classes=[
             _class_agreement(kind, figures, pairs) for kind in [*dict.fromkeys(figure.kind for figure in known), "all"]
         ],
+        types=_count_types(run, cells[~cells["texture"].isin(list(names.values()))], methods),
         kappa=observed,
         chance=chance,
     )
+
+
+def _count_types(run: Run, cells: pd.DataFrame, methods: Sequence[Method]) -> dict[str, list[tuple[float, int]]]:
+    """Return for each of the types II and III how many textures each method preserves, and how many have a verdict."""
+    found = {}
+    for kind in ("II", "III"):
+        own = cells[cells["texture"].isin([record.texture for record in run.cells if record.cell.kind == kind])]
+        shares = [_measured_shares(own[own["label"] == method.label]) for method in methods]
+        if any(shares):
+            found[kind] = [(sum(one.values()), len(one)) for one in shares]
+    return found
 
 
 def _find_method(name: str, methods: Sequence[Method]) -> Method | None:

@@ -291,6 +291,16 @@ def read_table_3(run: Run, directory: Path) -> str:
     return f"Table 3\n{path.read_text('utf-8')}"
 
 
+def test_types_two_and_three_stand_below_type_one(make_report: Make, make_cell: Make) -> None:
+    """Textures of types II and III that are no analogue have a row each below table 3, without a published rate."""
+    run = make_report(lambda *_: True, methods=("quilting", "patch-based"))
+    for number, kind in enumerate(("II", "II", "III")):
+        run.cells.append(make_cell(f"t{number}", "quilting", lattice_source="none", preserved=number > 0, kind=kind))
+    rows = {line[0]: line[2:] for line in compare(run).lines(False)[-2:]}
+    assert rows == {"type II": ["–, –", "–, 50% (1/2)"], "type III": ["–, –", "–, 100% (1/1)"]}
+    assert list(compare(run).footers(True)) == ["success rate"]
+
+
 def test_only_figures_that_ran_are_shown(make_report: Make) -> None:
     """A run of some textures of the suite has a line for each of their figures, the heads, and the success rates."""
     run = make_report(lambda *_: True)
