@@ -63,8 +63,8 @@ class CsvTables:
       ranked methods, adjusted for all pairs.
     - ``columns.csv``: for every column of ``cells.csv`` its meaning, unit, range, and which values are better.
     - ``perils.csv``: the points of the perils plane.
-    - ``baseline.csv``: for each method the difference in quality to one method, by default the best, with the effect
-      size and the p-value of ``differences.csv``.
+    - ``baseline.csv``: for each method the difference in quality to one method, by default the best, with the
+      p-value of ``differences.csv``.
 
     If the suite has textures at two levels or more of one departure, ``levels.csv`` has the mean quality of each method
     at each level, and ``breaking_points.csv`` the first level at which it is below 0.5.
@@ -201,12 +201,12 @@ def differences_table(comparison: Comparison) -> pd.DataFrame:
 
 
 def baseline_table(comparison: Comparison) -> pd.DataFrame:
-    """Return one row a method: its difference in quality to the baseline, the effect size, and the adjusted p-value."""
+    """Return one row a method: its difference in quality to the baseline, and the adjusted p-value."""
     assert comparison.baseline is not None
     return pd.DataFrame(
         {"method": one.method.label, "baseline": comparison.baseline.label}
         | one.estimate.columns("difference")
-        | {"rank_biserial": one.effect, "p": one.p}
+        | {"p": one.p}
         for one in comparison.against
     )
 

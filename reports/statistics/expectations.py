@@ -123,7 +123,7 @@ def evaluate_claims(run: Run) -> list[ClaimResult]:
     """Return the claims of a run's suite with what the scores show of them; none if the suite has no claims.
 
     A claim speaks of textures that no suite lists, so intervals are over a population of textures: Wilson's for
-    ``regularity.preserved``, else a bootstrap interval, from six textures up. A difference of
+    ``regularity.preserved``, else a bootstrap interval, if nine textures differ. A difference of
     two series, or of two levels, is paired by texture and replicate; by family and replicate if the two have no
     texture in common, for example where the levels are sizes of the output.
     """

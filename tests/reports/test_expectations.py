@@ -29,7 +29,7 @@ from nrbench.suites.suite import load_suite
 
 Make = Callable[..., Any]
 SMALL, LARGE = "rsgf:block=24", "rsgf"
-NAMES = [f"t{i}" for i in range(8)]
+NAMES = [f"t{i}" for i in range(10)]
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def noise(i: int) -> float:
 def test_a_difference_decides_a_claim(make_claims: Make, gap: float, relation: str, outcome: str) -> None:
     """The interval of the paired difference lies on the stated side, on the other, or on both."""
     expect = {"relation": relation, "other_at": 24, **({"margin": 0.1} if relation == "equal" else {})}
-    run = make_claims(lambda method, i: 0.5 + 0.1 * i + (gap + noise(i)) * (method == LARGE), expect)
+    run = make_claims(lambda method, i: 0.3 + 0.1 * i + (gap + noise(i)) * (method == LARGE), expect)
     result = only(run)
     assert result.outcome == outcome
     (test,) = result.expectations
@@ -107,7 +107,7 @@ def test_a_difference_decides_a_claim(make_claims: Make, gap: float, relation: s
 
 
 def test_a_rate_is_compared_with_a_number(make_claims: Make) -> None:
-    """Eight textures that are all preserved are more than half, with Wilson's interval; four of eight are not."""
+    """Ten textures that are all preserved are more than half, with Wilson's interval; five of ten are not."""
     expect = {"relation": "less", "value": 0.5}
     assert only(make_claims(lambda *_: True, expect, "regularity.preserved")).outcome == "failed"
     assert only(make_claims(lambda *_: False, expect, "regularity.preserved")).outcome == "held"
@@ -128,19 +128,19 @@ def test_one_failed_expectation_fails_the_claim(make_claims: Make) -> None:
 
 def test_levels_of_different_textures_are_paired_by_family(make_claims: Make) -> None:
     """If two levels have no texture in common, for example other sizes, their textures of one family are a pair."""
-    names = [f"t{i}" for i in range(12)]
-    halves = [names[:6], names[6:]]
+    names = [f"t{i}" for i in range(18)]
+    halves = [names[:9], names[9:]]
     series = {"name": "rsgf", "levels": [24, 40], "methods": [SMALL, LARGE], "textures": halves}
     run = make_claims(
-        lambda _, i: 0.5 + 0.1 * (i % 6) - 0.2 * (i // 6) + 0.3 * noise(i),
+        lambda _, i: 0.5 + 0.1 * (i % 9) - 0.2 * (i // 9) + 0.3 * noise(i),
         {"relation": "less", "other_at": 24},
         names=names,
         series=[series],
     )
     for i, record in enumerate(run.cells):
-        object.__setattr__(record.cell, "family", f"family-{i % 6}")
+        object.__setattr__(record.cell, "family", f"family-{i % 9}")
     (test,) = only(run).expectations
-    assert (test.difference.n, test.outcome) == (6, "held")
+    assert (test.difference.n, test.outcome) == (9, "held")
     assert test.difference.value == pytest.approx(-0.2, abs=0.02)
 
 
