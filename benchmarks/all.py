@@ -35,6 +35,7 @@ BENCHMARKS = {
     "validation.py baselines --textures brick-strong": "validation.py baselines",
     "validation.py bases --textures brick-strong": "validation.py bases",
     "sensitivity.py runs/default --textures brick-strong --limits JND": "sensitivity.py runs/default",
+    "seeds.py --seeds 1 2 --textures brick-strong": "seeds.py",
     "labels.py": "the same",
 }
 """The command of each short form, and that of the full figures, as the docs quote them."""
