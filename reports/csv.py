@@ -75,6 +75,7 @@ class CsvTables:
     If the suite has analogues of figures of the report of 2004, ``published.csv`` has one row a figure and method,
     ``published_rates.csv`` the success rates as published and as measured over the same figures, and
     ``published_classes.csv`` the agreement by class of texture, with kappa and the kappa of random pairings.
+    ``published_table_2.csv`` and ``published_table_3.csv`` are tables 2 and 3 of the report, as it prints them.
 
     If detectors found the lattices, ``detections.csv`` has one row an answer, and ``detectors.csv`` each detector's
     share of right answers, with its interval over draws, by family, departure and level; an empty cell there stands for
@@ -134,6 +135,9 @@ class CsvTables:
                 "published_rates": published_rates_table(published),
                 "published_classes": published_classes_table(published),
             }
+            for number, regular in ((2, True), (3, False)):
+                heads, *lines = published.lines(regular)
+                tables[f"published_table_{number}"] = pd.DataFrame(lines, columns=heads)
         if labelers := compare_labelers(run, self.labels):
             tables |= {"labels": labels_table(run, self.labels), "agreement": agreement_table(labelers)}
         answers = tabulate_answers(run)

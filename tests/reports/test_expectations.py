@@ -12,6 +12,7 @@ import pytest
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
+from nrbench.reports.markdown import MarkdownTables
 from nrbench.reports.plots.method_plots import plot_claim
 from nrbench.reports.statistics.expectations import (
     GROUPS,
@@ -22,6 +23,7 @@ from nrbench.reports.statistics.expectations import (
     read_published,
 )
 from nrbench.reports.statistics.method_comparison import compare_methods
+from nrbench.reports.text import TextTable
 from nrbench.runs.records import Run
 from nrbench.suites.suite import load_suite
 
@@ -283,6 +285,31 @@ def test_a_run_without_figures_or_methods_has_no_comparison(make_report: Make, m
     assert compare_with_published(run, compare_methods(run)) is None
 
 
+def read_table_3(run: Run, directory: Path) -> str:
+    """Return table 3 as CSV, with its title."""
+    (path,) = (path for path in CsvTables().write(run, directory) if path.name == "published_table_3.csv")
+    return f"Table 3\n{path.read_text('utf-8')}"
+
+
+def test_types_two_and_three_stand_below_type_one(make_report: Make, make_cell: Make) -> None:
+    """Textures of types II and III that are no analogue have a row each below table 3, without a published rate."""
+    run = make_report(lambda *_: True, methods=("quilting", "patch-based"))
+    for number, kind in enumerate(("II", "II", "III")):
+        run.cells.append(make_cell(f"t{number}", "quilting", lattice_source="none", preserved=number > 0, kind=kind))
+    rows = {line[0]: line[2:] for line in compare(run).lines(False)[-2:]}
+    assert rows == {"type II": ["–, –", "–, 50% (1/2)"], "type III": ["–, –", "–, 100% (1/1)"]}
+    assert list(compare(run).footers(True)) == ["success rate"]
+
+
+def test_only_figures_that_ran_are_shown(make_report: Make) -> None:
+    """A run of some textures of the suite has a line for each of their figures, the heads, and the success rates."""
+    run = make_report(lambda *_: True)
+    run.cells[:] = [record for record in run.cells if record.cell.texture in ("f4", "f9", "f10")]
+    published = compare(run)
+    assert [line[0] for line in published.lines(False)] == ["figure", "9", "10", "success rate"]
+    assert published.lines(True)[-1][2:] == ["100% (1/1), 100% (1/1)"] * 4 + ["–, 100% (1/1)"]
+
+
 def test_every_report_shows_the_comparison(make_report: Make, tmp_path: Path) -> None:
     """The page, the CSV tables and the LaTeX tables hold it, with the sentence that the textures are analogues."""
     run = make_report(lambda figure, _: figure.number % 2 == 0)
@@ -294,4 +321,7 @@ def test_every_report_shows_the_comparison(make_report: Make, tmp_path: Path) ->
     (path,) = (path for path in LatexTables().write(run, tmp_path) if path.name == "published.tex")
     text = path.read_text("utf-8")
     assert text.count(r"\begin{table}") == 3
+    assert r"& success rate, preserved/total & \shortstack{53\% (20/38)\\50\% (19/38)}" in text
+    for words in (page, MarkdownTables().render(run), TextTable(width=200).render(run), read_table_3(run, tmp_path)):
+        assert "success rate" in words and "50% (19/38)" in words and "Table 3" in words
     assert r"45 & cans & \nrbLost{} \nrbLost{} & \nrbPreserved{} \nrbLost{}" in text
