@@ -51,17 +51,15 @@ class RankingRobustness:
         object.__setattr__(self, "runs", tuple(Path(root) for root in self.runs))
 
     def write(self, run: Run, directory: Path) -> list[Path]:
-        """Write the files and return their paths; none with fewer than two ranked methods."""
+        """Write the files and return their paths."""
         table = self.table(run)
-        if table.empty:
-            return []
         texts = {"robustness.csv": csv_text(table), "robustness.md": _markdown(table)}
         for name, text in texts.items():
             write_text(directory / name, text)
         return [directory / name for name in texts]
 
     def table(self, run: Run) -> pd.DataFrame:
-        """Return one row a ranking: what was changed, Kendall's tau, and the place of each method.
+        """Return one row a ranking: what was changed, Kendall's tau, and each method's place; none for one method.
 
         Raises
         ------
@@ -70,7 +68,7 @@ class RankingRobustness:
         """
         methods = compare_methods(run).ranked
         if len(methods) < 2:
-            return pd.DataFrame()
+            return pd.DataFrame(columns=["ranking", "tau"])
         rankings = {"as in the tables": _adjusted(run, methods), **_rank_otherwise(run, methods)}
         for root in self.runs:
             rankings[f"run {root}"] = _adjusted(Run(root), methods)
@@ -117,6 +115,8 @@ def _rank_otherwise(run: Run, methods: Sequence[Method]) -> dict[str, Floats]:
 
 
 def _markdown(table: pd.DataFrame) -> str:
+    if table.empty:
+        return "Fewer than two methods are ranked.\n"
     labels = list(table.columns[2:])
     lines = ["# How far the ranking depends on choices", ""]
     lines += [

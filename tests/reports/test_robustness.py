@@ -38,12 +38,13 @@ def test_a_texture_that_decides_is_found(tmp_path: Path) -> None:
 
 
 def test_the_page_says_what_is_settled(tmp_path: Path) -> None:
-    """The files name the settled places; a run with one method has none."""
+    """The files name the settled places; a run with one method says that there is no ranking."""
     paths = RankingRobustness().write(_run(tmp_path / "run"), tmp_path)
     text = next(path for path in paths if path.suffix == ".md").read_text("utf-8")
     assert "Settled places: last (own) (3)." in text and "lucky (own) (1 to 2)" in text
     alone = run_maker(tmp_path)([cell_maker(tmp_path)("a", perils=0.5)])
-    assert RankingRobustness().write(alone, tmp_path) == []
+    texts = [path.read_text("utf-8") for path in RankingRobustness().write(alone, tmp_path)]
+    assert texts == ["ranking,tau\n", "Fewer than two methods are ranked.\n"]
 
 
 def test_another_seed_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
