@@ -30,7 +30,7 @@ def test_a_fresh_draw_is_whole(own: Case) -> None:
 
 
 def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(own: Case) -> None:
-    """From 0 to 30 % of two-tone tiles the share grows in order; 3 % are found, and at 30 % the mean score is below 0.5."""
+    """From 0 to 30 % of two-tone tiles the share grows in order; 3 % are found; at 30 % the mean is below 0.5."""
     sizes = (0.0, 0.03, 0.1, 0.2, 0.3)
     found = [[integrity(own.observe(own.planted("two-tone", size, k)[0])).values for k in range(3)] for size in sizes]
     shares = np.array([[values["broken_share"] for values in row] for row in found])
