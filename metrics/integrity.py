@@ -84,6 +84,8 @@ class ElementModel:
         Evidence above which a cell counts as broken.
     power
         Share of cells above the limit where the cells of the references are shuffled.
+    least
+        That share where the cells are cut at the place that shows it least.
     chance
         Largest share of cells above the limit that chance explains in whole elements.
     """
@@ -92,6 +94,7 @@ class ElementModel:
     reach: int = 1
     limit: float = 0.0
     power: float = 0.0
+    least: float = 0.0
     chance: float = 1.0
 
     def weigh(self, values: Values, known: Mask) -> NDArray[np.float64]:
@@ -185,9 +188,9 @@ def learn_elements(reference: TextureReference) -> ElementModel:
         known = [evidence[np.isfinite(evidence)] for evidence in cells]
         whole = [evidence for evidence in known if evidence.size]
         model = ElementModel(pairs, reach)
-        joined = np.concatenate([model.weigh(*picture).ravel() for picture in shuffled])
-        joined = joined[np.isfinite(joined)]
-        if len(whole) > 1 and joined.size:
+        broken = [model.weigh(*picture) for picture in shuffled]
+        joined = [evidence[np.isfinite(evidence)] for evidence in broken if np.isfinite(evidence).any()]
+        if len(whole) > 1 and joined:
             shares = limits.WHOLE_SHARES
             tried += [_set_limit(model, whole, joined, share, reference.from_sample) for share in shares]
     able = [model for model in tried if model.power - model.chance >= limits.LEAST_POWER]
@@ -212,7 +215,11 @@ def _weigh_strips(plane: CoarsePlane, net: LatticeNet, lags: Sequence[Lag]) -> l
 
 
 def _set_limit(
-    model: ElementModel, whole: list[NDArray[np.float64]], joined: NDArray[np.float64], share: float, pooled: bool
+    model: ElementModel,
+    whole: list[NDArray[np.float64]],
+    joined: list[NDArray[np.float64]],
+    share: float,
+    pooled: bool,
 ) -> ElementModel:
     """Return the model with the limit that a share of the whole elements exceeds.
 
@@ -222,7 +229,9 @@ def _set_limit(
     shares = np.array([(evidence > limit).mean() for evidence in whole])
     spread = limits.DEVIATIONS * float(shares.std(ddof=1)) / (math.sqrt(len(shares)) if pooled else 1)
     chance = float(shares.mean()) + spread + limits.OVERLOOKED
-    return replace(model, limit=limit, power=float((joined > limit).mean()), chance=chance)
+    power = float((np.concatenate(joined) > limit).mean())
+    least = min(float((evidence > limit).mean()) for evidence in joined)
+    return replace(model, limit=limit, power=power, least=least, chance=chance)
 
 
 def shuffle_cells(plane: CoarsePlane, net: LatticeNet, rng: np.random.Generator) -> tuple[Values, Mask]:
@@ -257,12 +266,13 @@ class Integrity:
     of a thread. The mean cell cannot show this, because both parts lie in their places. Their tones do: in a whole
     element the tones of its parts go together (:class:`ElementModel`).
 
-    Let p be the share of the shuffled cells of the references above the limit of the evidence, q the largest share of
-    whole ones that chance explains, and c the share of the output's cells. The score is 1 - (c - q) / (p - q), in [0,
-    1]: the share of whole elements, corrected for those that the test misses and for those that it counts wrongly. The
-    limit is the one with the smallest q / p; p - q is ``detection_power``. Where it cannot be 0.3, the elements of the
-    texture do not have tones that tell joined ones from whole ones, and the score is None. It is None beside a sample
-    of fewer than twelve cells, too, because other elements may have tones that it does not show.
+    Let p be the share of the shuffled cells of the references above the limit of the evidence, r that share where the
+    cells are cut at the place that shows it least, q the largest share of whole ones that chance explains, and c the
+    share of the output's cells. The score is 1 - (c - q) / (r - q), in [0, 1]: the share of whole elements, corrected
+    for those that the test misses and for those that it counts wrongly. The limit is the one with the smallest q / p;
+    p - q is ``detection_power``. Where it cannot be 0.3, the elements of the texture do not have tones that tell joined
+    ones from whole ones, and the score is None. It is None beside a sample of fewer than twelve cells, too, because
+    other elements may have tones that it does not show.
 
     The references are fresh draws of the model, or strips of the sample, each weighed by a model of the others.
     Elements out of place are left out; they count for regularity.
@@ -312,7 +322,7 @@ def _score(observation: Observation) -> Score:
     share = float(broken.sum() / judged.sum())
     excess = max(share - model.chance, 0.0)
     values = {
-        "score": float(np.clip(1 - excess / power, 0, 1)),
+        "score": float(np.clip(1 - excess / max(model.least - model.chance, limits.LEAST_POWER), 0, 1)),
         "broken_share": share,
         "broken_tiles": float(np.rint(excess * judged.sum())),
         "detection_power": power,
