@@ -21,7 +21,7 @@ from nrbench.tracking.bent_lattice import LEAST_AMPLITUDE
 from ..sampling.equal_places import pixel_grid
 from ..sampling.patches import Patches
 from .deformed_lattice import Deform, DeformedLattice, find_deformed_lattice, output_field
-from .free_form import FreeForm
+from .free_form import REPEATS, FreeForm
 
 Geometry = Literal["as-is", "straighten"]
 """Whether a method takes the sample as it is, or straightens it first and deforms the output again."""
@@ -45,15 +45,18 @@ class StraightSample:
         ``(H, W, C)``.
     deformed
         Its lattice, as it lies in the sample.
+    repeats
+        Of :meth:`.FreeForm.fit`, for this map and that of the output.
     """
 
     sample: Image
     deformed: DeformedLattice
+    repeats: int = REPEATS
 
     @classmethod
-    def of(cls, sample: Image, lattice: Lattice) -> StraightSample:
+    def of(cls, sample: Image, lattice: Lattice, repeats: int = REPEATS) -> StraightSample:
         """Track the lattice through a sample."""
-        return cls(sample, find_deformed_lattice(sample, lattice))
+        return cls(sample, find_deformed_lattice(sample, lattice), repeats)
 
     @cached_property
     def departs(self) -> bool:
@@ -72,7 +75,7 @@ class StraightSample:
     @cached_property
     def _field(self) -> FreeForm:
         deformed = self.deformed
-        return FreeForm.fit(deformed.places, deformed.displacements, deformed.knots.s)
+        return FreeForm.fit(deformed.places, deformed.displacements, deformed.knots.s, self.repeats)
 
     def locate(self, points: Points) -> Points:
         """Return the places (x, y) px in the sample of points of the straight plane, ``(..., 2)``.
@@ -135,7 +138,7 @@ class Bend:
         if deform == "none":
             return cls(shape, None)
         places, moved, nearest = output_field(straight.deformed, shape, deform, rng)
-        return cls(shape, FreeForm.fit(places + moved, -moved, nearest))
+        return cls(shape, FreeForm.fit(places + moved, -moved, nearest, straight.repeats))
 
     def locate(self, pixels: Points) -> Points:
         """Return the points of the straight plane that pixels (x, y) of the output show, ``(..., 2)``."""
