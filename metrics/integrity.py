@@ -179,7 +179,8 @@ def learn_elements(reference: TextureReference) -> ElementModel:
         weighed = _weigh_strips(planes[0], net, lags)
     else:
         seen = [
-            (plane.values + rng.normal(0, limits.UNSEEN_NOISE, plane.values.shape), plane.complete) for plane in planes
+            (plane.values + rng.normal(0, limits.UNSEEN_NOISE, plane.values.shape).astype(np.float32), plane.complete)
+            for plane in planes
         ]
         weighed = [[ElementModel(pairs, reach).weigh(*plane) for plane in seen] for reach in _REACHES]
     shuffled = [shuffle_cells(plane, net, rng) for plane in (planes * _SHUFFLES)[: max(_SHUFFLES, len(planes))]]
