@@ -392,10 +392,10 @@ class PublishedComparison:
         """Kappa and its chance as a sentence."""
         if self.chance is None:
             return "There is no kappa, because one of the two raters gave a single answer throughout."
-        mean, most = map(format_number, self.chance)
+        value, mean, most = map(format_number, (self.kappa.value, *self.chance))
+        ends = f", 95 % interval over figures {format_interval(self.kappa)}" if self.kappa.ends else ""
         return (
-            f"Kappa of published and measured verdicts: {format_number(self.kappa.value)} "
-            f"{format_interval(self.kappa)} (bootstrap over figures). If the published verdicts are paired at random "
+            f"Kappa of published and measured verdicts: {value}{ends}. If the published verdicts are paired at random "
             f"with those of figures of the same description: {mean} on average, and {most} or less in 95 % of the "
             "pairings."
         )

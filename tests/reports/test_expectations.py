@@ -277,7 +277,7 @@ def test_kappa_has_an_interval_over_figures(make_report: Make, tmp_path: Path) -
     CsvTables().write(run, tmp_path)
     table = pd.read_csv(tmp_path / "published_classes.csv")
     assert table["kappa_low"].iloc[-1] == pytest.approx(low)
-    words = published.agreement.partition(" (")[0]
+    words = published.agreement.partition(", ")[0]
     for text in (HtmlReport().render(run, tmp_path), MarkdownTables().render(run), TextTable(width=200).render(run)):
         assert words in text.replace("\n", " ")
 
