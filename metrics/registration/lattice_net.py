@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Shape
 
 from ..perception import limits
+from .net_kernels import interpolate_pixels
 
 Values = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -108,12 +108,8 @@ def find_inside(points: Points, shape: Shape) -> Mask:
 
 def sample_planes(planes: Values, points: Points) -> Values:
     """Return the values of planes ``(H, W, C)`` at points (x, y), interpolated linearly."""
-    places = [points[..., 1], points[..., 0]]
-    values = [
-        map_coordinates(plane, places, order=1, mode="nearest", output=np.float32)
-        for plane in np.moveaxis(planes, -1, 0)
-    ]
-    return np.stack(values, -1)
+    places = np.ascontiguousarray(points, np.float64).reshape(-1, 2)
+    return interpolate_pixels(planes, places).reshape(*points.shape[:-1], planes.shape[-1])
 
 
 def split_cells(a: NDArray[Any], samples: NDArray[np.intp] | tuple[int, int]) -> NDArray[Any]:
