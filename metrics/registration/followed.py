@@ -246,7 +246,7 @@ class FollowedPicture:
 def _spread_matrix(side: int, samples: int, size: int, nodes: int) -> NDArray[np.float64]:
     """Return the weights of nodes in each sample along a vector, ``(side, nodes)``: linear, and constant beyond."""
     at = np.clip(np.arange(side) / samples * 2 - size, 0, nodes - 1)
-    return np.maximum(1 - np.abs(at[:, np.newaxis] - np.arange(nodes)), 0)
+    return np.asarray(np.maximum(1 - np.abs(at[:, np.newaxis] - np.arange(nodes)), 0))
 
 
 def _node_shape(net: LatticeNet, size: int) -> tuple[int, int]:
