@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from nrbench.errors import require, require_ranges
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Refused, Synthesis, Task, require_lattice
+from nrbench.plugins.forms import Geometry, Refused, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .geometry.straightening import Geometry, straighten_first
 from .sampling.equal_places import require_two_periods
 from .tile_laying.tile_canvas import OverlapMeasure, ShiftedImages, TileCanvas, TilePlaces, TileStock
 from .tile_laying.tile_kernels import FEATHER
@@ -110,9 +109,10 @@ class TileSet:
         (the paper's low-frequency regions). ``"given"``: at the lattice's origin. The first two choose among the places
         that leave each set enough tiles.
     geometry
-        ``"straighten"``: if the geometry of the sample departs from the lattice, the sample is straightened first and
-        the output deformed again, as the sample is (:func:`~.geometry.straightening.straighten_first`). ``"as-is"``:
-        not, as in the paper.
+        How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
+        and others 2004). ``"as-is"``: it gets the sample itself, as in the paper.
 
     References
     ----------
@@ -130,7 +130,7 @@ class TileSet:
     parts: int | None = None
     stitch: Literal["dynamic", "graphcut"] = "graphcut"
     anchor: AnchorKind | Literal["given"] = "elements"
-    geometry: Geometry = "as-is"
+    geometry: Geometry = "bent"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -147,6 +147,7 @@ class TileSet:
             "parts": 1,
             "stitch": "dynamic",
             "anchor": "given",
+            "geometry": "as-is",
         }
     }
     patch_shape: ClassVar[str] = "tile shape/size from translational symmetry analysis"
@@ -176,8 +177,6 @@ class TileSet:
             If no lattice is found, if the sample does not show two periods, or not a complete tile of each set and two
             of one, or if registration or margin is larger than s.
         """
-        if self.geometry == "straighten":
-            return straighten_first(replace(self, geometry="as-is"), task, NamedDetector(self.finder))
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no tiles; give a lattice")
         self._require_within_s(lattice.s)
         laying = TileLaying(self, task, lattice)

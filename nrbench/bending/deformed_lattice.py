@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import scipy
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Geometry
+from nrbench.tracking.bent_lattice import Deformation
 from nrbench.tracking.tracker import MeanTile, Track, track_tiles
 
 from .vertex_kernels import move_vertices
@@ -25,7 +27,6 @@ LEAST_FOUND: Final = 0.5
 """Share of the tiles that must be found."""
 LEAST_POINTS: Final = 9
 """Whole tiles that the sample must hold."""
-Deform = Literal["normal", "argmax", "none"]
 Array = NDArray[np.float64]
 WAVES: Final = 128
 """Number of plane waves along each axis of a drawn field."""
@@ -127,6 +128,30 @@ def find_deformed_lattice(sample: Image, lattice: Lattice) -> DeformedLattice:
     return DeformedLattice(lattice, knots, numbers[inside], moved - moved.mean(0), amplitude, obstacle)
 
 
+def read_deformation(deformation: Deformation, origin: Points) -> DeformedLattice | None:
+    """Return the lattice of a deformation that was followed from knot to knot; None if it was not followed.
+
+    Parameters
+    ----------
+    deformation
+        A mean lattice as it lies in the sample.
+    origin
+        The origin (x, y) px of the regular lattice that is returned, whose vectors are those of the mean lattice.
+    """
+    if deformation.knots is None:
+        return None
+    lattice = Lattice.from_basis(deformation.lattice.matrix, origin)
+    knots = knot_lattice(lattice)
+    last = np.array(deformation.image.shape[1::-1]) - 1.0
+    numbers = knots.cell_numbers(-last, 2 * last)
+    places = knots.from_cell(numbers)
+    found = deformation.locate(places)
+    inside = ((found >= 0) & (found <= last)).all(1) & deformation.covers(places)
+    moved = (found - places)[inside]
+    amplitude = deformation.amplitude * lattice.s
+    return DeformedLattice(lattice, knots, numbers[inside], moved - moved.mean(0), amplitude)
+
+
 def _obstacle(track: Track) -> str:
     found, share = len(track.numbers), track.tracked_share(LEAST_CORRELATION)
     if found < LEAST_POINTS:
@@ -145,7 +170,7 @@ def _amplitude(track: Track) -> float:
 
 
 def output_field(
-    deformed: DeformedLattice, shape: tuple[int, int], deform: Deform, rng: np.random.Generator
+    deformed: DeformedLattice, shape: tuple[int, int], geometry: Geometry, rng: np.random.Generator
 ) -> tuple[Points, Points, float]:
     """Return the places of vertices around an output, their displacements, and the distance of the nearest two.
 
@@ -155,18 +180,18 @@ def output_field(
         The lattice as it lies in the sample.
     shape
         Height and width of the output, px.
-    deform
-        ``"normal"``: displacements are drawn at once from a normal distribution (:class:`WaveSpectrum`).
-        ``"argmax"``: :func:`neighbor_field`.
+    geometry
+        ``"bent"``: displacements are drawn at once from a normal distribution (:class:`WaveSpectrum`). ``"argmax"``:
+        :func:`neighbor_field`.
     rng
         The randomness.
     """
-    lattice = deformed.mesh if deform == "argmax" else deformed.knots
+    lattice = deformed.mesh if geometry == "argmax" else deformed.knots
     border = _BORDER * deformed.lattice.s + 3 * deformed.amplitude
     low, high = (-border, -border), (shape[1] - 1 + border, shape[0] - 1 + border)
     numbers = lattice.cell_numbers(low, high)
     places = lattice.from_cell(numbers)
-    if deform == "normal":
+    if geometry == "bent":
         return places, WaveSpectrum.of(deformed).draw(places, rng), lattice.s
     first = numbers.min(0)
     columns, rows = numbers.max(0) - first + 1
