@@ -289,7 +289,7 @@ def _follow(sample: Image, lattice: Lattice | None) -> Deformation | None:
     """Return the deformation of a sample; None if its lattice cannot be followed."""
     try:
         thorough, quick = map(NamedDetector, BENT_FINDERS)
-        return find_deformation(sample, thorough, quick, lattice, only_promising=True).deformation
+        return find_deformation(sample, thorough, quick, lattice).deformation
     except (NoLatticeFound, BadInput):
         return None
 
