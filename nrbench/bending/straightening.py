@@ -271,7 +271,7 @@ def straighten_sample(sample: Image, lattice: Lattice | None, given: bool) -> tu
         deformation = _follow(sample, None)
     if deformation is None:
         unsure = given or lattice is not None
-        return None, "the lattice cannot be followed: the sample is taken as it is" if unsure else ""
+        return None, "whether the sample is bent cannot be told: it is taken as it is" if unsure else ""
     if not deformation.bent:
         return None, ""
     mean = deformation.lattice
