@@ -35,7 +35,7 @@ BENCHMARKS = {
     "validation.py baselines --textures brick-strong": "validation.py baselines",
     "validation.py bases --textures brick-strong": "validation.py bases",
     "sensitivity.py runs/default --textures brick-strong --limits JND": "sensitivity.py runs/default",
-    "labels.py": "the same",
+    "labels.py --sets models-2": "labels.py --photographs FOLDER",
 }
 """The command of each short form, and that of the full figures, as the docs quote them."""
 

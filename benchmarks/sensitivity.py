@@ -12,9 +12,11 @@ limits`` is changed alone.
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Sequence
 from fnmatch import fnmatch
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
@@ -22,45 +24,62 @@ from scipy.stats import kendalltau
 from validation import LEAST_FRESH, Subject, print_table, subject_of
 
 import nrbench
-from nrbench.imaging.convert import Image
 from nrbench.imaging.files import read_image
-from nrbench.metrics import appearance, integrity, randomness
+from nrbench.metrics import appearance, integrity, randomness, regularity
 from nrbench.metrics.judgment import texture_reference
 from nrbench.metrics.perception import limits
+from nrbench.metrics.quality import Quality
+from nrbench.plugins.forms import Observation
 
 FACTORS = (0.8, 1.25)
-Outputs = list[tuple[str, Image]]
-CACHES = (
-    texture_reference.reference_from_draws,
-    texture_reference._reference_of,
-    integrity.learn_elements,
-    randomness.gather_tiles,
-    appearance._looks_of_draws,
-    appearance._looks_of_sample,
-)
-"""What is learned from references, which depends on the limits."""
+Outputs = list[tuple[str, Observation]]
+CACHES = {
+    regularity: texture_reference.reference_from_draws,
+    integrity: integrity.learn_elements,
+    randomness: randomness.gather_tiles,
+    appearance: appearance._looks_of_draws,
+}
+"""The module of each peril, with what is learned there, or before all of them, from references by the limits."""
 
 
-def stored_outputs(folder: Path, patterns: Sequence[str], draws: int) -> list[tuple[Subject, Outputs]]:
-    """Return the ranked outputs of each texture of a run, and fresh draws, which have the name ``fresh``."""
-    found: dict[str, tuple[Subject, Outputs]] = {}
+def stored_outputs(folder: Path, patterns: Sequence[str], draws: int) -> Outputs:
+    """Return the ranked outputs of each texture of a run, by method, and fresh draws, by the name ``fresh``."""
+    subjects: dict[str, Subject] = {}
+    found: Outputs = []
     for record in nrbench.load(folder).cells:
         wanted = not patterns or any(fnmatch(record.texture, pattern) for pattern in patterns)
         if record.status != "ok" or not wanted:
             continue
-        if record.texture not in found:
-            subject = subject_of(record.cell.recipe)
-            found[record.texture] = subject, [("fresh", subject.draw(number)) for number in range(draws)]
+        if record.texture not in subjects:
+            subject = subjects[record.texture] = subject_of(record.cell.recipe)
+            found += [("fresh", subject.observe(subject.draw(number))) for number in range(draws)]
         if not record.reference:
-            found[record.texture][1].append((record.method, read_image(record.folder / "output.png")))
-    return list(found.values())
+            output = read_image(record.folder / "output.png")
+            found.append((record.method, subjects[record.texture].observe(output)))
+    return sorted(found, key=lambda pair: id(pair[1].again))
 
 
-def judge_all(textures: Sequence[tuple[Subject, Outputs]]) -> pd.DataFrame:
-    """Judge all outputs by the limits as they are now."""
-    for cache in CACHES:
-        cache.cache_clear()
-    rows = [{"method": method, **subject.judge(image)} for subject, outputs in textures for method, image in outputs]
+def find_user(limit: str) -> ModuleType | None:
+    """Return the module of the one peril that reads a limit; None if others read it."""
+    root = Path(str(appearance.__file__)).parent
+    users = {path for path in root.rglob("*.py") if re.search(rf"limits\.{limit}\b", path.read_text("utf-8"))}
+    return next((module for module in CACHES if users == {Path(str(module.__file__))}), None)
+
+
+def judge_all(outputs: Outputs, only: ModuleType | None = None) -> pd.DataFrame:
+    """Judge all outputs by the limits as they are now; with ``only``, the other perils are as they were."""
+    for module, cache in CACHES.items():
+        if only is None or (module is only and module is not regularity):
+            cache.cache_clear()
+    rows = []
+    for method, seen in outputs:
+        if only is None:
+            values = Quality().score(Observation(seen.sample, seen.output, seen.truth, again=seen.again)).values
+        else:
+            kept = seen._shared.pop(only._score, None)
+            values = Quality().score(seen).values
+            seen._shared[only._score] = kept
+        rows.append({"method": method, **values})
     return pd.DataFrame(rows).astype({"score": float})
 
 
@@ -74,8 +93,9 @@ def main() -> None:
     options = parser.parse_args()
     if not options.run.exists():
         nrbench.run("default", out=options.run)
-    textures = stored_outputs(options.run, options.textures, options.draws)
-    before = judge_all(textures)
+    outputs = stored_outputs(options.run, options.textures, options.draws)
+    before = pd.DataFrame([{"method": method, **Quality().score(seen).values} for method, seen in outputs])
+    before = before.astype({"score": float})
     usual = before[before["method"] != "fresh"].groupby("method")["score"].mean()
     columns = "tau", "largest change of a mean", "verdicts changed", "fresh draws: mean", f"below {LEAST_FRESH}"
     tell = print_table("limit", "value", *columns)
@@ -88,7 +108,7 @@ def main() -> None:
             value = kind(np.rint(limit.value * factor) if kind is int else limit.value * factor) if limit else "-"
             if limit:
                 setattr(limits, name, value)
-            table = judge_all(textures) if limit else before
+            table = judge_all(outputs, find_user(name)) if limit else before
             if limit:
                 setattr(limits, name, kind(limit.value))
             means = table[table["method"] != "fresh"].groupby("method")["score"].mean().reindex(usual.index)

@@ -128,9 +128,13 @@ class Subject:
         assert self.again is not None
         return quantize(self.again(SIZE, FIRST_DRAW + number).image)
 
+    def observe(self, output: Image) -> Observation:
+        """Return what a metric receives."""
+        return Observation(self.texture.image, output, self.texture, again=self.again)
+
     def judge(self, output: Image) -> Row:
         """Return the quality and the perils of an output, and the worst peril."""
-        score = Quality().score(Observation(self.texture.image, output, self.texture, again=self.again))
+        score = Quality().score(self.observe(output))
         return {"texture": self.name, **score.values, "worst": score.records.get("worst", "none")}
 
 

@@ -2,7 +2,7 @@ r"""Write the gallery page from a run: docs/gallery.md, and docs/gallery/ with o
 
 The page of the repository is from this run::
 
-    nrbench run default -t brick-strong -t weave-middle -t hexagon-middle-rotated -m oracle -m rsgf -m tile-set \
+    nrbench run core -t brick-strong -t weave-middle -t hexagon-middle-rotated -m oracle -m rsgf -m tile-set \
         -m fftm-patch -m graph-cuts -m quilting -m tiling --lattice given --out runs/gallery
     python docs/make_gallery.py runs/gallery
 """

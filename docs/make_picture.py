@@ -1,4 +1,4 @@
-"""Draw the README's picture from a run of the default suite: `python docs/make_picture.py runs/default`."""
+"""Draw the README's picture from a run of the suite core: `python docs/make_picture.py runs/core`."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,16 @@ from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Valu
 from .judgment.examination import examine
 from .judgment.texture_reference import DRAWS, FIRST_DRAW, STRIPS, CannotTell
 from .perception import limits
-from .perception.visible import Lab, measure_looks, perceive
+from .perception.visible import Lab, measure_detail, measure_looks, perceive
 from .registration.lattice_net import LatticeNet, sample_planes, sum_boxes
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 
 Looks = NDArray[np.float64]
 """``(n, 9)``: features of windows, see :func:`~.perception.visible.measure_looks`."""
-_SIZES = (1, 2)
+_SIZES = {"local": 1, "local_wide": 2}
 """Sides of the windows, in cells."""
+_OCTAVES = slice(5, 7)
+"""The features that are levels of the octaves beyond the finest one, which a trace of blur takes away."""
 _LEAST_WINDOWS = 6
 _WITHOUT_LATTICE = 24.0
 """Side in px of the windows of a texture without a lattice."""
@@ -40,6 +42,52 @@ _ROUNDING_STEP = 0.5 / 255
 _LEAST_TILE_SIDE = 4
 
 
+class _Scale(NamedTuple):
+    """What counts as one unit in a set of features.
+
+    Parameters
+    ----------
+    floors
+        Floor of each feature: what is not seen.
+    gains
+        Weight of a departure below the mean. A loss of fine grain counts less than a gain.
+    """
+
+    floors: NDArray[np.float64]
+    gains: NDArray[np.float64]
+
+    def invert(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the inverse of a covariance with the floors added."""
+        return np.asarray(np.linalg.inv(covariance + np.diag(self.floors**2)))
+
+    def measure(self, departures: Looks, inverse: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the distances of departures, ``(k,)``."""
+        seen = np.where(departures < 0, departures * self.gains, departures)
+        return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", seen, inverse, seen)))
+
+
+def _looks_scale() -> _Scale:
+    bands = [limits.GRAIN_FLOOR, limits.FINE_FLOOR, *[limits.BAND_FLOOR] * 2, *[limits.CHROMA_FLOOR] * 2]
+    return _Scale(np.array([*[limits.COLOR_FLOOR] * 3, *bands]), np.array([1, 1, 1, *[limits.LOSS] * 3, 1, 1, 1]))
+
+
+def _detail_scale() -> _Scale:
+    floors = [*[limits.TURN_FLOOR] * 2, *[limits.CLUSTER_FLOOR] * 2] * 2
+    return _Scale(np.array(floors), np.ones(len(floors)))
+
+
+class _Kind(NamedTuple):
+    """One kind of window: its scale, the inverse covariance of its departures, and the distance that is allowed."""
+
+    scale: _Scale
+    inverse: NDArray[np.float64]
+    largest: float
+
+    def compare(self, departures: Looks) -> float:
+        """Return the largest distance of departures over the one that is allowed."""
+        return float(self.scale.measure(departures, self.inverse).max(initial=0.0)) / self.largest
+
+
 @dataclass(frozen=True, eq=False)
 class LooksModel:
     r"""How windows of a texture look.
@@ -47,55 +95,45 @@ class LooksModel:
     The distance of features f from the mean is the root of (f - mean)' (C + F)^{-1} (f - mean), with the covariance C
     of the references and the squared floors F of what is not seen. Windows of one and two cells hold each place of the
     cell equally often, wherever they lie, so they differ only as the texture varies. Quarters of the picture show
-    uneven light. The whole is compared with parts as large as the sample, from which a method knows the mean.
+    uneven light. The whole, and its detail, are compared with parts as large as the sample, from which a method knows
+    the mean.
 
     Parameters
     ----------
-    mean
-        (9,): the mean features.
-    inverses
-        Inverse covariances of windows of each size, of quarters, and of the whole.
-    largest
-        Largest distance of each kind that the references show, with its margin.
-    vectors, origin
+    mean, detail
+        (9,) and (8,): the mean features, and those of detail.
+    kinds
+        The windows of each size, quarters, whole and detail.
+    least, most_lacked
+        (2,): least levels of the octaves of any window of one cell, and how far a window may lie below them, 20 ln.
+    net
         The cell of the windows.
     """
 
     mean: Looks
-    inverses: Sequence[NDArray[np.float64]]
-    largest: NDArray[np.float64]
+    detail: Looks
+    kinds: Mapping[str, _Kind]
+    least: Looks
+    most_lacked: float
     net: LatticeNet
 
-    def measure(self, lab: Lab) -> NDArray[np.float64]:
-        """Return the largest distances of an output over those that are allowed: of each size, of quarters, whole."""
+    def measure(self, lab: Lab) -> dict[str, float]:
+        """Return the largest distance of an output, over that which is allowed, of each kind; and what it lacks."""
         looks = measure_looks(lab)
         net = LatticeNet((lab.shape[0], lab.shape[1]), self.net.vectors, self.net.origin)
         planes = sample_planes(looks, net.points)
-        kinds = [_window_means(planes, net, size) for size in _SIZES[: len(self.inverses) - 2]]
+        windows = {name: _window_means(planes, net, size) for name, size in _SIZES.items()}
         whole = looks.mean((0, 1), dtype=np.float64)
-        departures = [kind - self.mean for kind in kinds] + [
-            _quarter_means(looks) - whole,
-            (whole - self.mean)[np.newaxis],
-        ]
-        found = [_measure(kind, m).max(initial=0.0) for kind, m in zip(departures, self.inverses, strict=True)]
-        return np.array(found) / self.largest
+        departures = {name: own - self.mean for name, own in windows.items()}
+        departures |= {"quarters": _cut_means(looks, 2) - whole, "whole": (whole - self.mean)[np.newaxis]}
+        departures["detail"] = _cut_means(measure_detail(lab), 1) - self.detail
+        ratios = {name: kind.compare(departures[name]) for name, kind in self.kinds.items()}
+        return ratios | {"lack": _lack(windows["local"], self.least) / self.most_lacked}
 
 
-def _measure(departures: Looks, inverse: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distances of departures. A loss of fine detail is weighed less than a gain."""
-    gains = np.array([1, 1, 1, limits.LOSS, limits.LOSS, 0.6, 1, 1, 1])
-    seen = np.where(departures < 0, departures * gains, departures)
-    return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", seen, inverse, seen)))
-
-
-def _invert(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.linalg.inv(covariance + np.diag(_floors() ** 2)))
-
-
-def _floors() -> NDArray[np.float64]:
-    """Return the floor of each feature."""
-    bands = [limits.GRAIN_FLOOR, limits.FINE_FLOOR, *[limits.BAND_FLOOR] * 2, *[limits.CHROMA_FLOOR] * 2]
-    return np.array([*[limits.COLOR_FLOOR] * 3, *bands])
+def _lack(windows: Looks, least: Looks) -> float:
+    """Return how far the worst window lies below the least levels of octaves, 20 ln."""
+    return float((least - windows[:, _OCTAVES]).max(initial=0.0))
 
 
 def _window_means(
@@ -106,62 +144,75 @@ def _window_means(
     if min(share.shape) < 2 * size:
         return np.zeros((0, planes.shape[-1]))
     total, weight = sum_boxes(means, 2 * size), sum_boxes(share, 2 * size)
-    whole = weight > 0.97 * (2 * size) ** 2
+    whole = weight > limits.WHOLE_WINDOW * (2 * size) ** 2
     return np.asarray(total[whole] / weight[whole][:, np.newaxis])
 
 
-def _quarter_means(looks: NDArray[np.float32]) -> Looks:
-    return np.array([part.mean((0, 1), dtype=np.float64) for part in _cut(looks, 2)])
-
-
-def _cut(planes: NDArray[Any], parts: int) -> list[NDArray[Any]]:
-    """Cut planes into ``parts`` x ``parts`` parts."""
-    return [part for rows in np.array_split(planes, parts, 0) for part in np.array_split(rows, parts, 1)]
+def _cut_means(planes: NDArray[Any], parts: int) -> Looks:
+    """Return the means of ``parts`` x ``parts`` parts of planes."""
+    cut = [part for rows in np.array_split(planes, parts, 0) for part in np.array_split(rows, parts, 1)]
+    return np.array([part.mean((0, 1), dtype=np.float64) for part in cut])
 
 
 def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_sample: bool) -> LooksModel:
     """Learn how a texture looks from fresh draws, or from its sample."""
-    looks = [measure_looks(lab) for lab in labs]
+    scale, looks, details = _looks_scale(), [measure_looks(lab) for lab in labs], [measure_detail(lab) for lab in labs]
     planes = [sample_planes(look, net.points) for look in looks]
-    means = [look.mean((0, 1), dtype=np.float64) for look in looks]
-    mean = np.mean(means, 0)
-    learned = []
-    for size in _SIZES:
+    means = np.concatenate([_cut_means(look, 1) for look in looks])
+    mean, detail = means.mean(0), np.concatenate([_cut_means(each, 1) for each in details]).mean(0)
+    margin, kinds = limits.OF_SAMPLE_LOOKS if from_sample else limits.OF_LOOKS, {}
+    strips = [groups for groups in _group_windows(planes, net, 1, from_sample) if len(groups) > 1]
+    rests = [
+        (group, np.concatenate([other for other in groups if other is not group]))
+        for groups in strips
+        for group in groups
+    ]
+    lacked = [_lack(group, rest[:, _OCTAVES].min(0)) for group, rest in rests]
+    least = np.min([rest[:, _OCTAVES].min(0) for _, rest in rests], 0) if rests else np.full(2, -np.inf)
+    for name, size in _SIZES.items():
         sets = [[group - mean for group in groups] for groups in _group_windows(planes, net, size, from_sample)]
         if any(sum(map(len, groups)) < _LEAST_WINDOWS or len(groups) < 2 for groups in sets):
             break
         unseen = limits.UNSEEN_TONES if from_sample else 1.0
-        found = [_learn_kind(groups, limits.LEAST_LOCAL, unseen) for groups in sets]
-        learned.append(max(found, key=lambda kind: kind[1]))
-    quarters = [_quarter_means(look) - own for look, own in zip(looks, means, strict=True)]
+        found = [_learn_kind(scale, groups, limits.LEAST_LOCAL, margin, unseen) for groups in sets]
+        kinds[name] = max(found, key=lambda kind: kind.largest)
+    quarters = [_cut_means(look, 2) - own for look, own in zip(looks, means, strict=True)]
     if from_sample:
-        strips = [[p.mean((0, 1), dtype=np.float64) for p in np.array_split(looks[0], _PARTS, axis)] for axis in (0, 1)]
-        spread = sum((np.cov(np.array(means).T) / _PARTS for means in strips), np.zeros((len(_floors()),) * 2))
-        whole, uneven = _invert(3 * spread), _invert(8 * spread)
-        learned.append((uneven, max(_measure(quarters[0], uneven).max(), limits.LEAST_OF_SAMPLE)))
-        learned.append((whole, limits.LEAST_OF_SAMPLE))
+        spread, uneven = _strip_covariance(looks[0]), scale.invert(limits.UNEVEN_QUARTERS * _strip_covariance(looks[0]))
+        usual = max(scale.measure(quarters[0], uneven).max(), limits.LEAST_OF_SAMPLE)
+        kinds["quarters"] = _Kind(scale, uneven, limits.OF_MEANS * usual)
+        whole = scale.invert(limits.UNEVEN_WHOLE * spread)
+        kinds["whole"] = _Kind(scale, whole, limits.OF_MEANS * limits.LEAST_OF_SAMPLE)
+        fine = _detail_scale().invert(limits.UNEVEN_WHOLE * _strip_covariance(details[0]))
+        kinds["detail"] = _Kind(_detail_scale(), fine, limits.OF_LOOKS * limits.LEAST_WHOLE)
     else:
         side = min(max(round(a / b), 1) for a, b in zip(net.shape, sample_shape, strict=True))
-        crops = [part.mean((0, 1), dtype=np.float64) - mean for look in looks for part in _cut(look, side)]
-        learned.append(_learn_kind(quarters, limits.LEAST_WHOLE))
-        learned.append(_learn_kind([crop[np.newaxis] for crop in crops], limits.LEAST_WHOLE))
-    margin = limits.OF_SAMPLE_LOOKS if from_sample else limits.OF_LOOKS
-    margins = [margin] * (len(learned) - 2) + [limits.OF_MEANS, limits.OF_MEANS if from_sample else limits.OF_WHOLE]
-    return LooksModel(mean, [inverse for inverse, _ in learned], np.array(margins) * [far for _, far in learned], net)
+        kinds["quarters"] = _learn_kind(scale, quarters, limits.LEAST_WHOLE, limits.OF_MEANS)
+        crops = np.concatenate([_cut_means(look, side) - mean for look in looks])[:, np.newaxis]
+        kinds["whole"] = _learn_kind(scale, [*crops], limits.LEAST_WHOLE, limits.OF_WHOLE)
+        crops = np.concatenate([_cut_means(each, side) - detail for each in details])[:, np.newaxis]
+        kinds["detail"] = _learn_kind(_detail_scale(), [*crops], limits.LEAST_WHOLE, limits.OF_LOOKS)
+    return LooksModel(mean, detail, kinds, least, margin * max([limits.LACK, *lacked]), net)
 
 
-def _learn_kind(groups: Sequence[Looks], least: float, unseen: float = 1.0) -> tuple[NDArray[np.float64], float]:
-    """Return the inverse covariance of departures, and the largest distance of a group by that of all others.
+def _strip_covariance(planes: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the covariance of the mean of a sample, by its strips along each axis."""
+    strips = [[p.mean((0, 1), dtype=np.float64) for p in np.array_split(planes, _PARTS, axis)] for axis in (0, 1)]
+    return np.asarray(sum(np.cov(np.array(means).T) / _PARTS for means in strips))
+
+
+def _learn_kind(scale: _Scale, groups: Sequence[Looks], least: float, margin: float, unseen: float = 1.0) -> _Kind:
+    """Return the covariance of departures, and the largest distance of a group by that of all others.
 
     The standard deviation of colors is multiplied by ``unseen``: a sample shows few of the tones of a texture.
     """
-    wider = np.outer(widths := np.array([unseen] * 3 + [1.0] * (len(_floors()) - 3)), widths)
-    far = [least]
+    widths = np.array([unseen] * 3 + [1.0] * (len(scale.floors) - 3))
+    wider, far = np.outer(widths, widths), [least]
     for k, group in enumerate(groups):
         rest = np.concatenate([*groups[:k], *groups[k + 1 :]])
-        far.append(float(_measure(group, _invert(wider * (rest.T @ rest) / len(rest))).max()))
+        far.append(float(scale.measure(group, scale.invert(wider * (rest.T @ rest) / len(rest))).max()))
     everything = np.concatenate(groups)
-    return _invert(wider * (everything.T @ everything) / len(everything)), max(far)
+    return _Kind(scale, scale.invert(wider * (everything.T @ everything) / len(everything)), margin * max(far))
 
 
 def _group_windows(
@@ -220,17 +271,20 @@ class Appearance:
     """Whether the output looks like the texture: its color, light, contrast, grain and sharpness.
 
     Nine features of what an eye sees (:func:`~nrbench.metrics.perception.visible.measure_looks`) are averaged over
-    windows of one and of two cells, over quarters of the picture and over the whole. The largest distance of each kind
+    windows of one and of two cells, over quarters of the picture and over the whole; eight features of its detail
+    (:func:`~nrbench.metrics.perception.visible.measure_detail`) over the whole. The largest distance of each kind
     from the references (:class:`LooksModel`) is divided by the largest one that these show: ``local``, ``local_wide``,
-    ``quarters`` and ``whole``. A ratio up to 1 has the score 1, a ratio of 1.5 has 0, and the worst of the four counts.
-    Fresh draws are the references; for a photograph they are four strips of the sample, each compared with the others.
+    ``quarters``, ``whole`` and ``detail``. ``lack`` is how far the levels of two octaves, in a window of one cell, lie
+    below the least ones of all windows of the references, over what is allowed: it sees a hole where the distances are
+    wide. A ratio up to 1 has the score 1, a ratio of 1.5 has 0, and the worst of the six counts. Fresh draws are the
+    references; for a photograph they are four strips of the sample, each compared with the others.
 
     Seams are searched on every straight line of at least half the image's side, in every direction, because the places
     where a method has cut are unknown. A tile that claims to be seamless when it is repeated is also measured across
     its border: ``extras["tile"]``, or the output itself if ``extras["tileable"]`` is not zero.
     """
 
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
@@ -240,6 +294,10 @@ class Appearance:
         "local_wide": _column("The same for windows of two cells."),
         "quarters": _column("The same for quarters of the picture: uneven light."),
         "whole": _column("The same for the whole picture."),
+        "detail": _column(
+            "The same for the detail of the whole picture: streaks, relief, speckles, holes in the grain."
+        ),
+        "lack": _column("What the window with the least detail lacks, over what windows of the references lack."),
         "seam": _column(
             "Visibility (size, and contrast to its parallels) of the worst line over that of fresh draws' worst line."
         ),
@@ -260,13 +318,11 @@ def _score(observation: Observation) -> Score:
     reasons: dict[str, str] = {}
     try:
         ratios = _find_looks(observation).measure(examine(observation).lab)
-        kinds = (*("local", "local_wide")[: len(ratios) - 2], "quarters", "whole")
-        values |= dict(zip(kinds, map(float, ratios), strict=True))
-        values["score"] = float(np.clip(1 - limits.LOOKS_SLOPE * (ratios.max() - 1), 0, 1))
+        values |= ratios | {"score": float(np.clip(1 - limits.LOOKS_SLOPE * (max(ratios.values()) - 1), 0, 1))}
         few = "undecided: the references show too few windows of this size"
-        reasons |= {name: few for name in ("local", "local_wide") if values[name] is None}
+        reasons |= {name: few for name in _SIZES if values[name] is None}
     except CannotTell as reason:
-        reasons |= dict.fromkeys(("score", "local", "local_wide", "quarters", "whole"), str(reason))
+        reasons |= dict.fromkeys(("score", *_SIZES, "quarters", "whole", "detail", "lack"), str(reason))
     values["seam"], values["seam_step"], line = _seam(observation)
     if line is None:
         small = f"undecided: the images are smaller than {_LEAST_SEAM_SIDE} px, too small to compare lines"

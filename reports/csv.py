@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import pandas as pd
 
+from nrbench.labelling.labels import labels_table
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
@@ -21,9 +22,9 @@ from .statistics.expectations import (
     published_classes_table,
     published_rates_table,
 )
+from .statistics.labelers import agreement_table, compare_labelers
 from .statistics.levels import breaking_points_table, compare_levels, levels_table
 from .statistics.method_comparison import Comparison, compare_methods
-from .statistics.people import agreement_table, compare_people, labels_table
 from .statistics.summaries import describe_scores, perils_points, perils_table
 from .statistics.verdicts import QUALITY, is_valid_baseline
 
@@ -133,8 +134,8 @@ class CsvTables:
                 "published_rates": published_rates_table(published),
                 "published_classes": published_classes_table(published),
             }
-        if people := compare_people(run, self.labels):
-            tables |= {"labels": labels_table(run, self.labels), "agreement": agreement_table(people)}
+        if labelers := compare_labelers(run, self.labels):
+            tables |= {"labels": labels_table(run, self.labels), "agreement": agreement_table(labelers)}
         answers = tabulate_answers(run)
         if not answers.empty:
             tables |= {"detections": answers, "detectors": detectors_table(answers)}

@@ -36,9 +36,9 @@ from .plots.method_plots import (
 )
 from .statistics.detections import compare_detectors
 from .statistics.expectations import compare_with_published, evaluate_claims
+from .statistics.labelers import compare_labelers
 from .statistics.levels import BROKEN, compare_levels
 from .statistics.method_comparison import compare_methods
-from .statistics.people import compare_people
 from .statistics.summaries import (
     describe_scores,
     headline_columns,
@@ -70,7 +70,7 @@ class HtmlReport:
         ``pictures`` beside it only to show all pixels of a magnified output. A page of so many outputs that the small
         copies exceed 7 MB loads them from that folder, too.
     labels
-        Answer files of the labelling pages of ``nrbench label``. They add the agreement of people with the scores.
+        Answer files of the labelling pages of ``nrbench label``. They add the agreement of labelers with the scores.
     tests
         Whether to test which methods differ. Without tests there is no leading group.
     baseline
@@ -99,7 +99,7 @@ class HtmlReport:
         comparison = compare_methods(run, self.tests, self.baseline, self.population)
         pictures = PictureStore(directory, self.single_file)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
-        people, claims, timed = compare_people(run, self.labels), evaluate_claims(run), timed_methods(comparison)
+        labelers, claims, timed = compare_labelers(run, self.labels), evaluate_claims(run), timed_methods(comparison)
         sections = gallery.build_gallery(run, comparison, pictures)
         content: dict[str, Any] = {
             "command": shlex.join(map(str, run.info.get("argv") or [])),
@@ -125,7 +125,7 @@ class HtmlReport:
                     (one, gallery.load_disagreement(one.record, asked.question, pictures))
                     for one in asked.disagreements
                 ]
-                for name, asked in (people.questions.items() if people else ())
+                for name, asked in (labelers.questions.items() if labelers else ())
             },
             "sections": sections,
             "layers": gallery.list_layers(sections),
@@ -144,7 +144,7 @@ class HtmlReport:
             "published": compare_with_published(run, comparison),
             "single_file": self.single_file,
             "detectors": compare_detectors(run),
-            "people": people,
+            "labelers": labelers,
             "questions": questions,
         }
         page = _fill_template(content, pictures)

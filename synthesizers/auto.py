@@ -32,21 +32,22 @@ class Auto:
     The threshold was set on walls and cloths, where lattices that are found exactly have F of 0.13 and more (color 1,
     noise 0.25), and on noise, which has no lattice. On hexagons of the same departures F is 0.11 and more.
 
-    ``preset=paper`` picks the tile set, and the neighborhoods of Wei and Levoy where F is low.
+    ``preset=paper`` picks the paper's tile set, and the neighborhoods of Wei and Levoy where F is low.
 
     Parameters
     ----------
     threshold
         Least F of a near-regular texture, in [0, 1].
     regular
-        The method for near-regular textures: ``"rsgf"``, which breaks fewer elements, or ``"tile-set"``.
+        The method for near-regular textures: ``"rsgf"``, which breaks fewer elements, ``"tile-set"``, or
+        ``"tile-set:preset=paper"``.
     other
         The method for all other textures: ``"rsgf"`` in its stochastic mode, or ``"ann-pixel"``.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
         It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
-        and others 2004). ``"as-is"``: it gets the sample itself.
+        and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself.
 
     References
     ----------
@@ -55,7 +56,7 @@ class Auto:
     """
 
     threshold: float = 0.1
-    regular: Literal["rsgf", "tile-set"] = "rsgf"
+    regular: Literal["rsgf", "tile-set", "tile-set:preset=paper"] = "rsgf"
     other: Literal["rsgf", "ann-pixel"] = "rsgf"
     geometry: Geometry = "bent"
 
@@ -65,7 +66,12 @@ class Auto:
     needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "paper": {"threshold": 0.1, "regular": "tile-set", "other": "ann-pixel", "geometry": "as-is"}
+        "paper": {
+            "threshold": 0.1,
+            "regular": "tile-set:preset=paper",
+            "other": "ann-pixel",
+            "geometry": "as-is",
+        }
     }
     paper: ClassVar[str] = TileSet.paper
 
@@ -84,11 +90,13 @@ class Auto:
         share = estimate_regular_share(task.sample, found.lattice) if found.lattice else 0.0
         near_regular = found.lattice is not None and share >= self.threshold
         name = self.regular if near_regular else self.other
-        method: Synthesizer
-        if name == "rsgf":
-            method = Rsgf() if near_regular else Rsgf(search="stochastic")
-        else:
-            method = TileSet() if name == "tile-set" else AnnPixel()
+        methods: dict[str, Synthesizer] = {
+            "rsgf": Rsgf() if near_regular else Rsgf(search="stochastic"),
+            "tile-set": TileSet(),
+            "tile-set:preset=paper": TileSet(**TileSet.presets["paper"]),
+            "ann-pixel": AnnPixel(),
+        }
+        method = methods[name]
         made = method.synthesize(replace(task, lattice=found.lattice if near_regular else None))
         seen = f"regularity {share:.2f}" if found.lattice else f"no lattice ({found.reason})"
         note = f"picked {name}: {seen}" + (f"; {made.note}" if made.note else "")

@@ -14,6 +14,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.spectra.harmonics import lowest_period
 
+from .graph_cuts import LEAST_OVERLAP, WholePatches
 from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .patchwork.patchwork import (
     Features,
@@ -32,7 +33,7 @@ LEAST_PATCH = 24
 """px: least side of an automatic patch if the sample is large enough. Small tiles are joined until they reach it."""
 PATCH_WITHOUT_TILE = 40
 """px: side of an automatic patch if no upright rectangle is a tile (the example in section 5 of the paper)."""
-LARGEST_WEIGHT = 10.0
+LARGEST_WEIGHT = 100.0
 
 
 @dataclass(frozen=True)
@@ -41,15 +42,15 @@ class FftmPatch(MaskParameters):
 
     The mask is the regular part of the sample, a sum of waves, and is drawn at the output's size
     (:class:`~nrbench.synthesizers.masks.texture_mask.MaskParameters`). Its frequencies are found by
-    :func:`nrbench.spectra.harmonics.analyze`. Each pixel is described by its color and by its mask value times the
-    weight. The output is divided into overlapping windows. Line by line, each window is covered by a patch, a part of
-    the sample of the same size. To choose the patch, the method compares all such parts with the window (sub-patch
-    matching, Kwatra et al. 2003, section 4): in color where the output is synthesized already, in the mask everywhere.
-    A minimum cut then determines which pixels of the window the patch replaces. Finally the windows with the most
-    expensive seams are covered again. No such step increases the total cost of the seams.
+    :func:`nrbench.spectra.harmonics.analyze`. Each pixel is described by its color and by its mask value times the root
+    of the weight. The output is divided into overlapping windows. Line by line, each window is covered by a patch, a
+    part of the sample of the same size. To choose the patch, the method compares all such parts with the window
+    (sub-patch matching, Kwatra et al. 2003, section 4): in color where the output is synthesized already, in the mask
+    everywhere. A minimum cut then determines which pixels of the window the patch replaces. Finally the windows with
+    the most expensive seams are covered again. No such step increases the total cost of the seams.
 
     The paper prints the compared sum as d_MM + c d_TT, with the weight on the texture, which contradicts its section
-    4.1. Here c multiplies the mask, so that d_MM is multiplied by c squared; at c = 0 the mask has no effect. Two
+    4.1. Here it is d_TT + c d_MM, squared differences, as in ``fftm-pixel``; at c = 0 the mask has no effect. Two
     additions keep more elements whole: seams prefer places where the texture varies strongly, and a patch may extend
     beyond its window. Kwatra et al. force at least one pixel of each new patch into the output; here a patch that does
     not reduce the cost is dropped. With a larger reach and more refinements, patches grow together: fewer tiles are
@@ -57,7 +58,7 @@ class FftmPatch(MaskParameters):
 
     ``preset=paper`` has free waves of the analytic signal in each channel, patches whose size is that of a tile by
     equation 7, computed for each sample, and plain seams. The paper synthesizes by sub-patch matching and mentions
-    entire-patch matching only as slower. It does not say how far a patch reaches beyond its window, what share of it
+    entire-patch matching as slower. It does not say how far a patch reaches beyond its window, what share of it
     overlaps, at what temperature it is drawn, or how often seams are improved. The preset takes the patch to be its
     window, and for the others the defaults; its threshold is one of the four in table 1.
 
@@ -67,8 +68,13 @@ class FftmPatch(MaskParameters):
     Parameters
     ----------
     weight
-        c, 0 to 10: the weight of the mask; colors have weight 1. (The paper uses about 1. Below 0.1 the mask has no
-        effect; above 5 it is too strong.)
+        c, 0 to 100: the weight of d_MM, the squared difference in the mask; that in color has weight 1. (The paper uses
+        about 1. Below 0.1 the mask has no effect; above 5 it is too strong.)
+    matching
+        ``"sub-patch"``: a window is compared with the parts of the sample (the paper). ``"entire"``: the whole sample
+        is laid where it agrees best with all of the output that it overlaps, by mean squared differences, and a cut
+        decides what is shown (entire-patch matching, Kwatra et al., section 4). The parts that have to be covered have
+        the size of a patch. ``overlap`` and ``reach`` have no effect, and the output cannot be tileable.
     patch
         Side of a patch in px. 0: automatic. An automatic patch is as many of the mask's smallest upright tiles as are
         needed for 24 px along each side; 40 px if there is no such tile; at most half the sample.
@@ -98,7 +104,8 @@ class FftmPatch(MaskParameters):
            Near-Regular Texture Synthesis." Computer Graphics Forum 24(3), 2005.
     """
 
-    weight: float = 2.0
+    weight: float = 4.0
+    matching: Literal["sub-patch", "entire"] = "sub-patch"
     patch: int = 0
     patch_rule: PatchRule = "period"
     overlap: float = 0.15
@@ -114,6 +121,7 @@ class FftmPatch(MaskParameters):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "weight": 1.0,
+            "matching": "sub-patch",
             "patch": 0,
             "patch_rule": "lowest",
             "overlap": 0.15,
@@ -134,16 +142,24 @@ class FftmPatch(MaskParameters):
         require(self.patch == 0 or self.patch >= 3, f"patch {self.patch}; choose 0 (automatic), or 3 px or more")
         require_ranges(self, weight=(0, LARGEST_WEIGHT), overlap=(0, 0.9), reach=(0, 2))
         require_ranges(self, randomness=(0, math.inf), refinements=(0, math.inf))
+        straight = self.matching == "sub-patch" or not self.tileable
+        require(straight, "tileable outputs need matching 'sub-patch'; drop tileable, or choose it")
 
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
         """Return the synthesis guided by a given mask of the sample. Exceptions are those of :meth:`synthesize`."""
         output_mask = self.fit_to_output(mask, task.shape).draw(task.shape)
         size = self._patch_size(mask, task)
         colors = to_gray_levels(task.sample)
-        sample_mask = to_gray_levels(mask.draw(task.sample.shape[:2]), self.weight)
-        guide = to_gray_levels(output_mask, self.weight), sample_mask
+        root = math.sqrt(self.weight)
+        sample_mask = to_gray_levels(mask.draw(task.sample.shape[:2]), root)
+        guide = to_gray_levels(output_mask, root), sample_mask
         features = np.concatenate([colors, sample_mask], -1)
         work = Patchwork(task.sample, features, task.shape, self.normalized, 2 if self.normalized else 1, self.tileable)
+        if self.matching == "entire":
+            placed = WholePatches(work, colors, size, "entire", self.randomness, LEAST_OVERLAP, (0, 0), task.rng, guide)
+            self._lay_whole_patches(placed, task)
+            image, source = work.result()
+            return Synthesis(image, mask.lattice, source, {"mask": output_mask})
         placer = PatchPlacer(work, colors, self.randomness, task.rng, guide, round(self.reach * min(size)))
         step_y, step_x = (max(1, round(side * (1 - self.overlap))) for side in size)
         windows = list(scan_windows(task.shape, size, (step_y, step_x), self.tileable))
@@ -158,6 +174,21 @@ class FftmPatch(MaskParameters):
         image, source = work.result()
         task.progress(1.0)
         return Synthesis(image, mask.lattice, source, {"mask": output_mask})
+
+    def _lay_whole_patches(self, patches: WholePatches, task: Task) -> None:
+        """Cover the output by entire-patch matching, then the windows with the most expensive seams again."""
+        work, size, filled = patches.work, patches.size, 1 / (1 + self.refinements)
+        while (region := patches.find_unknown()) is not None:
+            patches.cover_region(region)
+            task.progress(filled * region[0] / task.shape[0])
+        heat = SeamHeat(work, size)
+        steps = self.refinements * math.ceil(math.prod(task.shape) / math.prod(size))
+        for number in range(steps):
+            region = heat.find_worst()
+            patches.cover_region(region)
+            heat.update(region, max(task.sample.shape[:2]))
+            task.progress(filled + (1 - filled) * number / steps)
+        task.progress(1.0)
 
     def _patch_size(self, mask: TextureMask, task: Task) -> Shape:
         """Return the (height, width) of the patches, px."""

@@ -45,12 +45,11 @@ class FftmPixel(MaskParameters, SearchParameters):
     (:class:`~nrbench.synthesizers.masks.texture_mask.MaskParameters`). Its frequencies are found by
     :func:`nrbench.spectra.harmonics.analyze`. The output is then synthesized pixel by pixel in scan-line order. Each
     pixel is copied from the pixel of the sample that has the most similar neighborhood. The distance of two
-    neighborhoods is the sum of squared differences d_TT + c d_MM (equations 8 and 9). The paper calls d_TT and d_MM L2
-    norms. Here both are the squares of these: their sum is one Euclidean distance, which a k-d tree can search; the sum
-    of two norms is not, and may have another nearest source. d_TT compares the texture at the pixels that are
-    synthesized already (N_upper). d_MM compares the mask at the current pixel and at the later ones (N_lower). The
-    weight c always belongs to the mask; section 4.2 prints d_MM + c d_TT, which contradicts what section 4.1 says about
-    small and large c.
+    neighborhoods is d_TT + c d_MM (equations 8 and 9). The paper calls d_TT and d_MM L2 norms. By default both are the
+    squares of these, whose sum is one Euclidean distance; ``distance=norms`` adds the norms. d_TT compares the texture
+    at the pixels that are synthesized already (N_upper). d_MM compares the mask at the current pixel and at the later
+    ones (N_lower). The weight c always belongs to the mask; section 4.2 prints d_MM + c d_TT, which contradicts what
+    section 4.1 says about small and large c.
 
     The paper's best results rely on a search library that happens to favor neighboring pixels of the sample (its figure
     5). Here the parameter ``coherence`` has this effect: among sources of similar distance, the method prefers the one
@@ -74,8 +73,11 @@ class FftmPixel(MaskParameters, SearchParameters):
         Side N of the window in px, 2 to 6. The window reaches from -N//2 to N - 1 - N//2 around the pixel. (The paper
         uses 2 and 3 for simple structures, and 6 for knitted wool.)
     weight
-        c, 0 to 100: the weight of squared differences in the mask; those in the texture have weight 1. (The paper uses
+        c, 0 to 100: the weight of d_MM, the difference in the mask; that in the texture has weight 1. (The paper uses
         about 1. Below 0.1 the mask has no effect; above 5 it is too strong.) Only for match ``full``.
+    distance
+        What d_TT and d_MM are: ``"squares"``, sums of squared differences, or ``"norms"``, their square roots (the
+        paper); principal components then do not mix texture and mask. Only for match ``full``.
     match
         ``"full"``: as above. ``"cluster"``: pixels are sorted into 64 clusters by the mask in the whole window around
         them (k-means). The candidates for an output pixel are the sample's pixels of the same cluster; only d_TT
@@ -90,13 +92,21 @@ class FftmPixel(MaskParameters, SearchParameters):
     neighborhood: int = 3
     weight: float = 1.0
     match: Match = "full"
+    distance: Literal["squares", "norms"] = "squares"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "paper": {"neighborhood": 3, "weight": 1.0, "match": "full", **MASK_OF_THE_PAPER, **SEARCH_OF_THE_PAPER}
+        "paper": {
+            "neighborhood": 3,
+            "weight": 1.0,
+            "match": "full",
+            "distance": "norms",
+            **MASK_OF_THE_PAPER,
+            **SEARCH_OF_THE_PAPER,
+        }
     }
     paper: ClassVar[str] = Frdft.paper
 
@@ -125,10 +135,11 @@ class FftmPixel(MaskParameters, SearchParameters):
             candidates = replace(candidates, groups=clusters.labels)
             groups = clusters.label_output(growth.layers, task.shape, growth.corner)
         masked = self.match == "full"
-        stock = Stock(layers, candidates, Neighborhood.first_pass(size, masked), self, self.weight)
+        norms = masked and self.distance == "norms"
+        stock = Stock(layers, candidates, Neighborhood.first_pass(size, masked), self, self.weight, norms)
         growth.grow(stock, range(height), range(width), groups)
         if self.tileable:
-            stock = Stock(layers, candidates, Neighborhood.second_pass(size, masked), self, self.weight)
+            stock = Stock(layers, candidates, Neighborhood.second_pass(size, masked), self, self.weight, norms)
             for rows in _border(height, size):
                 growth.grow(stock, rows, range(width), groups)
             for columns in _border(width, size):

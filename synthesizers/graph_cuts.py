@@ -251,6 +251,9 @@ class WholePatches:
         is not larger than the sample.
     rng
         The generator that draws translations.
+    guide
+        For ``"entire"``: values that are compared at all pixels of the output that the sample overlaps, known or not,
+        of the output and of the sample; their mean squared difference is added to C(t).
     """
 
     work: Patchwork
@@ -261,6 +264,7 @@ class WholePatches:
     least_overlap: float
     margin: tuple[int, int]
     rng: np.random.Generator
+    guide: tuple[Features, Features] | None = None
 
     def find_unknown(self) -> Window | None:
         """Return the region at the first unknown pixel, line by line; None if all pixels are known."""
@@ -315,17 +319,25 @@ class WholePatches:
         return costs
 
     def _compare_all(self, region: Window) -> Costs:
-        """Compare the sample with all known pixels that it overlaps."""
+        """Compare the sample with all known pixels that it overlaps, and its guide with that of the output."""
         top, left = self._first(region)
         ends = top + self._reach[0], left + self._reach[1]
         inside = max(top, 0), min(ends[0], self.work.shape[0]), max(left, 0), min(ends[1], self.work.shape[1])
         part = slice(inside[0] - top, inside[1] - top), slice(inside[2] - left, inside[3] - left)
-        known, values = np.zeros(self._reach, np.bool_), np.zeros((*self._reach, self.colors.shape[2]), np.int32)
-        known[part] = self.work.known[self.work.pixels(inside)]
-        values[part] = self.work.read(self.colors, inside)
-        costs, areas = self._entire.compute_costs(values, known)
+        pixels = self.work.pixels(inside)
+
+        def compare(patch: EntirePatch, values: Features, known: Mask) -> tuple[Costs, Costs]:
+            seen, window = np.zeros(self._reach, np.bool_), np.zeros((*self._reach, values.shape[2]), np.int32)
+            seen[part], window[part] = known, values
+            costs, areas = patch.compute_costs(window, seen)
+            return costs / np.maximum(areas, 1), areas
+
+        costs, areas = compare(self._entire, self.work.read(self.colors, inside), self.work.known[pixels])
         considered = areas >= self.least_overlap * areas.max()
-        return np.where(considered, costs / np.maximum(areas, 1), np.inf)
+        if self.guide is not None:
+            guided, _ = compare(self._entire_guide, self.guide[0][pixels], np.ones_like(self.work.known[pixels]))
+            costs = costs + guided
+        return np.where(considered, costs, np.inf)
 
     def _compare_window(self, region: Window) -> Costs:
         """Compare a window around the region with all parts of the sample; the sample covers the window completely."""
@@ -360,6 +372,11 @@ class WholePatches:
     @cached_property
     def _entire(self) -> EntirePatch:
         return EntirePatch(self.colors, self._counts)
+
+    @cached_property
+    def _entire_guide(self) -> EntirePatch:
+        assert self.guide is not None
+        return EntirePatch(self.guide[1], self._counts)
 
     @cached_property
     def _parts(self) -> Translations:

@@ -56,7 +56,7 @@ class RegularizedPatch:
     texel
         Shape of the texels. ``"hexagon"`` and ``"quadrilateral"``: where the texels of the sample differ least along
         their borders; hexagons include bricks in running bond. ``"given"``: the parallelogram of the lattice's own two
-        vectors, with a corner at its origin.
+        vectors, with its middle at the origin.
     zone
         Breadth in px of the zone that two texels share; at most the breadth of a texel. None: a sixth of s, from 3 to
         8 px.
@@ -67,7 +67,7 @@ class RegularizedPatch:
         How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
         It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
-        and others 2004). ``"as-is"``: it gets the sample itself.
+        and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself.
 
     References
     ----------

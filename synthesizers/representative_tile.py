@@ -64,10 +64,10 @@ class RepresentativeTile:
 
     The output is periodic: it keeps regularity and loses randomness, as the paper says.
 
-    ``preset=paper`` repeats the pixels of the tile, with the period x_n / n scaled down to whole pixels (section 3; in
-    section 5 the paper does without, where periods are hundreds of pixels long). Its weight alpha and its share p are
-    those of figure 5. The share of figure 7, 0.0001, leaves a single place in a sample of 128 x 128 px, and then
-    resemblance and alpha have no effect.
+    The presets are the two settings of the paper, with the period x_n / n; both repeat the pixels of the tile.
+    ``preset=paper`` is that of figure 5, with the period scaled down to whole pixels (section 3). ``preset=figure-7``
+    is that of figure 7, whose periods are hundreds of pixels long: p = 0.0001, alpha = 1, and no scaling. In a sample
+    of 128 x 128 px this share leaves a single place, and then resemblance and alpha have no effect.
 
     Extras: ``tile``; ``frame``, ``(3, 2)``: the tile's first pixel (x, y) in the sample, and the steps (x, y) in the
     sample of one pixel along its rows and columns, of lengths r (equation 4); ``best``, ``(best_tiles, 5)``: x, y in
@@ -82,7 +82,11 @@ class RepresentativeTile:
     best_tiles
         The tile is drawn uniformly from so many best ones, 1 to 99 (the paper lets the user choose one of m).
     rescale
-        True: the output has the sample's period. False: it repeats the tile's pixels, with the tile's period.
+        True: the output has the sample's period. False: it repeats the tile's pixels, with the tile's period of whole
+        pixels; the lattice that is returned is then that of the output.
+    scale_down
+        Scale the sample down so that its period is whole pixels (section 3). False: the tile is cut from the sample as
+        it is and lacks the fractions of a pixel (section 5).
     finder
         Detector that finds the period where no lattice is given. ``"ssdn:primitive=false"``: fitted to all minima,
         sub-pixel, and refused if it may be due to chance. ``"ssdn:preset=paper"``: x_n / n, the last minimum over its
@@ -93,7 +97,7 @@ class RepresentativeTile:
         How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
         It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
-        and others 2004). ``"as-is"``: it gets the sample itself, as in the paper.
+        and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper.
 
     References
     ----------
@@ -105,6 +109,7 @@ class RepresentativeTile:
     rated_share: float | None = None
     best_tiles: int = 1
     rescale: bool = True
+    scale_down: bool = True
     finder: Literal["ssdn:primitive=false", "ssdn:preset=paper"] = "ssdn:primitive=false"
     tolerance: float = 0.1
     geometry: Geometry = "straight"
@@ -120,7 +125,16 @@ class RepresentativeTile:
             "rescale": False,
             "finder": "ssdn:preset=paper",
             "geometry": "as-is",
-        }
+        },
+        "figure-7": {
+            "continuity_weight": 1.0,
+            "rated_share": 0.0001,
+            "best_tiles": 1,
+            "rescale": False,
+            "scale_down": False,
+            "finder": "ssdn:preset=paper",
+            "geometry": "as-is",
+        },
     }
     patch_shape: ClassVar[str] = "rectangular tile from the period"
     patch_placement: ClassVar[str] = "side by side"
@@ -144,7 +158,7 @@ class RepresentativeTile:
             When no lattice is found, or the sample shows less than two periods or holds no rectangular tile.
         """
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there is no period to cut a tile by")
-        frame = find_tile_frame(lattice, task.sample.shape, self.tolerance)
+        frame = find_tile_frame(lattice, task.sample.shape, self.tolerance, self.scale_down)
         patches = Patches(task.sample)
         image, known = frame.scale_sample(task.sample, patches)
         best = self._find_best(image, known, frame)
@@ -159,7 +173,8 @@ class RepresentativeTile:
             places = best[:, :2].astype(int).tolist()
             extras |= {f"best-{number:02d}": _cut(image, frame, (x, y)) for number, (x, y) in enumerate(places, 1)}
         note = f"a tile holds {frame.cells} cells" if frame.cells > 1 else ""
-        return Synthesis(output, lattice, source, extras, seconds, note)
+        laid = lattice if self.rescale else frame.lay_lattice(lattice, place)
+        return Synthesis(output, laid, source, extras, seconds, note)
 
     def _find_best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
         """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S (section 4). Of equal places the first comes first."""
@@ -333,6 +348,12 @@ class TileFrame:
         """Return the points (x, y) of the sample under points of the scaled image, ``(..., 2)``."""
         return np.asarray((pixels + np.array(self.first)) @ self.steps)
 
+    def lay_lattice(self, lattice: Lattice, place: tuple[int, int]) -> Lattice:
+        """Return the lattice of an output that repeats the pixels of the tile at a place (x, y)."""
+        laid = np.linalg.inv(self.periods) * self.size[::-1]
+        origin = (np.array(lattice.origin) - self.to_sample(np.array(place, np.float64))) @ np.linalg.inv(self.steps)
+        return Lattice.from_basis(lattice.matrix @ laid, place + origin)
+
     def scale_sample(self, sample: Image, patches: Patches) -> tuple[Image, NDArray[np.bool_] | None]:
         """Return the sample scaled down (and turned upright), and which of its pixels lie inside; None: all."""
         if np.abs(self.steps - np.eye(2)).max() < 1e-9:
@@ -347,7 +368,7 @@ class TileFrame:
         return np.asarray(((at >= -1e-6) & (at <= np.array(shape[1::-1]) - 1 + 1e-6)).all(-1))
 
 
-def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float) -> TileFrame:
+def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, scale_down: bool = True) -> TileFrame:
     """Return the frame of the smallest rectangular tile of a lattice for a sample of ``shape``.
 
     Among rectangles that are exact periods the smallest upright one is used, as in the paper, unless a turned one holds
@@ -361,6 +382,8 @@ def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float) 
         The lattice of the sample, and the sample's shape.
     tolerance
         How far, in shares of s, a side may be from a lattice vector.
+    scale_down
+        Whether the steps shrink the periods to whole pixels; else they are one pixel long.
 
     Raises
     ------
@@ -380,7 +403,8 @@ def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float) 
     columns, rows = (int(length + PERIOD_SLACK) for length in lengths)
     if min(rows, columns) < _LEAST_SIDE:
         raise Refused(f"the lattice repeats every {lengths.min():.2f} px: a tile of less than 2 px shows nothing")
-    steps = periods / np.array([[columns], [rows]])  # equation 4: the periods shrink to whole pixels
+    sides = np.array([columns, rows]) if scale_down else lengths  # equation 4: the periods shrink to whole pixels
+    steps = periods / sides[:, np.newaxis]
     first, covered = _cover(steps, shape)
     return TileFrame(periods, (rows, columns), steps, first, covered, count_rectangle_cells(rectangle))
 

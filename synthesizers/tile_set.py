@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -45,22 +45,23 @@ class TileSet:
     that differs least is taken. The tile is registered by correlation and stitched. Places are real-valued lattice
     points, so that nothing drifts.
 
-    The paper stitches by dynamic programming along both directions and blends where these seams conflict
-    (``stitch=dynamic``). A step is half an element or less, so that these seams cross most elements and leave them
-    two-toned, as do all seams that may follow the border of the filled region. The default is an exact minimum cut that
-    leads around elements: seams cost differences over gradients (Kwatra et al. 2003, section 5), the border of the
-    filled region costs double, covering an old seam regains its cost, and tiles are slightly larger.
+    The paper stitches by dynamic programming along both directions, in a similar manner as Efros and Freeman, whose two
+    seams meet where the sum of errors over both is least, and blends where these seams conflict (``stitch=dynamic``).
+    Anchored in the middle of a joint between two courses, at whole pixels, nine of ten bricks stay whole. But these
+    seams move by at most a pixel sideways in each row: from any other anchor, or where periods are not whole pixels, a
+    fifth to two fifths of the bricks of mild walls become two-toned. The default is an exact minimum cut that leads
+    around elements: seams cost differences over gradients (Kwatra et al. 2003, section 5), the border of the filled
+    region costs double, covering an old seam regains its cost, and tiles are slightly larger.
 
     What the paper does by hand is automatic. The lattice is anchored in the middle of what differs from tile to tile,
     so that tiles show elements whole. The threshold is computed from the differences between the tiles of the sample
     over the usual overlap: the least threshold at which every tile accepts the share ``quantile`` of the others of its
     set.
 
-    If no lattice is given, the method detects one by ``consensus``. ``preset=paper`` is the method of the paper, whose
-    authors placed most lattices by hand: it anchors tiles at the origin of the lattice, which should be given with six
-    numbers (without a lattice, ``anchor=quiet`` is their rule). The paper gives no threshold; the preset computes it
-    for each sample, as the defaults do. It registers tiles by "small movements", here up to 1 px, and blends along the
-    boundary, here over 3 px.
+    ``preset=paper`` is the method of the paper, whose authors placed most lattices by hand: it anchors tiles at the
+    origin of the lattice, which should be given with six numbers, and finds lattices by their own detector. The paper
+    gives no threshold; the preset takes the tightest one at which the oddest tile of the sample still accepts another
+    one. It registers tiles by "small movements", here up to 1 px, and blends along the boundary, here over 3 px.
 
     Parameters
     ----------
@@ -106,13 +107,16 @@ class TileSet:
     anchor
         ``"elements"``: where tiles differ most, so that a tile shows an element whole and seams can follow joints.
         ``"quiet"``: where the gradient energy of the mean tile, summed along the borders of all minimum tiles, is least
-        (the paper's low-frequency regions). ``"given"``: at the lattice's origin. The first two choose among the places
-        that leave each set enough tiles.
+        (the paper's low-frequency regions). ``"given"``: at the lattice's origin, the middle of a tile; if the lattice
+        was detected or its origin is (0, 0), it has none, and the anchor is the quiet one, which the note says. The
+        first two choose among the places that leave each set enough tiles.
+    finder
+        Detector that finds the lattice if none is given: ``"consensus"``, or ``"dominance"``, that of the paper.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
         It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
-        and others 2004). ``"as-is"``: it gets the sample itself, as in the paper.
+        and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper.
 
     References
     ----------
@@ -130,23 +134,24 @@ class TileSet:
     parts: int | None = None
     stitch: Literal["dynamic", "graphcut"] = "graphcut"
     anchor: AnchorKind | Literal["given"] = "elements"
+    finder: Literal["consensus", "dominance"] = "consensus"
     geometry: Geometry = "bent"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
-    finder: ClassVar[str] = "consensus"
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "tile": "upright",
             "cells": 1,
             "margin": 0.0,
-            "quantile": 0.75,
+            "quantile": 0.0,
             "overlap_measure": "sum",
             "registration": 1.0,
             "parts": 1,
             "stitch": "dynamic",
             "anchor": "given",
+            "finder": "dominance",
             "geometry": "as-is",
         }
     }
@@ -179,10 +184,12 @@ class TileSet:
         """
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no tiles; give a lattice")
         self._require_within_s(lattice.s)
-        laying = TileLaying(self, task, lattice)
+        unanchored = self.anchor == "given" and (task.lattice is None or lattice.origin == (0.0, 0.0))
+        laying = TileLaying(replace(self, anchor="quiet") if unanchored else self, task, lattice)
         laying.lay_tiles()
         image, source = laying.canvas.output()
-        return Synthesis(image, lattice, source, detection_seconds=seconds)
+        note = "the lattice has no origin: tiles are anchored where their borders are quiet" if unanchored else ""
+        return Synthesis(image, lattice, source, detection_seconds=seconds, note=note)
 
     def _require_within_s(self, s: float) -> None:
         most = max(s, FEATHER)

@@ -43,7 +43,8 @@ class Examination:
             raise CannotTell(known.reason)
         sample = (seen.sample.shape[0], seen.sample.shape[1])
         if known.origin == "model" and seen.again is not None:
-            return reference_from_draws(seen.again, known.lattice, (seen.output.shape[0], seen.output.shape[1]), sample)
+            vectors, output = (known.lattice.t1, known.lattice.t2), (seen.output.shape[0], seen.output.shape[1])
+            return reference_from_draws(seen.again, vectors, output, sample)
         return reference_from_sample(seen.sample, known.lattice)
 
     @cached_property

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.imaging.convert import Image, quantize
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Again, Shape
 
 from ..perception import limits
 from ..perception.visible import Lab, perceive
 from ..registration.followed import CellModel, FollowedPicture, Strips
 from ..registration.lattice_net import LatticeNet, Mask, Values, fold_cells, sample_planes
+from .known_lattice import canonical_lattice
 
 FIRST_DRAW = 1 << 16
 """Number of the first fresh draw of the reference; the oracle and the planted defects use smaller numbers."""
@@ -168,15 +169,17 @@ class TextureReference:
 
 
 @lru_cache(maxsize=2)
-def reference_from_draws(again: Again, lattice: Lattice, output: Shape, sample_shape: Shape) -> TextureReference:
+def reference_from_draws(
+    again: Again, vectors: tuple[Vector, Vector], output: Shape, sample_shape: Shape
+) -> TextureReference:
     """Learn a texture from fresh draws.
 
     Parameters
     ----------
     again
-        Returns fresh draws.
-    lattice
-        The lattice, reduced.
+        Returns fresh draws. The origin of their lattice may be another than that of the sample's.
+    vectors
+        The canonical generating vectors of the lattice.
     output, sample_shape
         Shapes of the output and of the sample.
 
@@ -185,17 +188,17 @@ def reference_from_draws(again: Again, lattice: Lattice, output: Shape, sample_s
     CannotTell
         If the dataset gives no fresh draw.
     """
-    least = np.maximum(_LEAST_TILES * np.abs(lattice.matrix).max(0)[::-1], _SIDES[0])
+    least = np.maximum(_LEAST_TILES * np.abs(vectors).max(0)[::-1], _SIDES[0])
     sides = np.maximum(np.minimum(output, _SIDES[1]), np.ceil(least)).astype(int)
     shape = (int(sides[0]), int(sides[1]))
     draws = [again(shape, FIRST_DRAW + k) for k in range(DRAWS)]
     found = [draw for draw in draws if draw is not None]
     if len(found) < DRAWS:
         raise CannotTell(f"not applicable: the texture's dataset gives no fresh draw of {shape[1]}x{shape[0]} px")
-    ideal = found[0].ideal
+    ideal, drawn = found[0].ideal, found[0].lattice
     return _learn(
         [perceive(quantize(draw.image)) for draw in found],
-        lattice,
+        canonical_lattice(drawn or Lattice(*vectors)),
         None if ideal is None else perceive(ideal),
         None,
         sample_shape,

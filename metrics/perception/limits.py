@@ -140,12 +140,22 @@ GRAIN_FLOOR = _limit("GRAIN_FLOOR", 4.0, "20 ln", "a fifth of the amplitude of g
 FINE_FLOOR = _limit("FINE_FLOOR", 5.0, "20 ln", "a fourth of the amplitude of the finest band")
 BAND_FLOOR = _limit("BAND_FLOOR", 4.0, "20 ln", "a fifth of the amplitude of a band")
 CHROMA_FLOOR = _limit("CHROMA_FLOOR", 6.0, "20 ln", "a third of the contrast of chroma, which depends on few elements")
+TURN_FLOOR = _limit(
+    "TURN_FLOOR", 0.8, "20 ln", "measured: half a pixel, interpolated, turns slopes by up to 1.0 on nine models"
+)
+CLUSTER_FLOOR = _limit("CLUSTER_FLOOR", 0.35, "20 ln", "measured: a blur of .6 px changes it by up to 0.4")
+LACK = _limit("LACK", 6.0, "20 ln", "convention: a window may lack a fourth of the amplitude of the least one")
+WHOLE_WINDOW = _limit("WHOLE_WINDOW", 0.97, "", "convention: share of a window that lies inside the picture")
 LOSS = _limit("LOSS", 0.6, "", "lost fine detail counts less: a blur of .6 px is not seen, noise of as much energy is")
 GRAIN_OFFSET = _limit("GRAIN_OFFSET", 1.5, "CIELAB", "grain of this amplitude is not seen")
 BAND_OFFSET = _limit("BAND_OFFSET", 0.5, "CIELAB", "detail of this amplitude is not seen")
 LEAST_LOCAL = _limit("LEAST_LOCAL", 3.5, "sd", "theory: the norm of eight normal values exceeds it once in 30 windows")
 LEAST_WHOLE = _limit("LEAST_WHOLE", 2.0, "sd", "convention: half of what was seen in all edits")
 LEAST_OF_SAMPLE = _limit("LEAST_OF_SAMPLE", 1.25, "sd", "the same beside one sample, whose own means count as exact")
+UNEVEN_WHOLE = _limit("UNEVEN_WHOLE", 3.0, "", "two pictures differ by both variances; half more for four strips")
+UNEVEN_QUARTERS = _limit(
+    "UNEVEN_QUARTERS", 8.0, "", "the same for quarters: a quarter of the sample varies four times more"
+)
 UNSEEN_TONES = _limit("UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones")
 OF_LOOKS = _limit("OF_LOOKS", 1.15, "", "margin over the largest distance of the references")
 OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters, of which there are few")

@@ -39,13 +39,13 @@ class FreeForm:
     spacing: float
 
     @classmethod
-    def fit(cls, points: Points, displacements: Points, nearest: float) -> FreeForm:
+    def fit(cls, points: Points, displacements: Points, nearest: float, repeats: int = REPEATS) -> FreeForm:
         """Return the map that moves each point by its displacement: multilevel B-spline approximation.
 
         Lee, Wolberg and Shin 1997 (Scattered data interpolation with multilevel B-splines), algorithm MBA with
         refinement; their earlier name for it, when it deforms images, is multilevel free-form deformation. The coarsest
         grid of control points is as wide as the points spread. Each finer one, of half the spacing, takes what the
-        coarser ones left, :data:`REPEATS` times over. The finest is so fine that two points share no control point, so
+        coarser ones left, ``repeats`` times over. The finest is so fine that two points share no control point, so
         that the sum interpolates. Beyond the points the coarse grids continue the map. The condition that keeps the map
         one-to-one (Lee, Chwa and Shin 1995) is not imposed: it would change the given displacements. Time
         is linear in the points and in the area over ``nearest`` squared.
@@ -56,6 +56,8 @@ class FreeForm:
             ``(n, 2)`` px each, n at least 1.
         nearest
             Distance of the two nearest points, px. Points that are nearer to each other are approximated.
+        repeats
+            How often each grid takes what is left; once, as published, or several times, which brings it closer.
 
         Examples
         --------
@@ -72,7 +74,7 @@ class FreeForm:
         controls = np.zeros((cells + 3, cells + 3, 2))
         rest = displacements
         while True:
-            for _ in range(REPEATS):
+            for _ in range(repeats):
                 level = cls(approximate(points - start, rest, spacing, controls.shape[:2]), start, spacing)
                 controls = controls + level.controls
                 rest = rest - level.at(points)

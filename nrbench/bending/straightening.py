@@ -33,7 +33,7 @@ from nrbench.tracking.bent_lattice import LEAST_AMPLITUDE, Deformation
 from nrbench.views.deformed import find_deformation
 
 from .deformed_lattice import DeformedLattice, find_deformed_lattice, output_field, read_deformation
-from .free_form import FreeForm
+from .free_form import REPEATS, FreeForm
 
 LEAST_GAIN: Final = 1.2
 """Factor by which straightening must raise the share of the variance that the mean tile explains."""
@@ -76,10 +76,13 @@ class StraightSample:
         ``(H, W, C)``.
     deformed
         Its lattice, as it lies in the sample.
+    repeats
+        Of :meth:`.FreeForm.fit`, for this map and that of the output.
     """
 
     sample: Image
     deformed: DeformedLattice
+    repeats: int = REPEATS
 
     @property
     def still(self) -> bool:
@@ -101,7 +104,7 @@ class StraightSample:
     @cached_property
     def _field(self) -> FreeForm:
         deformed = self.deformed
-        return FreeForm.fit(deformed.places, deformed.displacements, deformed.knots.s)
+        return FreeForm.fit(deformed.places, deformed.displacements, deformed.knots.s, self.repeats)
 
     def locate(self, points: Points) -> Points:
         """Return the places (x, y) px in the sample of points of the straight plane, ``(..., 2)``.
@@ -164,7 +167,7 @@ class Bend:
         if geometry == "straight":
             return cls(shape, None)
         places, moved, nearest = output_field(straight.deformed, shape, geometry, rng)
-        return cls(shape, FreeForm.fit(places + moved, -moved, nearest))
+        return cls(shape, FreeForm.fit(places + moved, -moved, nearest, straight.repeats))
 
     def locate(self, pixels: Points) -> Points:
         """Return the points of the straight plane that pixels (x, y) of the output show, ``(..., 2)``."""
@@ -207,14 +210,12 @@ def synthesize_in_geometry(method: Synthesizer, task: Task) -> Synthesis:
     geometry: Geometry = getattr(method, "geometry", "as-is")
     if geometry == "as-is" or not getattr(method, "uses_lattice", True):
         return method.synthesize(task)
-    finder = getattr(method, "finder", "")
-    found = find_lattice(task, NamedDetector(finder or "consensus"))
+    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
     start = time.perf_counter()
     straight, note = straighten_sample(task.sample, found.lattice, task.lattice is not None)
     seconds = 0.0 if task.lattice else found.seconds + time.perf_counter() - start
     if straight is None:
-        known = task.lattice or (found.lattice if finder else None)
-        made = method.synthesize(replace(task, lattice=known))
+        made = method.synthesize(task)
     else:
         made = _synthesize_bent(method, task, straight, geometry)
     return replace(
@@ -225,6 +226,8 @@ def synthesize_in_geometry(method: Synthesizer, task: Task) -> Synthesis:
 
 
 def _synthesize_bent(method: Synthesizer, task: Task, straight: StraightSample, geometry: Geometry) -> Synthesis:
+    if geometry == "argmax":
+        straight = replace(straight, repeats=1)
     lattice, (height, width) = straight.deformed.lattice, straight.image.shape[:2]
     if min(np.ptp(straight.lattice.to_cell(_pixels(height, width)), axis=(0, 1))) < _LEAST_PERIODS:
         raise Refused(

@@ -189,7 +189,7 @@ def plan_command(**arguments: Any) -> None:
     multiple=True,
     type=_PATH,
     metavar="FILE...",
-    help="Files with people's answers, one for each person. The reports then compare the verdicts with them.",
+    help="Files with answers to pages, one for each labeler. The reports then compare the verdicts with them.",
 )
 @click.option("--single-file", is_flag=True, help="Embed all pixels of all pictures in the HTML page.")
 @click.option("--no-tests", is_flag=True, help="Make no statistical tests: no leading group, no p-values.")
@@ -213,7 +213,7 @@ def report_command(
     The limits hold for reports of other packages.
     """
     from nrbench.cli import summary
-    from nrbench.labelling.labels import read_people
+    from nrbench.labelling.labels import read_labelers
     from nrbench.running.guard import Limits
     from nrbench.runs.records import Run
 
@@ -221,7 +221,7 @@ def report_command(
         raise click.UsageError(f"{more[0]}: only one run is reported; files of answers come after --labels")
     record, files = Run(run), (*labels, *more)
     _ = record.cells  # a damaged run is bad input
-    read_people(record, files)
+    read_labelers(record, files)
     wanted = summary.parse_formats(formats) if formats else None
     shared: dict[str, Any] = {"labels": files}
     if single_file:

@@ -95,7 +95,7 @@ def write_reports(
     tables_only
         Whether reports other than tables are left out.
     shared
-        Parameters of all reports that have them, such as the files of people's answers, ``labels``.
+        Parameters of all reports that have them, such as the files of labelers' answers, ``labels``.
     limits
         Limits of each report of another package; None for the default ones.
     progress

@@ -11,24 +11,27 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
+import pandas as pd
 import PIL.Image
 from markupsafe import Markup
 
 from nrbench.errors import BadInput
+from nrbench.imaging.files import read_image
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RunDirectory
 from nrbench.storage import read_json, write_json
-from nrbench.streams import stream
+from nrbench.streams import pixels_hash, stream
 
 from .questions import ANSWERS, PRESERVED, QUESTIONS, find_questions
 
-COLUMNS = ("item", "question", "answer", "seconds", "order")
-"""The columns of a file of answers. It has one row for each item and question."""
+COLUMNS = ("item", "question", "answer", "seconds", "order", "labeled_by")
+"""The columns of a file of answers. It has one row for each item and question; ``labeled_by`` is the same in all."""
 _LETTERS = "bcdfghjkmnpqrstvwxz"
 _LEAST_GAP = 10
 _TEMPLATES = Path(__file__).parent / "templates"
@@ -45,7 +48,7 @@ class Item:
     cell
         Key of the cell; it is in the key file only, never on the page.
     again
-        Whether the output is shown for the second time. The two answers measure a person's self-agreement.
+        Whether the output is shown for the second time. The two answers measure a labeler's self-agreement.
     """
 
     id: str
@@ -78,7 +81,7 @@ class LabelPage:
 
 @dataclass(frozen=True)
 class LabelAnswer:
-    """One person's answer to one question about one item.
+    """One labeler's answer to one question about one item.
 
     Parameters
     ----------
@@ -103,8 +106,8 @@ class LabelAnswer:
 
 
 @dataclass(frozen=True)
-class Person:
-    """One person's answers.
+class Labeler:
+    """The answers of one labeler.
 
     Parameters
     ----------
@@ -112,10 +115,13 @@ class Person:
         The stem of the name of the file with the answers.
     answers
         The answers, in the order of the file.
+    labeled_by
+        What the labeler is: ``person``, as the page writes, or for example ``vision-language model``.
     """
 
     name: str
     answers: Sequence[LabelAnswer]
+    labeled_by: str
 
     def by_cell(self, question: str, again: bool = False) -> dict[str, str]:
         """Return the first answers to a question, or with ``again`` the second answers, by the key of the cell."""
@@ -249,8 +255,8 @@ def encode_pixels(path: Path) -> bytes:
     return file.getvalue()
 
 
-def read_people(run: Run, files: Sequence[Path]) -> list[Person]:
-    """Read the answers in files that pages of the run saved, one file for each person.
+def read_labelers(run: Run, files: Sequence[Path]) -> list[Labeler]:
+    """Read the answers in files that pages of the run saved, one file for each labeler.
 
     Raises
     ------
@@ -261,16 +267,16 @@ def read_people(run: Run, files: Sequence[Path]) -> list[Person]:
     if not files:
         return []
     items = _known_items(run)
-    names = _person_names(files)
-    return [Person(name, _read_answers(Path(file), items)) for name, file in zip(names, files, strict=True)]
+    names = _labeler_names(files)
+    return [Labeler(name, *_read_answers(Path(file), items)) for name, file in zip(names, files, strict=True)]
 
 
-def _person_names(files: Sequence[Path]) -> list[str]:
+def _labeler_names(files: Sequence[Path]) -> list[str]:
     """Return the stems of the file names, or the complete paths of files with equal stems."""
     stems = [Path(file).stem for file in files]
     doubled = next((str(file) for i, file in enumerate(files) if file in files[:i]), None)
     if doubled:
-        raise BadInput(f"{doubled}: is given twice; pass each person's answers once")
+        raise BadInput(f"{doubled}: is given twice; pass each labeler's answers once")
     return [str(file) if stems.count(stem) > 1 else stem for stem, file in zip(stems, files, strict=True)]
 
 
@@ -283,7 +289,8 @@ def _known_items(run: Run) -> dict[str, Item]:
     return {item.id: item for item in items if item.cell in cells}
 
 
-def _read_answers(path: Path, items: Mapping[str, Item]) -> list[LabelAnswer]:
+def _read_answers(path: Path, items: Mapping[str, Item]) -> tuple[list[LabelAnswer], str]:
+    """Return the answers in a file, and what gave them."""
     rows = _read_rows(path)
     answers = [_answer(row, items, f"{path}, line {number}") for number, row in enumerate(rows, 2)]
     counts = Counter((each.item.id, each.question) for each in answers)
@@ -292,7 +299,12 @@ def _read_answers(path: Path, items: Mapping[str, Item]) -> list[LabelAnswer]:
         raise BadInput(f"{path}: item {twice[0]!r}, {twice[1]}, is answered twice; keep the answer that counts")
     if not answers:
         raise BadInput(f"{path} has no answers; save them with the button of the page first")
-    return answers
+    kinds = {row["labeled_by"] for row in rows}
+    if len(kinds) > 1 or not all(kinds):
+        raise BadInput(
+            f"{path}: labeled_by must be one word for all answers, such as person; keep each labeler's answers apart"
+        )
+    return answers, kinds.pop()
 
 
 def _read_rows(path: Path) -> list[dict[str, Any]]:
@@ -323,3 +335,30 @@ def _answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> La
             f"{where}: is no answer as the page saves it ({', '.join(COLUMNS[:3])}, seconds >= 0, order >= 1)"
         )
     return LabelAnswer(items[id], question, answer, seconds, order)
+
+
+def labels_table(run: Run, files: Sequence[Path]) -> pd.DataFrame:
+    """Return one row an answer: labeler, what the labeler is, output, question, answer, time, and score.
+
+    ``judge`` is the automatic answer; it is empty for a question that has none. ``score`` is the value of the column of
+    the question. ``pixels`` is the hash of the output's pixels, which identifies an output that is made again.
+    """
+    records, pixels = {record.key: record for record in run.cells}, cache(_hash_output)
+    rows = []
+    for labeler, answer in ((one, answer) for one in read_labelers(run, files) for answer in one.answers):
+        record, question = records[answer.item.cell], QUESTIONS[answer.question]
+        rows.append({
+            **{"labeler": labeler.name, "labeled_by": labeler.labeled_by},
+            **{"suite": record.suite, "texture": record.texture, "method": record.method},
+            **{"lattice_source": record.lattice_source, "replicate": record.replicate},
+            **{"again": answer.item.again, "question": question.name, "answer": answer.answer},
+            **{"judge": question.automatic_answer(record), "score": record.values.get(question.column)},
+            **{"seconds": answer.seconds, "order": answer.order, "key": record.key, "pixels": pixels(record.folder)},
+        })  # fmt: skip
+    return pd.DataFrame(rows).astype({"score": float})
+
+
+def _hash_output(folder: Path) -> str | None:
+    """Return the hash of an output's pixels; None if the file has been removed."""
+    path = folder / "output.png"
+    return pixels_hash(read_image(path, smallest=1)) if path.is_file() else None

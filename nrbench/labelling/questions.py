@@ -1,4 +1,4 @@
-"""The questions that people answer about an output, and the automatic score that measures the same."""
+"""The questions that labelers answer about an output, and the automatic score that measures the same."""
 
 from __future__ import annotations
 

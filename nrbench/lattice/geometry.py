@@ -36,7 +36,8 @@ class Lattice:
     t1, t2
         Generating vectors (x, y) in px, x right, y down; real-valued, not parallel.
     origin
-        One lattice point (x, y) in px, pixel centers at integers.
+        One lattice point (x, y) in px, pixel centers at integers: by convention the middle of an element. (0, 0) is
+        also the origin of lattices whose phase is not known.
 
     Raises
     ------

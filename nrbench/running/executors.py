@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -45,6 +46,47 @@ def _run_now(job: Request) -> Future[Result]:
     return future
 
 
+class _GroupedThreads:
+    """Threads that run jobs, each if possible of the group of its last one, or else of a group that no other has.
+
+    Parameters
+    ----------
+    count
+        The number of threads.
+    tell
+        Called with a sentence that the user should read.
+    """
+
+    def __init__(self, count: int, tell: Callable[[str], None]) -> None:
+        self.pool = ThreadPoolExecutor(count, thread_name_prefix="cell")
+        self._tell = tell
+        self._lock = threading.Lock()
+        self._waiting: list[tuple[Request, Future[Result]]] = []
+        self._groups: dict[int, str] = {}
+
+    def submit(self, job: Request) -> Future[Result]:
+        """Run a job when its turn comes; return its future."""
+        future: Future[Result] = Future()
+        with self._lock:
+            self._waiting.append((job, future))
+        self.pool.submit(self._run_next)
+        return future
+
+    def _run_next(self) -> None:
+        thread = threading.get_ident()
+        with self._lock:
+            own = self._groups.get(thread)
+            others = {group for other, group in self._groups.items() if other != thread}
+            job, future = min(self._waiting, key=lambda each: (each[0].group != own, each[0].group in others))
+            self._waiting.remove((job, future))
+            self._groups[thread] = job.group
+        if future.set_running_or_notify_cancel():
+            try:
+                future.set_result(run_job(job, self._tell))
+            except BaseException as error:
+                future.set_exception(error)
+
+
 @contextmanager
 def executor(
     jobs: int,
@@ -78,13 +120,13 @@ def executor(
         with limit_threads(1):  # as in a worker: sums over several threads round otherwise
             yield Executor(_run_now, lambda: 0)
     else:
-        pool = ThreadPoolExecutor(jobs, thread_name_prefix="cell")
+        threads = _GroupedThreads(jobs, tell)
         try:
-            yield Executor(lambda job: pool.submit(run_job, job, tell), lambda: jobs)
+            yield Executor(threads.submit, lambda: jobs)
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+            threads.pool.shutdown(wait=False, cancel_futures=True)
             close_all()
             raise
         finally:
-            pool.shutdown(cancel_futures=True)
+            threads.pool.shutdown(cancel_futures=True)
             close_all()

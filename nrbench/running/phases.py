@@ -357,14 +357,24 @@ def _truth(cell: Cell, sample: Image, keep: bool) -> tuple[Texture, Again | None
     if not cell.procedural:
         known = (cell.lattice_truth,) if cell.lattice_truth else ()
         return Texture(sample, cell.lattice_truth, known, cell.texture, cell.family, region=cell.region), None
-    recipe = json.dumps(cell.recipe.as_dict(), sort_keys=True)
-    texture, again = _drawn_truth(recipe) if keep else _drawn_truth.__wrapped__(recipe)
+    draw = _drawn_truth if keep else _drawn_truth.__wrapped__
+    texture, again = draw(_as_json(cell.recipe))
+    if cell.replicate and is_own("datasets", cell.recipe.dataset):
+        again = draw(_as_json(dataclasses.replace(cell.recipe, replicate=0)))[1]
     return dataclasses.replace(texture, image=sample), again
 
 
-@lru_cache(maxsize=1)  # the cells of a sample follow each other
+def _as_json(recipe: Recipe) -> str:
+    return json.dumps(recipe.as_dict(), sort_keys=True)
+
+
+@lru_cache(maxsize=2)  # the cells of a sample follow each other; the first replicate is drawn as well
 def _drawn_truth(recipe: str) -> tuple[Texture, Again]:
-    """Return the texture of a recipe in JSON, and its fresh draws."""
+    """Return the texture of a recipe in JSON, and its fresh draws.
+
+    All replicates of a texture are judged by the draws of the first one, so that what they show is learned once: two
+    draws of a model of nrbench differ by chance only.
+    """
     drawn = Recipe.from_dict(json.loads(recipe))
     texture = freeze(drawn.render())
     return texture, _frozen_draws(drawn.again(texture))

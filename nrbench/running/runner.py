@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -182,6 +183,7 @@ class _Runner:
     def run(self, cells: list[tuple[Cell, PlannedSample]], progress: Progress) -> None:
         """Run every cell; its folder is prepared just before it starts."""
         pace = Pace([cell for cell, _ in cells])
+        cells = _interleave(cells, self.pool.count_slots())
         jobs = ((cell, self._cell_job(cell, sample)) for cell, sample in cells)
         for cell, future in self._run_jobs(jobs):
             result = future.result()
@@ -206,9 +208,9 @@ class _Runner:
             phase = "render" if sample.size is None else "detect" if cell.detector else "given"
             result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
             return {**where.write_result(result), "wall": 0.0}
-        return self._job("cell", where)
+        return self._job("cell", where, cell.texture)
 
-    def _job(self, phase: str, where: CellFolder) -> Request:
+    def _job(self, phase: str, where: CellFolder, group: str = "") -> Request:
         options = self.options
         return Request(
             phase,
@@ -218,6 +220,7 @@ class _Runner:
             metrics=tuple(self.metrics),
             plugins=tuple(plugins.files()),
             side_by_side=float(options.jobs > 1 or options.scheduler is not None),
+            group=group,
         )
 
     def _run_jobs(self, jobs: Iterable[tuple[T, Request | Result]]) -> Iterator[tuple[T, Future[Result]]]:
@@ -229,7 +232,7 @@ class _Runner:
                 stopped = True
                 break
             running[self._start(job)] = tag
-            while len(running) >= max(1, 2 * self.pool.count_slots()) and not self.options.stop.is_set():
+            while len(running) >= max(1, 4 * self.pool.count_slots()) and not self.options.stop.is_set():
                 yield from self._take_finished(running)
         while running:
             stopped |= yield from self._take_finished(running)
@@ -264,6 +267,13 @@ def _has_its_output(where: CellFolder, result: Result) -> bool:
         return result["status"] != "ok" or (not where.cut_files(result) and read_output(where, result).size > 0)
     except (BadInput, InvalidOutput):
         return False
+
+
+def _interleave(cells: list[tuple[Cell, PlannedSample]], slots: int) -> list[tuple[Cell, PlannedSample]]:
+    """Return the cells so ordered that those of as many textures as there are slots take turns."""
+    textures = [list(own) for _, own in itertools.groupby(cells, lambda each: each[0].texture)]
+    lanes = [itertools.chain(*textures[k :: max(1, slots)]) for k in range(max(1, slots))]
+    return [each for turn in itertools.zip_longest(*lanes) for each in turn if each is not None]
 
 
 def _detection_key(cell: Cell) -> str:

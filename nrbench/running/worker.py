@@ -76,6 +76,8 @@ class Request:
         Files of plugins that a worker of a cluster loads.
     side_by_side
         1 if other cells run at the same time, else 0; it is recorded beside the costs.
+    group
+        Requests of one group, the cells of a texture, are best run by one worker, which learns their texture once.
     user_folder
         The folder in which the user started nrbench, which a worker of a cluster does not know: relative paths in
         parameters start from there.
@@ -91,6 +93,7 @@ class Request:
     metrics: tuple[str, ...] = ()
     plugins: tuple[str, ...] = ()
     side_by_side: float = 0.0
+    group: str = ""
     user_folder: str = dataclasses.field(default_factory=working_folder)
     temporary: str = ""
 

@@ -252,7 +252,7 @@ class PlannedSample:
         return cls(sample.recipe, sample.shape, size, sample.log, (pixels[0], pixels[1]))
 
     def image(self) -> Image:
-        """Return the pixels of the sample. Those of the last sample are kept; the others are drawn again."""
+        """Return the pixels of the sample. Those of the last samples are kept; the others are drawn again."""
         return _drawn_again(self)
 
     def again(self) -> Image | None:
@@ -260,7 +260,7 @@ class PlannedSample:
         return as_image(self.kept[1], "sample", smallest=1) if self.kept[1] is not None else None
 
 
-@lru_cache(maxsize=1)  # the cells of a sample follow each other
+@lru_cache(maxsize=4)  # the cells of a few samples follow each other
 def _drawn_again(sample: PlannedSample) -> Image:
     kept = sample.kept[0]
     return draw_texture(sample.recipe, sample.shape)[0].image if kept is None else as_image(kept, "sample", smallest=1)
@@ -312,9 +312,17 @@ def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = No
         for planned in [PlannedSample.of(sample)]
         for spec, method in methods.items()
         if suite.runs(spec, sample.row.name)
-        for source in (sources if method.uses_lattice else [LatticeSource("none")])
+        for source in _sources_of(method, sample, sources, suite.references_once and method.reference)
     ]
     return Plan(suite, cells)
+
+
+def _sources_of(method: PlannedMethod, sample: Sample, sources: list[LatticeSource], once: bool) -> list[LatticeSource]:
+    """Return the sources of the lattice with which a method runs on a sample; at most one of a texture if ``once``."""
+    first = sample.row.recipe.replicate if sample.row.recipe else 0
+    if once and sample.recipe.replicate > first:
+        return []
+    return sources[: 1 if once else None] if method.uses_lattice else [LatticeSource("none")]
 
 
 def _check_labels(methods: Iterable[PlannedMethod]) -> None:

@@ -146,6 +146,9 @@ class Suite(BaseModel):
     texture
         The textures. In a file they are ``[[texture]]`` tables, or ``[[grid]]`` tables of several textures each; see
         :class:`Grid`.
+    references_once
+        Whether the reference methods run on the first draw of each texture alone, and with the first source of the
+        lattice.
     claim
         Sentences of papers to test, ``[[claim]]`` tables; see :class:`~nrbench.suites.claims.Claim`. A method runs only
         on the textures of the claims that name it. If ``methods`` is empty, it is the methods of all claims.
@@ -162,6 +165,7 @@ class Suite(BaseModel):
     lattice: tuple[str, ...] = ("own",)
     methods: tuple[str, ...] = Field(default=(), min_length=0)
     metrics: tuple[str, ...] = ()
+    references_once: bool = False
     texture: tuple[TextureRow, ...] = ()
     claim: tuple[Claim, ...] = ()
 
@@ -178,7 +182,10 @@ class Suite(BaseModel):
             i: {key for key in ("departure", "level") if getattr(row, key) in ("", None)}
             for i, row in enumerate(self.texture)
         }
-        return {"texture": rows, **{key: True for key in ("metrics", "claim") if not getattr(self, key)}}
+        return {
+            "texture": rows,
+            **{key: True for key in ("metrics", "references_once", "claim") if not getattr(self, key)},
+        }
 
     @property
     def all_methods(self) -> tuple[str, ...]:

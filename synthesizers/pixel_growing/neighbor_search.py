@@ -45,15 +45,20 @@ class Projection:
         Number of binary digits of the matrix after the point.
     units
         Units of a point's coordinates per gray level.
+    leading
+        Number of leading coordinates of a point whose norm is one of its own; d if there is one norm.
     """
 
     matrix: NDArray[np.int16]
     shift: NDArray[np.int32]
     bits: int
     units: int
+    leading: int
 
     @classmethod
-    def fit(cls, vectors: Vectors, weights: NDArray[np.float64], dimensions: int) -> Projection:
+    def fit(
+        cls, vectors: Vectors, weights: NDArray[np.float64], dimensions: int, mask: NDArray[np.bool_] | None = None
+    ) -> Projection:
         """Return the projection on the principal components of the vectors.
 
         Parameters
@@ -64,9 +69,15 @@ class Projection:
             ``(D,)``: weight of each value's squared difference, at least 0.
         dimensions
             Number of components. 0, or at least D: the weighted values themselves, without principal components.
+        mask
+            ``(D,)``: the values whose norm is one of its own. No component mixes them with the others; those of the
+            others are the leading ones. None: there is one norm.
         """
         width, roots = vectors.shape[1], np.sqrt(weights)
-        rows = _components(vectors, roots, dimensions) if 0 < dimensions < width else np.eye(width)
+        apart = np.zeros(width, np.bool_) if mask is None else mask
+        rows = _components(vectors, roots, dimensions, apart) if 0 < dimensions < width else np.eye(width)
+        masked = apart[np.abs(rows).argmax(1)]
+        rows = rows[np.argsort(masked, kind="stable")]
         weighted = rows * roots
         norm, units = float(np.sqrt(weights.sum())) * 255, FINEST
         while units > 1 and norm * units > FARTHEST:
@@ -75,7 +86,8 @@ class Projection:
         matrix = np.zeros((_round_up(len(rows)), _round_up(width)), np.int16)
         matrix[: len(rows), :width] = np.rint(weighted * units * 2.0**bits)
         total = matrix[:, :width].astype(np.int64) @ vectors.sum(0, dtype=np.int64)
-        return cls(matrix, (-(total // len(vectors))).astype(np.int32), bits, units)
+        leading = len(matrix) if mask is None else int((~masked).sum())
+        return cls(matrix, (-(total // len(vectors))).astype(np.int32), bits, units, leading)
 
     def points(self, vectors: Vectors) -> TreePoints:
         """Return the points of some vectors, ``int16 (n, d)``, equal to those that compiled loops compute."""
@@ -87,17 +99,20 @@ class Projection:
         return points
 
 
-def _components(vectors: Vectors, scales: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _components(
+    vectors: Vectors, scales: NDArray[np.float64], count: int, apart: NDArray[np.bool_]
+) -> NDArray[np.float64]:
     """Return the strongest principal components of the scaled vectors, ``(count, D)``, orthonormal.
 
-    The second moments are sums of integers, exact in float64.
+    No component mixes values that are ``apart (D,)`` with others. The second moments are sums of integers, exact in
+    float64.
     """
     mean = vectors.sum(0, dtype=np.int64) / len(vectors)
     moments = np.zeros((vectors.shape[1], vectors.shape[1]))
     for start in range(0, len(vectors), BLOCK):
         values = vectors[start : start + BLOCK].astype(np.float64)
         moments += values.T @ values
-    covariance = moments / len(vectors) - np.outer(mean, mean)
+    covariance = (moments / len(vectors) - np.outer(mean, mean)) * (apart[:, np.newaxis] == apart)
     _, rows = np.linalg.eigh(covariance * np.outer(scales, scales))
     strongest = rows.T[::-1][:count]
     peaks = np.take_along_axis(strongest, np.abs(strongest).argmax(1)[:, np.newaxis], 1)
@@ -131,7 +146,12 @@ class KdTree:
 
     @classmethod
     def build(
-        cls, points: TreePoints, ranks: Integers | None = None, groups: Integers | None = None, leaf: int = 8
+        cls,
+        points: TreePoints,
+        ranks: Integers | None = None,
+        groups: Integers | None = None,
+        leaf: int = 8,
+        leading: int | None = None,
     ) -> KdTree:
         """Build the tree, O(n d log n).
 
@@ -146,6 +166,8 @@ class KdTree:
             ``(n,)``: each point's group, from 0 on, none empty. Groups are searched separately. None: one group.
         leaf
             The largest number of points of a leaf. With n the search is exhaustive.
+        leading
+            Number of leading coordinates: the distance is their norm plus that of the others. None: one norm of all.
         """
         n = len(points)
         labels = np.zeros(n, np.int64) if groups is None else groups
@@ -155,7 +177,8 @@ class KdTree:
         lows, highs = (reduce.reduceat(points[order], bounds[:-1]) for reduce in (np.minimum, np.maximum))
         nodes = build_tree(points, order, bounds, roots, leaf)
         placed = (np.arange(n) if ranks is None else ranks)[order]
-        return cls((np.ascontiguousarray(points[order]), placed, nodes, lows, highs), roots, order)
+        leading = points.shape[1] if leading is None else leading
+        return cls((np.ascontiguousarray(points[order]), placed, nodes, lows, highs, leading), roots, order)
 
     def nearest(
         self, queries: TreePoints, k: int = 1, eps: float = 0.0, groups: Integers | None = None

@@ -16,11 +16,11 @@ UNBOUNDED = np.int64(2**63 - 1)
 """A key larger than that of any point."""
 DEEPEST = 160
 """Rows of a search's stack: two per level, for trees of at most 2^32 points that are split at their medians."""
-TreeArrays = tuple[Int16x2, Int64x1, Int32x2, Int16x2, Int16x2]
-"""A k-d tree: ``points (n, d)`` in the tree's order, their ``ranks (n,)``, ``nodes (m, 6)``, and the ``lows`` and
-``highs (g, d)`` of each root's box. The columns of a node are its first point, its last point + 1, its axis (-1: a
-leaf), the largest coordinate of its left child along this axis, the smallest of its right child, and the number of the
-right child. The left child is the next node."""
+TreeArrays = tuple[Int16x2, Int64x1, Int32x2, Int16x2, Int16x2, int]
+"""A k-d tree: ``points (n, d)`` in the tree's order, their ``ranks (n,)``, ``nodes (m, 6)``, the ``lows`` and
+``highs (g, d)`` of each root's box, and the number of ``leading`` coordinates, see :func:`key_of`. The columns of a
+node are its first point, its last point + 1, its axis (-1: a leaf), the largest coordinate of its left child along this
+axis, the smallest of its right child, and the number of the right child. The left child is the next node."""
 CanvasArrays = tuple[UInt8x1, Int64x2, Int64x1]
 """The output: the flat ``values`` of its layers, with their border; ``sources (P, Q)``: each pixel's source in the
 sample, -1 if it has none; ``frame``: the number of rows and of columns after which the output repeats, and the rows and
@@ -136,9 +136,18 @@ def squared_distance(one: Int16x1, other: Int16x1) -> np.int32:
 
 
 @kernel
-def key_of(query: Int16x1, points: Int16x2, ranks: Int64x1, place: int) -> np.int64:
-    """Return the key of a point for a query: squared distance times 2^32 plus rank, so that ranks break ties."""
-    key: np.int64 = (np.int64(squared_distance(query, points[place])) << 32) + ranks[place]
+def key_of(query: Int16x1, points: Int16x2, ranks: Int64x1, place: int, leading: int) -> np.int64:
+    """Return the key of a point for a query: squared distance times 2^32 plus rank, so that ranks break ties.
+
+    With fewer ``leading`` coordinates than all, the distance is the sum of two norms, theirs and that of the others. It
+    is at least the norm of all coordinates, and its square at most twice the square of that norm.
+    """
+    point = points[place]
+    distance = np.int64(squared_distance(query, point))
+    if leading < query.size:
+        first = np.int64(squared_distance(query[:leading], point[:leading]))
+        distance += np.int64(2 * math.sqrt(float(first * (distance - first))))
+    key: np.int64 = (distance << 32) + ranks[place]
     return key
 
 
@@ -177,7 +186,7 @@ def search_tree(
     stack, gaps
         Buffers: ``(DEEPEST, 4)`` and ``(d,)``.
     """
-    points, ranks, nodes, lows, highs = tree
+    points, ranks, nodes, lows, highs, leading = tree
     last = keys.size - 1
     distance = np.int64(0)
     for a in range(query.size):
@@ -215,7 +224,7 @@ def search_tree(
                 top += 2
             at = near
         for p in range(nodes[at, 0], nodes[at, 1]):
-            key = key_of(query, points, ranks, p)
+            key = key_of(query, points, ranks, p, leading)
             if key < keys[last]:
                 i = last
                 while i > 0 and keys[i - 1] > key:
@@ -303,7 +312,7 @@ def grow_box(
     values, sources, frame = canvas
     colors, pixels, places, similar, stride = stock
     steps, matrix, shift, bits, texture_offsets = query
-    points, ranks, nodes = tree[0], tree[1], tree[2]
+    points, ranks, nodes, leading = tree[0], tree[1], tree[2], tree[5]
     channels, width = colors.shape[1], sources.shape[1]
     buffer, point = np.zeros(matrix.shape[1], np.int16), np.zeros(matrix.shape[0], np.int16)
     stack, gaps = np.empty((DEEPEST, 4), np.int64), np.empty(matrix.shape[0], np.int64)
@@ -327,14 +336,14 @@ def grow_box(
                 if place < 0:
                     continue
                 if start <= place < stop:
-                    key = key_of(point, points, ranks, place)
+                    key = key_of(point, points, ranks, place, leading)
                     if key < nearest:
                         nearest, near = key, place
                 if not everywhere:
                     for j in range(similar.shape[1]):
                         other = similar[place, j]
                         if start <= other < stop:
-                            key = key_of(point, points, ranks, other)
+                            key = key_of(point, points, ranks, other, leading)
                             if key < keys[0]:
                                 keys[0], best[0] = key, other
             if everywhere or (near < 0 and best[0] < 0):

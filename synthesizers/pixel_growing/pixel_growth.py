@@ -210,7 +210,9 @@ class Stock:
     rules
         The parameters of the search.
     weight
-        Weight of the mask's squared differences.
+        Weight of the mask's squared differences, or of their norm.
+    norms
+        Whether the norms of the differences are added, in the texture and in the mask; else their squares.
 
     Attributes
     ----------
@@ -227,14 +229,17 @@ class Stock:
         neighborhood: Neighborhood,
         rules: SearchParameters,
         weight: float = 1.0,
+        norms: bool = False,
     ) -> None:
         self.neighborhood, self.rules = neighborhood, rules
         _, height, width, channels = layers.shape
         vectors = neighborhood.vectors(layers, candidates.pixels)
-        self._projection = Projection.fit(vectors, neighborhood.weights(weight, channels), rules.dimensions)
+        weights = neighborhood.weights(weight**2 if norms else weight, channels)
+        masked = np.repeat(neighborhood.taps[:, 2] == 1, channels) if norms else None
+        self._projection = Projection.fit(vectors, weights, rules.dimensions, masked)
         points = self._projection.points(vectors)
         leaf = len(points) if rules.search == "exhaustive" else LEAF
-        self.tree = KdTree.build(points, candidates.ranks, candidates.groups, leaf)
+        self.tree = KdTree.build(points, candidates.ranks, candidates.groups, leaf, self._projection.leading)
         similar = np.zeros((len(points), 0), np.int64)
         if rules.search == "k-coherence":
             similar = _find_similar_places(self.tree, points, candidates.groups)

@@ -488,20 +488,40 @@ def squared_differences(old: UInt8x3, new: UInt8x3) -> Float64x2:
 
 
 @kernel
-def cut_corner(error: Float64x2, overlap: int) -> tuple[UInt8x2, float]:
-    """Return the mask and the cost of an L-shaped cut, as ``l_shaped_seam`` describes them. O((h + w) overlap).
+def corner_paths(error: Float64x2, beside: int, above: int) -> tuple[int, int, Int64x1, Int64x1, float]:
+    """Return the two paths of an L-shaped cut, as ``l_shaped_seam`` describes them. O(h beside + w above).
 
-    Of meeting pixels of equal cost the first one is chosen, row by row.
+    Parameters
+    ----------
+    error
+        ``(h, w)``: the error of each pixel.
+    beside, above
+        Width of the overlap at the left and at the top, px, at least 1.
+
+    Returns
+    -------
+    row, column
+        The pixel at which the paths meet. Of meeting pixels of equal cost it is the first one, row by row.
+    first, below
+        The columns of the path downward, from that row on, and the rows of the path to the right, from that column on.
+    cost
+        Sum of the errors of both paths. The pixel at which they meet counts once.
     """
-    height, width = error.shape
-    upright, level = path_costs(error[:, :overlap]), path_costs(error[:overlap].T)
+    upright, level = path_costs(error[:, :beside]), path_costs(error[:above].T)
     cost, row, column = np.inf, 0, 0
-    for i in range(overlap):
-        for j in range(overlap):
+    for i in range(above):
+        for j in range(beside):
             both = upright[i, j] + level[j, i] - error[i, j]
             if both < cost:
                 cost, row, column = both, i, j
-    first, below = follow_path(upright, row, column), follow_path(level, column, row)
+    return row, column, follow_path(upright, row, column), follow_path(level, column, row), cost
+
+
+@kernel
+def cut_corner(error: Float64x2, overlap: int) -> tuple[UInt8x2, float]:
+    """Return the mask and the cost of an L-shaped cut, as ``l_shaped_seam`` describes them. O((h + w) overlap)."""
+    height, width = error.shape
+    row, column, first, below, cost = corner_paths(error, overlap, overlap)
     mask = np.ones((height, width), np.uint8)
     for y in range(height):
         for x in range(width):

@@ -73,9 +73,9 @@ def quiet_texels(image: Image, lattice: Lattice, kind: TexelKind) -> Corners:
 
 
 def parallelogram(lattice: Lattice) -> Corners:
-    """Return the texels whose sides are the vectors of the lattice and whose corners are its points."""
+    """Return the texels whose sides are the vectors of the lattice and whose middles are its points."""
     first, second = lattice.matrix
-    return _texel(np.array(lattice.origin), np.zeros(2), first, second)
+    return _texel(np.array(lattice.origin) - (first + second) / 2, np.zeros(2), first, second)
 
 
 def _links(kind: TexelKind) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from nrbench.imaging.convert import Image, to_bytes
 from nrbench.lattice.geometry import Lattice, Points
 
 from ..sampling.patches import Patches
-from ..seams.seam_kernels import cheapest_path
+from ..seams.seam_kernels import cheapest_path, corner_paths
 from .tile_kernels import (
     absolute_differences,
     best_move,
@@ -261,9 +261,7 @@ class TileCanvas:
         else:
             surface = np.empty(self.tile.grid, np.float64)
             error_surface(self.values, self.filled, source, first, self.cells, left, top, surface)
-            (left_band, across), (top_band, down) = find_seam(surface), find_seam(np.ascontiguousarray(surface.T))
-            bands = np.array([left_band, top_band])
-            weights = blend_weights(self.filled, self.pixels, left, top, across, down, bands)
+            weights = blend_weights(self.filled, self.pixels, left, top, *find_seams(surface))
         place = self._nearest[row] + (x, y, 0)
         paste(self.values, self.filled, self.origins, source, first, self.pixels, left, top, weights, place)
 
@@ -280,8 +278,11 @@ def _nearest_pixels(parts: int) -> NDArray[np.float64]:
     return np.column_stack([np.floor(fractions + 0.5), np.maximum(fractions, 1 - fractions).prod(1)])
 
 
-def find_seam(surface: NDArray[np.float64]) -> tuple[int, NDArray[np.int64]]:
-    """Find the seam of a tile by dynamic programming, from top to bottom (step 5).
+def find_seams(surface: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Find the seams of a tile by dynamic programming, one downward and one to the right (step 5).
+
+    Where the tile overlaps others at its left and at its top, the paths meet in the corner, where the sum of errors
+    over both is least (Efros and Freeman 2001, section 2.1, which the paper cites).
 
     Parameters
     ----------
@@ -290,13 +291,23 @@ def find_seam(surface: NDArray[np.float64]) -> tuple[int, NDArray[np.int64]]:
 
     Returns
     -------
-    band
-        How far the filled region reaches from the left in rows that are not completely covered, 0 if there are none.
-    seam
-        ``(rows,)``: the first new column, in the band.
+    across
+        ``(rows,)``: the first new column of each row.
+    down
+        ``(columns,)``: the first new row of each column.
+    bands
+        ``(columns, rows, row, column)``: how far the filled region reaches from the left in rows that are not
+        completely covered, and from the top in columns; and the first row and column that the seams divide.
     """
     empty = surface < 0
-    band = int(np.where(empty.any(1), empty.argmax(1), 0).max())
-    if not band:
-        return 0, np.zeros(len(surface), np.int64)
-    return band, cheapest_path(np.maximum(surface[:, :band], 0))
+    beside, above = (int(np.where(side.any(1), side.argmax(1), 0).max()) for side in (empty, empty.T))
+    error = np.maximum(surface, 0)
+    across, down = np.zeros(len(error), np.int64), np.zeros(error.shape[1], np.int64)
+    row = column = 0
+    if beside and above:
+        row, column, across[row:], down[column:], _ = corner_paths(error, beside, above)
+    elif beside:
+        across = cheapest_path(np.ascontiguousarray(error[:, :beside]))
+    elif above:
+        down = cheapest_path(np.ascontiguousarray(error[:above].T))
+    return across, down, np.array([beside, above, row, column])

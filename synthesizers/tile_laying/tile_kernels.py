@@ -274,9 +274,10 @@ def blend_weights(
 ) -> Float64x1:
     """Return the weight of each of a tile's pixels over what is filled, given its two seams.
 
-    Where nothing is filled the weight is 1. Where only one seam applies, it cuts. Where both apply, the tile fades in
-    with the depth beyond the nearer seam, from half of :data:`FEATHER` before it to half of it behind. Where the canvas
-    is filled and no seam applies, the tile fades in from its border.
+    Where nothing is filled the weight is 1; before the corner at which the seams meet it is 0. Where only one seam
+    applies, it cuts. Where both apply, the tile fades in with the depth beyond the nearer seam, from half of
+    :data:`FEATHER` before it to half of it behind. Where the canvas is filled and no seam applies, the tile fades in
+    from its border.
 
     Parameters
     ----------
@@ -290,7 +291,10 @@ def blend_weights(
         if filled[top + pixels[k, 1], left + pixels[k, 0]] == 0:
             continue
         row, column = pixels[k, 3], pixels[k, 4]
-        beside, above = column < bands[0], row < bands[1]
+        if row < bands[2] and column < bands[3]:
+            weights[k] = 0.0
+            continue
+        beside, above = column < bands[0] and row >= bands[2], row < bands[1] and column >= bands[3]
         if beside or above:
             depth = 1e9
             if beside:

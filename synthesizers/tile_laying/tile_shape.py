@@ -144,18 +144,18 @@ def tile_shape(lattice: Lattice, kind: TileKind, cells: int = 1, margin: float =
     sides = cells * (np.diag(np.abs(core).sum(0)) if kind == "upright" else 2 * steps)
     sides = sides * (1 + 2 * margin / np.hypot(*sides.T))[:, np.newaxis]
     if kind == "upright":
-        sides = np.diag(_close_gaps(np.diag(sides)))
+        sides = np.diag(_whole_pixels(np.diag(sides)))
     return TileShape(cells * steps, sides, cells * core)
 
 
-def _close_gaps(lengths: Points) -> Points:
-    """Return lengths of sides, some rounded up, so that the pixels of tiles that far apart meet.
+def _whole_pixels(lengths: Points) -> Points:
+    """Return lengths of sides, rounded up to odd numbers, so that the pixels of tiles that far apart meet.
 
-    A tile has an odd number of pixels around its middle, and whole-pixel places may lie the next whole number apart. On
-    a rectangular lattice an upright tile is the minimum tile itself, and two such gaps would cross at its border.
+    A tile has an odd number of pixels around its middle, all of which seams can follow: a joint at its border is one or
+    two pixels wide. On a rectangular lattice an upright tile is the minimum tile itself, and gaps would cross at its
+    border.
     """
-    whole = np.ceil(lengths - 1e-9)
-    return np.where(2 * np.floor(lengths / 2 + 1e-9) + 1 < whole, whole, lengths)
+    return 2 * np.ceil((lengths - 1) / 2 - 1e-9) + 1
 
 
 def _across_and_down(first: Points, second: Points) -> Points:

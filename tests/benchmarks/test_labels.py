@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from unittest import mock
 
 import numpy as np
 import pandas as pd
@@ -29,20 +30,37 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 
 
 def test_stored_labels_are_read(script: ModuleType) -> None:
-    """The stored file holds 334 outputs, each with the answers of two labellers to three questions and a grade."""
+    """The stored file holds three sets of outputs, each with the answers of two labelers to all questions."""
     labels = script.read_labels(script.LABELS)
-    assert len(labels[script.OUTPUT].drop_duplicates()) == 334
-    counts = labels.groupby(["person", "question"]).size()
-    assert set(counts) == {334} and set(counts.index.get_level_values("question")) == {*QUESTIONS, script.GRADE}
-    assert set(counts.index.get_level_values("person")) == {"first", "second"}
+    counts = labels.groupby(["set", "labeler", "question"]).size()
+    assert set(counts.index.get_level_values("question")) == {*QUESTIONS, script.GRADE}
+    assert set(counts.index.get_level_values("labeler")) == {"first", "second"}
+    assert {name: set(part) for name, part in counts.groupby("set")} == {
+        "models-1": {334},
+        "models-2": {118},
+        "photographs": {62},
+    }
+    assert set(labels["labeled_by"]) == {"vision-language model"}
     assert set(labels[labels["question"] == script.GRADE]["answer"]) == {1.0, 2.0, 3.0, 4.0, 5.0}
-    assert labels["answer"].isna().sum() == 1 and set(labels["lattice_source"]) == {"given"}
+    assert labels["answer"].isna().sum() == 2 and set(labels["lattice_source"]) == {"given"}
+
+
+def test_labeled_textures_stay_as_they_were(script: ModuleType) -> None:
+    """A labeled output on a texture with a material is made again to the byte, with the material of then."""
+    labels = script.read_labels(script.LABELS)
+    rows = labels[labels["texture"].eq("brick-middle-rotated") & labels["method"].eq("tiling")][script.OUTPUT]
+    (row,) = rows.drop_duplicates().to_dict("records")
+    suite = load_suite(str(script.FOLDER / "models.toml"))
+    with mock.patch.dict(script.MATERIALS, script.MATERIALS_THEN):
+        (sample,) = draw_samples(suite, ["brick-middle-rotated"])
+        output = script.make_output(sample, sample.recipe.again(sample.texture), suite.seed, row)
+    assert pixels_hash(output).startswith(row["pixels"])
 
 
 def test_labels_of_a_report_are_read(script: ModuleType, tmp_path: Path) -> None:
     """Yes is 1, no is 0 and "cannot say" is no number; second showings are left out."""
     rows = [
-        ["ada", "core", "a", "rsgf:block=30", "own", 1, again, question, answer, "f00d"]
+        ["ada", "person", "core", "a", "rsgf:block=30", "own", 1, again, question, answer, "f00d"]
         for question, answer, again in (
             ("lattice", "yes", False),
             ("elements", "no", False),
@@ -50,13 +68,13 @@ def test_labels_of_a_report_are_read(script: ModuleType, tmp_path: Path) -> None
             ("lattice", "no", True),
         )
     ]
-    columns = ["person", *script.OUTPUT[:-1], "again", "question", "answer", "pixels"]
+    columns = ["labeler", "labeled_by", *script.OUTPUT[1:-1], "again", "question", "answer", "pixels"]
     pd.DataFrame(rows, columns=columns).to_csv(tmp_path / "labels.csv", index=False)
     labels = script.read_labels(tmp_path / "labels.csv")
     assert labels["question"].tolist() == ["lattice", "elements", "more"]
     assert labels["answer"].tolist() == pytest.approx([1.0, 0.0, np.nan], nan_ok=True)
     assert labels[script.OUTPUT].drop_duplicates().to_numpy().tolist() == [
-        ["core", "a", "rsgf:block=30", "own", 1, "f00d"]
+        ["labels.csv", "core", "a", "rsgf:block=30", "own", 1, "f00d"]
     ]
 
 
@@ -65,19 +83,12 @@ def test_outputs_that_cannot_be_made_again_are_counted(script: ModuleType) -> No
     suite = load_suite("core")
     (sample,) = draw_samples(suite, ["brick-mild"])
     rows = [
-        ["photos", "a", "tiling", "own", 0, "f00d"],
-        ["core", "brick-mild", "tiling", "given", 7, "f00d"],
-        ["core", "brick-mild", "tiling", "gncc", 0, "f00d"],
-        ["core", "brick-mild", "tiling", "given", 0, pixels_hash(sample.texture.image)],
+        ["set", "photos", "a", "tiling", "own", 0, "f00d"],
+        ["set", "core", "brick-mild", "tiling", "given", 7, "f00d"],
+        ["set", "core", "brick-mild", "tiling", "gncc", 0, "f00d"],
+        ["set", "core", "brick-mild", "tiling", "given", 0, pixels_hash(sample.texture.image)],
     ]
     scored, lost = script.score_outputs(pd.DataFrame(rows, columns=script.OUTPUT))
     assert scored.empty
-    reasons = ("has no draw 7", "is not detected again", "is not the one that was labelled")
+    reasons = ("has no draw 7", "is not detected again", "is not the one that was labeled")
     assert len(lost) == 4 and all(any(reason in why for why in lost) for reason in reasons)
-
-
-def test_kappa_of_known_answers(script: ModuleType) -> None:
-    """Half of the agreement beyond chance is kappa 0.5."""
-    one = pd.Series([1.0] * 4 + [0.0] * 4)
-    assert script.kappa(one, one) == 1.0
-    assert script.kappa(one, pd.Series([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])) == pytest.approx(0.5)

@@ -21,8 +21,6 @@ from nrbench.suites.suite import Suite, TextureRow, load_suite
 
 SPECTRA = ("white", "pink", "brown", "blobs", "grass")
 SHARES = {"mild": (0.9, 1.0), "middle": (0.6, 0.9), "strong": (0.3, 0.6)}
-HARD = ("brick-bent", "weave-faint", "hexagon-few")
-"""The rows of the default suite that core does not have."""
 FROZEN_SUITES = ("core", "default", "integer", "spectrum", "report2004")
 FROZEN = Path(__file__).with_name("frozen_samples.json")
 ROWS = [pytest.param(row, id=row.name) for row in load_suite("core").texture]
@@ -43,21 +41,32 @@ def test_families_by_shares() -> None:
     assert sum("rotation" in row.parameters for row in rows) == 9
 
 
-def test_default_has_easy_and_hard_rows() -> None:
-    """The default suite has two rows of core for each family, and one that is hard for another reason."""
-    rows = {row.name: row for row in load_suite("default").texture}
-    core = {row.name: row for row in load_suite("core").texture}
-    assert set(HARD) < set(rows) and len(rows) == 9
-    for name, row in rows.items():
-        if name not in HARD:
-            assert row.parameters == core[name].parameters
-    assert Counter(row.family for row in rows.values()) == dict.fromkeys(("brick", "weave", "hexagon"), 3)
-    for name in HARD:
-        said = re.search(r"regular share (0\.\d\d)", rows[name].description)
-        assert said and float(said[1]) == pytest.approx(_model(rows[name]).regular_share, abs=0.0051)
-        assert rows[name].departure and rows[name].level
-    few = _model(rows["hexagon-few"])
-    assert rows["hexagon-few"].sample == (64, 64) and 64 / few.s == pytest.approx(2.4, abs=0.05)
+def test_default_is_balanced() -> None:
+    """In default each condition comes in each family, with one regular share, one size and one enlargement."""
+    suite = load_suite("default")
+    conditions: dict[str, list[TextureRow]] = {}
+    for row in suite.texture:
+        family, condition = row.name.split("-")
+        assert row.family == row.dataset == family and row.sample is row.size is None
+        conditions.setdefault(condition, []).append(row)
+    assert len(conditions) == 8 and len(suite.texture) == 24 and suite.replicates == 2
+    for condition, rows in conditions.items():
+        assert [row.family for row in rows] == ["brick", "weave", "hexagon"]
+        shares = [_model(row).regular_share for row in rows]
+        for row, share in zip(rows, shares, strict=True):
+            said = re.search(r"regular share (0\.\d\d)", row.description)
+            assert said and float(said[1]) == pytest.approx(share, abs=0.0051)
+        assert np.ptp(shares) < 0.01 or condition == "bent"
+        assert all(_model(row).bend == (0.25 if condition == "bent" else 0) for row in rows)
+
+
+def test_default_shows_enough_cells() -> None:
+    """The samples of default show 25 cells or more, those of few periods 8 to 11."""
+    for row in load_suite("default").texture:
+        lattice = _model(row).render((16, 16), np.random.default_rng(0)).lattice
+        assert lattice is not None
+        cells = 96 * 96 / lattice.area
+        assert 8 < cells < 11 if row.name.endswith("few") else cells > 25
 
 
 def test_frontier_has_graded_axes() -> None:

@@ -26,7 +26,7 @@ from nrbench.labelling.labels import (
     labelled_cells,
     make_page,
     page_html,
-    read_people,
+    read_labelers,
     write_key,
 )
 from nrbench.labelling.questions import ANSWERS, ELEMENTS, LATTICE, MORE, PRESERVED, QUESTIONS, WHOLE_SCORE
@@ -37,12 +37,12 @@ from nrbench.streams import pixels_hash
 def _answer(path: Path, sheet: LabelPage, answers: Sequence[Sequence[str]]) -> Path:
     """Write a file with the answers to all questions about each item, as a page saves it."""
     rows = [
-        [item.id, question, answer, 1.5, i]
+        [item.id, question, answer, 1.5, i, "person"]
         for i, (item, said) in enumerate(zip(sheet.items, answers, strict=True), 1)
         for question, answer in zip(sheet.questions, said, strict=True)
     ]
     with path.open("w", newline="") as file:
-        csv.writer(file).writerows([["item", "question", "answer", "seconds", "order"], *rows])
+        csv.writer(file).writerows([["item", "question", "answer", "seconds", "order", "labeled_by"], *rows])
     return path
 
 
@@ -176,7 +176,7 @@ def test_answers_come_back(run: Run, tmp_path: Path) -> None:
     said = [[ANSWERS[(i + i * k) % 3] for k in range(3)] for i in range(len(sheet.items))]
     path = _answer(tmp_path / "ada.csv", sheet, said)
     path.write_text("\ufeff" + "\n".join(path.read_text().splitlines()[:-2]), "utf-8")
-    (person,) = read_people(run, [path])
+    (person,) = read_labelers(run, [path])
     assert person.name == "ada"
     assert [one.answer for one in person.answers] == [answer for three in said for answer in three][:-2]
     assert [one.question for one in person.answers] == (list(QUESTIONS) * len(said))[:-2]
@@ -195,24 +195,26 @@ def test_files_of_pages_with_other_questions_can_be_joined(run: Run, tmp_path: P
         path = _answer(tmp_path / f"{name}.csv", sheet, [["yes"]] * len(sheet.items))
         texts.append(path.read_text().splitlines())
     (tmp_path / "ada.csv").write_text("\n".join([*texts[0], *texts[1][1:]]))
-    (person,) = read_people(run, [tmp_path / "ada.csv"])
+    (person,) = read_labelers(run, [tmp_path / "ada.csv"])
     assert len(person.by_cell("elements")) == len(person.by_cell("more")) == 12
     assert person.by_cell("lattice") == {}
 
 
-HEAD = "item,question,answer,seconds,order\n"
+HEAD = "item,question,answer,seconds,order,labeled_by\n"
 BAD = {
-    f"{HEAD}qqqqqqqqqq,more,no,1,1\n": "on no page of this run",
-    "item,answer,order\nx,lost,1\n": "expected columns item, question, answer, seconds, order",
+    f"{HEAD}qqqqqqqqqq,more,no,1,1,person\n": "on no page of this run",
+    "item,answer,order\nx,lost,1\n": "expected columns item, question, answer, seconds, order, labeled_by",
     "item,question,answer,order\nx,more,no,1\n": "got item, question, answer, order",
     "": "got none",
     HEAD: "has no answers",
-    f"{HEAD}ITEM,more,lost,1,1\n": "use one of: yes, no, cannot say",
-    f"{HEAD}ITEM,colors,no,1,1\n": "use one of: lattice, elements, more",
-    f"{HEAD}ITEM,more,no,soon,1\n": "must be numbers",
-    f"{HEAD}ITEM,more,no,-1,1\n": "is no answer as the page saves it",
-    f"{HEAD}ITEM,more,no,1,1\nITEM,more,yes,1,2\n": "more, is answered twice",
-    f"{HEAD}ITEM,more,no,1,1,and\n": "is no answer as the page saves it",
+    f"{HEAD}ITEM,more,lost,1,1,person\n": "use one of: yes, no, cannot say",
+    f"{HEAD}ITEM,colors,no,1,1,person\n": "use one of: lattice, elements, more",
+    f"{HEAD}ITEM,more,no,soon,1,person\n": "must be numbers",
+    f"{HEAD}ITEM,more,no,-1,1,person\n": "is no answer as the page saves it",
+    f"{HEAD}ITEM,more,no,1,1,person\nITEM,more,yes,1,2,person\n": "more, is answered twice",
+    f"{HEAD}ITEM,more,no,1,1,person,and\n": "is no answer as the page saves it",
+    f"{HEAD}ITEM,more,no,1,1,\n": "labeled_by must be one word for all answers",
+    f"{HEAD}ITEM,more,no,1,1,person\nITEM,lattice,yes,1,2,model\n": "labeled_by must be one word for all answers",
 }
 
 
@@ -233,14 +235,14 @@ def test_answers_to_another_run_are_refused(run: Run, tmp_path: Path) -> None:
     sheet = make_page(run)
     path = _answer(tmp_path / "p.csv", sheet, _verdicts(run, sheet))
     with pytest.raises(BadInput, match="make one by `nrbench label"):
-        read_people(run, [path])
+        read_labelers(run, [path])
     write_key(run.root, make_page(run, seed=7))
     with pytest.raises(BadInput, match=r"p\.csv, line 2: item .* is on no page of this run"):
-        read_people(run, [path])
+        read_labelers(run, [path])
     with pytest.raises(BadInput, match=r"cannot be read .*No such file"):
-        read_people(run, [tmp_path / "missing.csv"])
+        read_labelers(run, [tmp_path / "missing.csv"])
     with pytest.raises(BadInput, match="is given twice"):
-        read_people(run, [path, path])
+        read_labelers(run, [path, path])
 
 
 def test_label_writes_page_and_key(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
@@ -266,7 +268,7 @@ def test_label_writes_page_and_key(run: Run, capsys: pytest.CaptureFixture[str])
 def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     """`report RUN --labels A B` adds the agreement to page and tables; one answer throughout has no kappa.
 
-    Two people with pages of their own are compared output by output.
+    Two labelers with pages of their own are compared output by output.
     """
     for seed, name in enumerate("ab"):
         sheet = make_page(run, seed=seed)
@@ -275,9 +277,12 @@ def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFix
     assert call("report run --format html,csv --labels a.csv b.csv") == 0
     with Path("run/tables/agreement.csv").open() as file:
         rows = list(csv.DictReader(file))
-    kinds = ["judge and people"] * 3 + ["people"] + ["self"] * 2
-    assert [(row["question"], row["kind"]) for row in rows] == [(name, kind) for name in QUESTIONS for kind in kinds]
-    graded = [row for row in rows if row["question"] == "more" and row["kind"] == "judge and people"]
+    rest = ["labelers"] + ["self"] * 2
+    kinds = {name: ["judge and labelers"] * (9 if name == "more" else 3) + rest for name in QUESTIONS}
+    assert [(row["question"], row["kind"]) for row in rows] == [
+        (name, kind) for name in QUESTIONS for kind in kinds[name]
+    ]
+    graded = [row for row in rows if row["question"] == "more" and row["kind"] == "judge and labelers"]
     assert {row["tau"] for row in rows} == {""}
     assert {row["share_equal"] for row in graded} == {""}
     assert {float(row["share_equal"]) for row in rows if row not in graded} == {1.0}
@@ -288,6 +293,6 @@ def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFix
     assert {row["judge"] for row in labels if row["question"] == "more"} == {""}
     hashes = {record.key: pixels_hash(read_image(record.folder / "output.png")) for record in run.cells}
     assert all(row["pixels"] == hashes[row["key"]] for row in labels)
-    assert "Automatic verdict and people" in Path("run/report/report.html").read_text("utf-8")
+    assert "Automatic verdict and labels" in Path("run/report/report.html").read_text("utf-8")
     assert call("report run other") == 2
     assert "only one run is reported" in capsys.readouterr().err

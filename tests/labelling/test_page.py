@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from nrbench.labelling.labels import Person, make_page, page_html, read_people, write_key
+from nrbench.labelling.labels import Labeler, make_page, page_html, read_labelers, write_key
 from nrbench.labelling.questions import QUESTIONS
 from nrbench.runs.records import Run
 
@@ -49,7 +49,7 @@ class Labeller:
         other.reload()
         self.page = other
 
-    def save(self, folder: Path) -> Person:
+    def save(self, folder: Path) -> Labeler:
         """Save the answers under the name ada, and read them."""
         self.page.fill("#who", "ada")
         with self.page.expect_download() as download:
@@ -57,7 +57,7 @@ class Labeller:
         path = folder / download.value.suggested_filename
         assert path.name == f"labels-{self.sheet.name}-ada.csv"
         download.value.save_as(path)
-        (person,) = read_people(self.run, [path])
+        (person,) = read_labelers(self.run, [path])
         return person
 
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.appearance import Appearance, border_excess
 from nrbench.metrics.seam_detection.seam_lines import find_worst_lines
-from nrbench.plugins.forms import Observation, Texture
+from nrbench.plugins.forms import Observation, Task, Texture
+from nrbench.synthesizers.cartoon import Cartoon
 
 from .conftest import Case, case, scored
 from .edits import blur, light_half
@@ -28,7 +30,7 @@ def test_a_fresh_draw_looks_like_one(own: Case, model: bool) -> None:
     """Fresh draws have ratios of at most about 1, and a score near 1."""
     found = [appearance(own.observe(own.fresh(k=k), model)).values for k in range(4)]
     assert np.mean([values["score"] for values in found]) >= 0.95
-    for column in ("local", "local_wide", "quarters", "whole"):
+    for column in ("local", "local_wide", "quarters", "whole", "detail", "lack"):
         assert max(values[column] or 0 for values in found) < 1.15
     assert not model or np.mean([values["seam"] for values in found]) == pytest.approx(1, abs=0.35)
 
@@ -52,6 +54,35 @@ def test_each_part_sees_its_own_fault(own: Case) -> None:
     sided, whole = (appearance(own.observe(quantize(image))).values for image in (lit, tinted))
     assert sided["quarters"] > 1.2 and sided["quarters"] > whole["quarters"]
     assert whole["whole"] > 1.2
+
+
+@pytest.mark.parametrize("material", ["clay", "stone", "wood"])
+@pytest.mark.parametrize("model", [True, False])
+def test_a_cartoon_is_no_material(material: Any, model: bool) -> None:
+    """Tints and gray grain of the right strength lack streaks, speckles and relief; a fresh draw has them."""
+    own = material_case(material)
+    task = Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(2))
+    cartoon, fresh = (
+        appearance(own.observe(quantize(image), model)).values
+        for image in (Cartoon().synthesize(task).image, own.fresh(k=1))
+    )
+    assert cartoon["detail"] > 1.25 and cartoon["score"] < 0.5
+    assert fresh["detail"] < 1
+
+
+@cache
+def material_case(material: Any) -> Case:
+    """Return hexagons of a material."""
+    return Case.of(Hexagon(color=0.3, noise=0.01, period=21.3, material=material), 5)
+
+
+def test_a_blurred_hole_lacks_detail(own: Case) -> None:
+    """A blurred part of two cells is seen by sample and lattice alone."""
+    holed, side = np.array(own.fresh()), int(2 * np.linalg.norm(own.lattice.matrix, axis=1).max())
+    before = appearance(own.observe(holed, model=False)).values
+    holed[60 : 60 + side, 60 : 60 + side] = blur(own.fresh(), 6)[60 : 60 + side, 60 : 60 + side]
+    after = appearance(own.observe(quantize(holed), model=False)).values
+    assert before["lack"] < 1.15 and after["lack"] > 1.5 and after["score"] == 0
 
 
 def test_stronger_blur_is_farther(own: Case) -> None:
@@ -156,7 +187,7 @@ def test_basis_and_origin_of_the_truth_do_not_matter() -> None:
     )
     moved = appearance(replace(observation, truth=replace(case("hexagon").texture, lattice=other))).values
     own = appearance(observation).values
-    for column in ("score", "local", "local_wide", "quarters", "whole"):
+    for column in ("score", "local", "local_wide", "quarters", "whole", "detail", "lack"):
         assert moved[column] == pytest.approx(own[column], abs=0.05), column
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import skimage.color
+from scipy.ndimage import gaussian_filter
 
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.lattice.geometry import Lattice
@@ -14,7 +15,7 @@ from nrbench.lattice.relation import lattice_error
 from nrbench.metrics.judgment.examination import examine
 from nrbench.metrics.judgment.known_lattice import canonical_lattice, find_known_lattice, split_supercell
 from nrbench.metrics.perception.limits import JND
-from nrbench.metrics.perception.visible import measure_looks, perceive
+from nrbench.metrics.perception.visible import measure_detail, measure_looks, perceive
 from nrbench.metrics.quality import Quality
 from nrbench.plugins.forms import Texture
 
@@ -137,3 +138,18 @@ def test_bending_leaves_all_tiles_in_place() -> None:
         assert followed.in_place[followed.valid].mean() > 0.95
         bending.append(followed.bending)
     assert bending[0] < 0.02 < 0.03 < bending[1] < bending[2]
+
+
+def test_detail_has_directions_and_clusters() -> None:
+    """Vertical stripes slope along x and horizontal ones along y; dots come in clusters, bright and dark ones apart."""
+    rng = np.random.default_rng(0)
+    stripes = 0.5 + 0.1 * np.sin(np.arange(64) * 1.2)[np.newaxis, :, np.newaxis] * np.ones((64, 1, 1))
+    dots = 0.3 * (gaussian_filter(rng.standard_normal((64, 64, 1)), (1, 1, 0)) > 0.5)
+    noise = 0.05 * rng.standard_normal((64, 64, 1))
+    pictures = [stripes, np.swapaxes(stripes, 0, 1), 0.5 + noise, 0.3 + dots, 0.7 - dots]
+    upright, level, even, bright, dark = (
+        measure_detail(perceive(np.asarray(picture, np.float32))).mean((0, 1)) for picture in pictures
+    )
+    assert upright[0] > 20 and level[0] == pytest.approx(-upright[0], abs=0.1)
+    assert abs(even[:2]).max() < 1.5 and abs(even[3]) < 1
+    assert min(bright[2], dark[2]) > even[2] + 2 and bright[3] > 2 and dark[3] < -2

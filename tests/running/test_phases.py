@@ -88,6 +88,7 @@ def test_the_truth_of_a_sample_is_drawn_once_for_the_metrics_of_nrbench(
 
     def truths(keep: bool) -> list[Texture]:
         drawn.clear()
+        phases._drawn_truth.cache_clear()
         cells = [Cell.from_dict(json.loads(folder.cell_file.read_text())) for folder in folders]
         observed = [phases.observe(folder, cell, keep) for folder, cell in zip(folders, cells, strict=True)]
         assert all(one.again is not None for one in observed)
@@ -102,10 +103,11 @@ def test_the_truth_of_a_sample_is_drawn_once_for_the_metrics_of_nrbench(
         assert not other.ideal.flags.writeable
         assert (one.ideal == other.ideal).all() and (one.image == other.image).all()
     drawn.clear()
+    phases._drawn_truth.cache_clear()
     for record in cells:
         phases.score_cell(record.folder, lambda message: None, "cost")
     assert drawn == ["wall0", "wall1"]
-    assert phases._drawn_truth.cache_info().maxsize == 1
+    assert phases._drawn_truth.cache_info().maxsize == 2
 
 
 @pytest.mark.parametrize(

@@ -146,8 +146,8 @@ def test_bad_grids(grid: Any, message: str) -> None:
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("core", "d5356363117cf210"),
-        ("default", "342c0abb8e03f4cc"),
+        ("core", "161f108f3d7f6131"),
+        ("default", "75020b3310df50fa"),
         ("detectors", "fd5456d95e2150ed"),
         ("frontier", "79c6c29e9724c398"),
         ("integer", "1bf655853a8029fd"),

@@ -1,4 +1,4 @@
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import pytest
@@ -66,10 +66,11 @@ def test_a_whole_pixel_lattice_is_continued(normalized: bool, channels: int) -> 
         np.testing.assert_array_equal(made.image, picture[: shape[0], : shape[1]])
 
 
-def test_departures_from_the_mask_do_not_break_the_phase() -> None:
+@pytest.mark.parametrize("matching", ["sub-patch", "entire"])
+def test_departures_from_the_mask_do_not_break_the_phase(matching: Literal["sub-patch", "entire"]) -> None:
     """For a sample with departures, every pixel comes from its own place in the tile, up to one pixel."""
     tile = smooth(20, 24)
-    made = synthesize(FftmPatch(), varied(tile, 96, 96, 0.4), (150, 160), mask_of(tile))
+    made = synthesize(FftmPatch(matching=matching), varied(tile, 96, 96, 0.4), (150, 160), mask_of(tile))
     assert made.source is not None
     y, x = np.mgrid[:150, :160]
     for found, place, period in ((made.source[..., 0], x, 24), (made.source[..., 1], y, 20)):
@@ -100,7 +101,7 @@ def test_every_parameter_changes_something() -> None:
     sample, mask = varied(tile, 72, 72, 0.7), waves_of(tile)
     changes: list[dict[str, Any]] = [
         {"weight": 0.0}, {"patch": 30}, {"overlap": 0.5}, {"reach": 0.0}, {"randomness": 0.3},
-        {"refinements": 0}, {"refinements": 2}, {"normalized": False}, {"tileable": True},
+        {"matching": "entire"}, {"refinements": 0}, {"refinements": 2}, {"normalized": False}, {"tileable": True},
     ]  # fmt: skip
 
     def made(**parameters: Any) -> Image:
@@ -117,6 +118,18 @@ def test_without_weight_the_mask_does_not_matter() -> None:
     masks = [mask_of(smooth(20, 24, seed=seed)) for seed in (5, 6)]
     made = [synthesize(FftmPatch(weight=0.0), sample, (80, 80), mask).image for mask in masks]
     np.testing.assert_array_equal(*made)
+
+
+def test_entire_patches_are_placed_by_the_mask() -> None:
+    """With entire patches the mask places the first one: in phase with a weight, and anywhere at weight 0."""
+    tile = smooth(20, 24)
+    sample, mask = varied(tile, 96, 96, 0.2), mask_of(tile)
+    methods = [FftmPatch(matching="entire", weight=weight, randomness=0.0) for weight in (1.0, 0.0)]
+    firsts = [synthesize(method, sample, (40, 44), mask).source for method in methods]
+    phases = [first[0, 0, :2] % (24, 20) for first in firsts if first is not None]
+    assert phases[0].tolist() == [0, 0] and phases[1].tolist() != [0, 0]
+    with pytest.raises(BadInput, match="tileable"):
+        FftmPatch(matching="entire", tileable=True)
 
 
 def test_a_tileable_output_continues_at_its_edges() -> None:

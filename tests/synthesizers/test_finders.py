@@ -42,6 +42,7 @@ FINDERS = {
     "shuffle": "gncc",
     "supertile": "gncc",
     "tile-set": "consensus",
+    "tile-set:preset=paper": "dominance",
     "tiling": "gncc",
 }
 
@@ -136,15 +137,15 @@ def test_an_irregular_texture_gets_a_method_of_neighborhoods(spectrum: str) -> N
 
 
 def test_the_threshold_decides() -> None:
-    """On a given lattice, the paper's choice is the tile set up to the measured share, and above it the other one."""
+    """On a given lattice, the paper's choice is its tile set up to the measured share, and above it the other one."""
     task, truth = task_of("brick", color=0.3)
     assert truth is not None
     task = replace(task, lattice=truth)
     share = estimate_regular_share(task.sample, truth)
     below, above = (replace(PAPER, threshold=share + step).synthesize(task) for step in (-0.01, 0.01))
-    assert below.note == f"picked tile-set: regularity {share:.2f}" and below.lattice == truth
+    assert below.note == f"picked tile-set:preset=paper: regularity {share:.2f}" and below.lattice == truth
     assert above.note == f"picked ann-pixel: regularity {share:.2f}" and above.lattice is None
-    expected = TileSet().synthesize(replace(task, rng=np.random.default_rng(7)))
+    expected = TileSet(**TileSet.presets["paper"]).synthesize(replace(task, rng=np.random.default_rng(7)))
     again = PAPER.synthesize(replace(task, rng=np.random.default_rng(7)))
     np.testing.assert_array_equal(again.image, expected.image)
     with pytest.raises(BadInput, match="threshold 2"):

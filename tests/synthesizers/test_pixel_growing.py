@@ -19,6 +19,7 @@ from nrbench.synthesizers.ann_pixel import AnnPixel
 from nrbench.synthesizers.fftm_pixel import FftmPixel
 from nrbench.synthesizers.masks.texture_mask import TextureMask
 from nrbench.synthesizers.pixel_growing.neighbor_search import KdTree, Projection
+from nrbench.synthesizers.pixel_growing.pixel_growth import Candidates, Neighborhood, Stock
 
 
 @pytest.mark.parametrize("search", ["ann", "exhaustive", "k-coherence"])
@@ -320,6 +321,36 @@ def test_the_nearest_are_those_of_brute_force(
         np.testing.assert_array_equal(numbers[query, : len(due)], due)
         np.testing.assert_array_equal(apart[query, : len(due)], row[due])
         assert (numbers[query, len(due) :] == -1).all()
+
+
+@settings(max_examples=60)
+@given(SETS, st.integers(1, 9), st.integers(0, 20))
+def test_the_nearest_by_two_norms_are_those_of_brute_force(
+    drawing: tuple[int, int, int, int], leaf: int, leading: int
+) -> None:
+    """With two norms the point of the least sum is found, whatever the leaves."""
+    count, axes, spread, seed = drawing
+    leading = min(leading, axes)
+    points, queries = draw_points(count, axes, spread, seed), draw_points(20, axes, spread, seed + 1)
+    numbers, _ = KdTree.build(points, leaf=leaf, leading=leading).nearest(queries)
+    parts = [distances(points[:, part], queries[:, part]) for part in (slice(leading), slice(leading, None))]
+    sums = sum(np.sqrt(part) for part in parts)
+    found = np.take_along_axis(np.asarray(sums), numbers, 1)[:, 0]
+    np.testing.assert_allclose(found**2, sums.min(1) ** 2, atol=1)
+
+
+def test_the_papers_norms_choose_another_source() -> None:
+    """A difference of 3 in the texture is less than one of 2 in texture and mask by norms, and more by squares."""
+    mask, texture = np.full((3, 32, 1), 100, np.uint8), np.full((3, 32, 1), 100, np.uint8)
+    texture[:, :16], texture[:, 16:], mask[:, 16:] = 103, 102, 102
+    neighborhood = Neighborhood(np.array([(-1, 0, 0), (0, 0, 1)]))
+    layers, query = np.stack([texture, mask]), np.full((1, 2), 100, np.uint8)
+    pixels = np.array([8, 24])
+    for norms, due in ((True, 0), (False, 1)):
+        stock = Stock(layers, Candidates(pixels, np.arange(2)), neighborhood, AnnPixel(dimensions=0), 1.0, norms)
+        numbers, _ = stock.tree.nearest(stock._projection.points(query))
+        assert numbers.tolist() == [[due]]
+    assert FftmPixel(**FftmPixel.presets["paper"]).distance == "norms"
 
 
 @settings(max_examples=100)

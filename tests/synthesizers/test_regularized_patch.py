@@ -45,6 +45,27 @@ def test_the_map_points_at_what_is_shown(bend: float) -> None:
     assert np.abs(shown - made.image).mean() < 0.05
 
 
+def test_the_papers_texels_lie_around_the_origin() -> None:
+    """With the preset of the paper the cell around each lattice point is one texel: its middle has one color."""
+    y, x = np.indices((96, 96))
+    cells = (y + 7) // 14 * 10 + (x + 9) // 18
+    sample = quantize(np.random.default_rng(0).random((cells.max() + 1, 3))[cells].astype("f4"))
+    paper = RegularizedPatch(**RegularizedPatch.presets["paper"])
+    made = synthesize(paper, sample, (80, 80), Lattice((18, 0), (0, 14), (18.0, 14.0)))
+    assert made.lattice is not None
+    for left, top in made.lattice.points((72, 70)).astype(int).tolist():
+        middle = made.image[max(top - 4, 0) : top + 5, max(left - 6, 0) : left + 7]
+        assert np.ptp(middle, axis=(0, 1)).max() < 0.01
+
+
+def test_the_papers_warp_runs_once() -> None:
+    """On a bent sample the preset of the paper warps otherwise than four passes do."""
+    texture = bent(0.5)
+    paper = RegularizedPatch(**RegularizedPatch.presets["paper"])
+    once, four = (run_method(method, texture, (64, 64)) for method in (paper, replace(paper, geometry="bent")))
+    assert (once.extras["straightened"] != four.extras["straightened"]).any()
+
+
 def test_deformations_are_synthesized_or_left_out() -> None:
     """The amplitude is that of the sample by default, a third or less by argmax, and nearly 0 without."""
     texture, ratios = bent(0.5, "weave"), {}

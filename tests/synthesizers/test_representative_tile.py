@@ -78,6 +78,23 @@ def test_the_tile_is_floored_and_scaled_down_and_the_output_is_not() -> None:
     assert -10 * np.log10(((paper.image - small) ** 2).mean()) > 35
 
 
+@pytest.mark.parametrize("name", RepresentativeTile.presets)
+def test_the_papers_settings_return_the_lattice_that_they_laid(name: str) -> None:
+    """The output repeats by the returned lattice, whole pixels; only figure 7 copies its tile from the sample as is."""
+    sample = noise(96, 96)
+    parameters = RepresentativeTile.presets[name]
+    made = synthesize(sample, (90, 90), Lattice((20.4, 0), (10.2, 8.3), (3.0, 2.0)), **parameters)
+    tile = quantize(made.extras["tile"])
+    windows = np.lib.stride_tricks.sliding_window_view(sample, tile.shape)
+    assert bool((windows == tile).all((-3, -2, -1)).any()) == (name == "figure-7")
+    assert made.lattice is not None and made.lattice.is_equivalent(Lattice((20, 0), (10, 8)), 1e-9)
+    np.testing.assert_array_equal(made.image[16:, 20:], made.image[:-16, :-20])
+    smooth = quantize(waves((128, 128), UPRIGHT))
+    laid = synthesize(smooth, (128, 128), UPRIGHT, **parameters).lattice
+    assert laid is not None
+    np.testing.assert_allclose(laid.matrix, [[21, 0], [0, 18]], atol=1e-9)
+
+
 def test_p_takes_the_smoothest_places_first() -> None:
     """With p only the share of places of least h is rated; with a small one the tile is the smoothest of all."""
     sample, lattice = noise(40, 50), Lattice((11, 0), (0, 9))

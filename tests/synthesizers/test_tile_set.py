@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from nrbench.api import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Task
-from nrbench.synthesizers.tile_laying.tile_canvas import TilePlaces
+from nrbench.synthesizers.tile_laying.tile_canvas import TilePlaces, find_seams
 from nrbench.synthesizers.tile_laying.tile_shape import ElementWeights, element_costs, tile_shape
 from nrbench.synthesizers.tile_set import LEAST_SIDE, TileLaying, TileSet
 
@@ -290,6 +291,59 @@ def test_elements_stay_whole(lattice: Lattice) -> None:
 
     assert whole(made(), middles, core) > 0.9
     assert whole(made(stitch="dynamic", anchor="quiet"), middles, core) < 0.5
+
+
+PAPER = TileSet(**TileSet.presets["paper"])
+
+
+def test_the_papers_seams_end_where_they_meet() -> None:
+    """The seam of the left overlap starts at that of the top, so that what lies above it has no say in its course."""
+    surface = np.full((20, 20), 1.0)
+    surface[:9, 8], surface[9:, 2], surface[9, 2:] = 0, 0, 0
+    surface[10:, 10:] = -1
+    across, down, bands = find_seams(surface)
+    assert bands.tolist() == [10, 10, 9, 2]
+    assert (across[9:] == 2).all() and (down[2:] == 9).all()
+
+
+def wall(size: int, seed: int = 0) -> tuple[Image, NDArray[np.int64]]:
+    """Return a wall of bricks of 24 x 12 px in running bond, each of its own color, and each pixel's brick, 0: mortar.
+
+    The middle of a joint between two courses is at (24.5, 30.5).
+    """
+    y, x = np.indices((size, size))
+    course = (y + 6) // 12
+    brick = (x + 12 + 12 * (course % 2)) // 24
+    mortar = ((y + 6) % 12 < 2) | ((x + 12 + 12 * (course % 2)) % 24 < 2)
+    numbers = np.where(mortar, 0, 1 + course * 100 + brick)
+    colors = np.random.default_rng(seed).random((numbers.max() + 1, 3))
+    colors[0] = 1.0
+    return quantize(colors[numbers].astype("f4")), numbers
+
+
+def test_the_papers_tiles_leave_bricks_whole() -> None:
+    """Anchored on a joint, as by hand, the paper's tiles leave five of six bricks of one color, whichever are drawn."""
+    sample, numbers = wall(192)
+    bricks, sizes = np.unique(numbers, return_counts=True)
+    for quantile in (0.0, 1.0):
+        task = Task(sample, (192, 192), Lattice((24, 0), (12, 12), (24.5, 30.5)), np.random.default_rng(1))
+        made = replace(PAPER, quantile=quantile).synthesize(task).image
+        spreads = [np.ptp(made[numbers == brick], axis=0).max() for brick in bricks[sizes == 220]]
+        assert np.mean(np.array(spreads) < 0.02) > 5 / 6
+
+
+@pytest.mark.parametrize("given", [None, Lattice((24, 0), (12, 12))])
+def test_without_an_origin_the_papers_anchor_is_quiet(given: Lattice | None) -> None:
+    """A lattice that was detected, or given without an origin, is anchored by the paper's rule; the note says so."""
+    sample, _ = wall(128)
+    task = Task(sample, (64, 64), given, np.random.default_rng(1))
+    made = PAPER.synthesize(task)
+    assert "no origin" in made.note and made.lattice is not None
+    assert made.lattice.is_equivalent(Lattice((24, 0), (12, 12)), 0.1)
+    quiet = replace(PAPER, anchor="quiet").synthesize(replace(task, rng=np.random.default_rng(1)))
+    np.testing.assert_array_equal(made.image, quiet.image)
+    anchored = PAPER.synthesize(replace(task, lattice=Lattice((24, 0), (12, 12), (24.0, 24.0))))
+    assert not anchored.note
 
 
 @pytest.mark.parametrize("lattice", REAL_LATTICES)

@@ -106,10 +106,10 @@ function table() {
   const lines = content.items.flatMap(([id], i) =>
     content.questions.flatMap((question) => {
       const one = (given[id] || {})[question];
-      return one ? [[id, question, one.answer, one.seconds.toFixed(2), i + 1].join(",")] : [];
+      return one ? [[id, question, one.answer, one.seconds.toFixed(2), i + 1, "person"].join(",")] : [];
     })
   );
-  return ["item,question,answer,seconds,order", ...lines, ""].join("\r\n");
+  return ["item,question,answer,seconds,order,labeled_by", ...lines, ""].join("\r\n");
 }
 function save() {
   const who = part("who").value.trim().replace(/[^\p{L}\p{N}]+/gu, "-");

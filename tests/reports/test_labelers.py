@@ -6,13 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from nrbench.labelling.labels import LabelPage, make_page, write_key
+from nrbench.labelling.labels import LabelPage, labels_table, make_page, write_key
 from nrbench.labelling.questions import ANSWERS, QUESTIONS
 from nrbench.plugins.forms import Column
 from nrbench.reports.html import HtmlReport
-from nrbench.reports.statistics.people import QuestionComparison, agreement_table, compare_people, labels_table
+from nrbench.reports.statistics.labelers import (
+    SUBSETS,
+    QuestionComparison,
+    agreement_table,
+    compare_labelers,
+    compare_orders,
+)
 from nrbench.runs.records import Run
 
 from .conftest import COLUMNS
@@ -55,10 +62,10 @@ def _file(path: Path, sheet: LabelPage, answers: Sequence[str]) -> Path:
     (question,) = sheet.questions
     with path.open("w", newline="") as file:
         rows = [
-            [item.id, question, answer, 1.0, i]
+            [item.id, question, answer, 1.0, i, "person"]
             for i, (item, answer) in enumerate(zip(sheet.items, answers, strict=True), 1)
         ]
-        csv.writer(file).writerows([["item", "question", "answer", "seconds", "order"], *rows])
+        csv.writer(file).writerows([["item", "question", "answer", "seconds", "order", "labeled_by"], *rows])
     return path
 
 
@@ -79,7 +86,7 @@ def _person(
 
 def _compare(run: Run, *files: Path, question: str = "lattice") -> QuestionComparison:
     """Return the comparison for the only question that was answered."""
-    comparison = compare_people(run, files)
+    comparison = compare_labelers(run, files)
     assert comparison is not None and list(comparison.questions) == [question]
     return comparison.questions[question]
 
@@ -138,11 +145,11 @@ def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
         )
         for name in "abc"
     ]
-    comparison = compare_people(judged, files)
+    comparison = compare_labelers(judged, files)
     assert comparison is not None
     table = agreement_table(comparison)
     assert set(table["question"]) == {"lattice"}
-    assert list(table["kind"]) == ["judge and people"] * 4 + ["people"] * 4 + ["self"] * 3
+    assert list(table["kind"]) == ["judge and labelers"] * 4 + ["labelers"] * 4 + ["self"] * 3
     means = table[table["second"] == "mean of 3"]["kappa"].tolist()
     each = table.groupby("kind", sort=False)["kappa"].apply(lambda one: one.iloc[:3].mean()).tolist()
     assert means == pytest.approx(each[:2])
@@ -160,12 +167,12 @@ def test_more_of_the_same_is_compared_by_rank(judged: Run, tmp_path: Path) -> No
     """The order of the methods by quality and by the share of yes gives tau, whatever the level of both."""
     best = _answers_by_method(judged, tmp_path / "a.csv", {"m0": "yes", "m1": "yes", "m2": "no", "m3": "no"})
     worst = _answers_by_method(judged, tmp_path / "b.csv", {"m0": "no", "m1": "no", "m2": "no", "m3": "yes"})
-    one, other, both = _compare(judged, best, worst, question="more").ranks
+    one, other, both = _compare(judged, best, worst, question="more").ranks[::3]
     assert (one.ordered.value, other.ordered.value) == (1.0, 0.0)
     assert (one.first, one.second, one.n, one.tau.n) == ("judge", "a", 40, 10)
     assert one.tau.value == pytest.approx(4 / np.sqrt(6 * 4))
     assert other.tau.value == pytest.approx(-3 / np.sqrt(6 * 3))
-    assert (both.second, both.n) == ("all people", 40)
+    assert (both.second, both.n) == ("all labelers", 40)
     # The shares of yes are 1/2, 1/2, 0 and 1/2: two pairs agree with the order of the quality, and one does not.
     assert both.tau.value == pytest.approx(1 / np.sqrt(6 * 3))
     assert both.ordered.value == pytest.approx(2 / 3)
@@ -174,14 +181,29 @@ def test_more_of_the_same_is_compared_by_rank(judged: Run, tmp_path: Path) -> No
 def test_answers_that_cannot_be_said_are_no_part_of_the_order(judged: Run, tmp_path: Path) -> None:
     """A method about which nobody decides has no place in the order; if nothing is left, there is no number."""
     some = _answers_by_method(judged, tmp_path / "a.csv", {"m0": "yes", "m1": "cannot say", "m2": "no", "m3": "no"})
-    (one,) = _compare(judged, some, question="more").ranks
+    one = _compare(judged, some, question="more").ranks[0]
     assert one.n == 30 and one.ordered.value == 1.0
     none = _answers_by_method(judged, tmp_path / "b.csv", dict.fromkeys(("m0", "m1", "m2", "m3"), "cannot say"))
-    (one,) = _compare(judged, none, question="more").ranks
+    one = _compare(judged, none, question="more").ranks[0]
     assert (one.n, one.tau.value, one.ordered.value) == (0, None, None)
     same = _answers_by_method(judged, tmp_path / "c.csv", dict.fromkeys(("m0", "m1", "m2", "m3"), "yes"))
-    (one,) = _compare(judged, same, question="more").ranks
+    one = _compare(judged, same, question="more").ranks[0]
     assert (one.n, one.tau.n, one.tau.value) == (40, 0, None)
+
+
+def test_orders_of_parts_of_the_outputs() -> None:
+    """References and methods that do not lead are left out in turn; each part has its own rank correlation."""
+    scores = {"oracle": (1.0, 5), "a": (0.9, 3), "b": (0.8, 4), "c": (0.1, 1)}
+    rows = [[f"t{i}", name, name == "oracle", *both] for i in range(4) for name, both in scores.items()]
+    outputs = pd.DataFrame(rows, columns=["texture", "label", "reference", "score", "answer"])
+    outputs.loc[0, "score"] = np.nan
+    every, ranked, leading = compare_orders(outputs, ("a", "b"), "ada")
+    assert (every.n, ranked.n, leading.n) == (15, 12, 8)
+    assert [one.spearman.value for one in (ranked, leading)] == pytest.approx([0.5, -1.0])
+    assert every.spearman.value is not None and 0.5 < every.spearman.value < 0.8
+    assert (ranked.tau.value, leading.tau.value, leading.ordered.value) == pytest.approx((1 / 3, -1.0, 0.0))
+    # All textures are equal, so resamples of whole textures have no spread; resamples of outputs would have.
+    assert ranked.spearman.ends == pytest.approx((0.5, 0.5))
 
 
 def test_more_of_the_same_has_no_kappa_with_the_judge(judged: Run, tmp_path: Path) -> None:
@@ -202,23 +224,24 @@ def test_questions_are_compared_one_by_one(judged: Run, tmp_path: Path) -> None:
         _person(judged, tmp_path / "b.csv", lambda i, again: None, question="lattice"),
         _person(judged, tmp_path / "c.csv", lambda i, again: "no" if i < 4 else None, question="more"),
     ]
-    comparison = compare_people(judged, files)
+    comparison = compare_labelers(judged, files)
     assert comparison is not None and list(comparison.questions) == ["lattice", "more"]
-    assert [one.name for one in comparison.people] == ["a", "b", "c"] and comparison.outputs == 40
+    assert [one.name for one in comparison.labelers] == ["a", "b", "c"] and comparison.outputs == 40
     table = agreement_table(comparison)
     columns = ["question", "kind", "first", "second"]
     assert table[columns].apply(tuple, axis=1).tolist() == [
-        ("lattice", "judge and people", "judge", "a"),
-        ("lattice", "judge and people", "judge", "b"),
-        ("lattice", "judge and people", "judge", "mean of 2"),
-        ("lattice", "people", "a", "b"),
+        ("lattice", "judge and labelers", "judge", "a"),
+        ("lattice", "judge and labelers", "judge", "b"),
+        ("lattice", "judge and labelers", "judge", "mean of 2"),
+        ("lattice", "labelers", "a", "b"),
         ("lattice", "self", "a", "shown again"),
         ("lattice", "self", "b", "shown again"),
-        ("more", "judge and people", "judge", "c"),
+        *[("more", "judge and labelers", "judge", "c")] * 3,
         ("more", "self", "c", "shown again"),
     ]
-    assert table["kappa"].notna().tolist() == [True] * 4 + [False] * 4
-    assert table["tau"].notna().tolist() == [False] * 6 + [True, False]
+    assert table["kappa"].notna().tolist() == [True] * 4 + [False] * 6
+    assert table["tau"].notna().tolist() == [False] * 6 + [True] * 3 + [False]
+    assert table["outputs"].tolist() == [""] * 6 + list(SUBSETS) + [""]
 
 
 def test_the_page_has_a_part_for_each_question(judged: Run, tmp_path: Path) -> None:
@@ -228,16 +251,18 @@ def test_the_page_has_a_part_for_each_question(judged: Run, tmp_path: Path) -> N
         _answers_by_method(judged, tmp_path / "ada.csv", answers),
         _person(judged, tmp_path / "ben.csv", lambda i, again: "no", question="elements"),
     )
+    files[1].write_text(files[1].read_text().replace(",person", ",vision-language model"))
     page = HtmlReport(labels=files).render(judged, tmp_path)
+    assert "ada (person), ben (vision-language model) labeled 40 outputs" in page
     assert page.count('class="disagreement') == 30
     assert page.count("judge: cannot say</b> · ben: no") == 10 and page.count("undecided: no power") >= 10
-    assert [f'id="people-{name}"' in page for name in QUESTIONS] == [False, True, True]
-    part = page.partition('id="people-more"')[2].partition('<section id="gallery"')[0]
+    assert [f'id="labelers-{name}"' in page for name in QUESTIONS] == [False, True, True]
+    part = page.partition('id="labelers-more"')[2].partition('<section id="gallery"')[0]
     assert "Kendall's tau" in part and "<b>0.82</b>" in part and "<b>100 %</b>" in part
     assert "Counts of answers" not in part and "Disagreements" not in part
 
 
 def test_without_files_there_is_no_section(judged: Run, tmp_path: Path) -> None:
-    """Without answer files the page has no section on people."""
-    assert compare_people(judged, []) is None
-    assert 'id="people"' not in HtmlReport().render(judged, tmp_path)
+    """Without answer files the page has no section on labels."""
+    assert compare_labelers(judged, []) is None
+    assert 'id="labelers"' not in HtmlReport().render(judged, tmp_path)
