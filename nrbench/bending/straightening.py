@@ -214,10 +214,7 @@ def synthesize_in_geometry(method: Synthesizer, task: Task) -> Synthesis:
     start = time.perf_counter()
     straight, note = straighten_sample(task.sample, found.lattice, task.lattice is not None)
     seconds = 0.0 if task.lattice else found.seconds + time.perf_counter() - start
-    if straight is None:
-        made = method.synthesize(task)
-    else:
-        made = _synthesize_bent(method, task, straight, geometry)
+    made = method.synthesize(task) if straight is None else _synthesize_bent(method, task, straight, geometry)
     return replace(
         made,
         detection_seconds=made.detection_seconds + seconds,
