@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -74,6 +75,24 @@ class DeformedLattice:
     amplitude: float
     obstacle: str = ""
 
+    @classmethod
+    def read(
+        cls,
+        lattice: Lattice,
+        shape: tuple[int, ...],
+        locate: Callable[[Points], Points],
+        amplitude: float,
+        obstacle: str = "",
+    ) -> DeformedLattice:
+        """Return a reduced lattice whose points lie where ``locate`` says, in a sample of ``shape``; NaN: not known."""
+        knots, last = knot_lattice(lattice), np.array(shape[1::-1]) - 1.0
+        numbers = knots.cell_numbers(-last, 2 * last)
+        places = knots.from_cell(numbers)
+        found = locate(places)
+        inside = ((found >= 0) & (found <= last)).all(1)
+        moved = (found - places)[inside]
+        return cls(lattice, knots, numbers[inside], moved - moved.mean(0), amplitude, obstacle)
+
     @cached_property
     def places(self) -> Points:
         """``(n, 2)``: places (x, y) px of the points before they are displaced."""
@@ -110,22 +129,17 @@ def find_deformed_lattice(sample: Image, lattice: Lattice) -> DeformedLattice:
         The regular lattice. Its phase need not fit.
     """
     lattice = lattice.reduced()
-    knots = knot_lattice(lattice)
     tile = MeanTile.of(sample, lattice)
     if tile.flat:
-        return DeformedLattice(
-            lattice, knots, np.zeros((0, 2), np.int64), np.zeros((0, 2)), 0.0, "the mean tile is flat"
-        )
+        return DeformedLattice.read(lattice, sample.shape, np.copy, 0.0, "the mean tile is flat")
     track = track_tiles(sample, lattice, tile)
-    last = np.array(sample.shape[1::-1]) - 1.0
-    numbers = knots.cell_numbers(-last, 2 * last)
-    places = knots.from_cell(numbers)
-    found = places + track.nodes.interpolate(track.field, places)
-    inside = ((found >= 0) & (found <= last)).all(1)
-    moved = (found - places)[inside]
     obstacle = _obstacle(track)
     amplitude = 0.0 if obstacle else _amplitude(track)
-    return DeformedLattice(lattice, knots, numbers[inside], moved - moved.mean(0), amplitude, obstacle)
+
+    def locate(points: Points) -> Points:
+        return np.asarray(points + track.nodes.interpolate(track.field, points))
+
+    return DeformedLattice.read(lattice, sample.shape, locate, amplitude, obstacle)
 
 
 def read_deformation(deformation: Deformation, origin: Points) -> DeformedLattice | None:
@@ -141,15 +155,11 @@ def read_deformation(deformation: Deformation, origin: Points) -> DeformedLattic
     if deformation.knots is None:
         return None
     lattice = Lattice.from_basis(deformation.lattice.matrix, origin)
-    knots = knot_lattice(lattice)
-    last = np.array(deformation.image.shape[1::-1]) - 1.0
-    numbers = knots.cell_numbers(-last, 2 * last)
-    places = knots.from_cell(numbers)
-    found = deformation.locate(places)
-    inside = ((found >= 0) & (found <= last)).all(1) & deformation.covers(places)
-    moved = (found - places)[inside]
-    amplitude = deformation.amplitude * lattice.s
-    return DeformedLattice(lattice, knots, numbers[inside], moved - moved.mean(0), amplitude)
+
+    def locate(points: Points) -> Points:
+        return np.where(deformation.covers(points)[:, np.newaxis], deformation.locate(points), np.nan)
+
+    return DeformedLattice.read(lattice, deformation.image.shape, locate, deformation.amplitude * lattice.s)
 
 
 def _obstacle(track: Track) -> str:

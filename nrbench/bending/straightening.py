@@ -37,11 +37,6 @@ from .free_form import REPEATS, FreeForm
 
 LEAST_GAIN: Final = 1.2
 """Factor by which straightening must raise the share of the variance that the mean tile explains."""
-_OUTPUTS: Final = {
-    "bent": ", and the output bent",
-    "argmax": ", and the output bent by the most likely field",
-    "straight": "; the output is straight",
-}
 _SAME = 0.04
 """Tolerance, in s, at which two lattices count as the same."""
 _LEAST_PERIODS = 2.0
@@ -215,11 +210,10 @@ def synthesize_in_geometry(method: Synthesizer, task: Task) -> Synthesis:
     straight, note = straighten_sample(task.sample, found.lattice, task.lattice is not None)
     seconds = 0.0 if task.lattice else found.seconds + time.perf_counter() - start
     made = method.synthesize(task) if straight is None else _synthesize_bent(method, task, straight, geometry)
-    return replace(
-        made,
-        detection_seconds=made.detection_seconds + seconds,
-        note="; ".join(filter(None, (made.note, note and note + _OUTPUTS[geometry] * (straight is not None)))),
-    )
+    if straight is not None:
+        note += f", and the output is {'straight' if geometry == 'straight' else 'bent'}"
+    note = "; ".join(filter(None, (made.note, note)))
+    return replace(made, detection_seconds=made.detection_seconds + seconds, note=note)
 
 
 def _synthesize_bent(method: Synthesizer, task: Task, straight: StraightSample, geometry: Geometry) -> Synthesis:
@@ -235,9 +229,8 @@ def _synthesize_bent(method: Synthesizer, task: Task, straight: StraightSample, 
     margin = _MARGIN + math.ceil(lattice.covering_radius)
     low, high = np.floor(bend.extent[0]) - margin, np.ceil(bend.extent[1]) + margin
     columns, rows = (high - low).astype(int) + 1
-    made = method.synthesize(
-        replace(task, sample=straight.image, shape=(int(rows), int(columns)), lattice=straight.lattice)
-    )
+    shape = int(rows), int(columns)
+    made = method.synthesize(replace(task, sample=straight.image, shape=shape, lattice=straight.lattice))
     # The output continues the phase of the straightened sample, whose corner is elsewhere on the plane.
     places = bend.locate(_pixels(*task.shape)) - low + lattice.wrap(low - straight.corner)
     image = read_spline(made.image, places)
@@ -270,8 +263,7 @@ def straighten_sample(sample: Image, lattice: Lattice | None, given: bool) -> tu
     if deformation is None and not given and lattice is not None:
         deformation = _follow(sample, None)
     if deformation is None:
-        unsure = given or lattice is not None
-        return None, "whether the sample is bent cannot be told: it is taken as it is" if unsure else ""
+        return None, "whether the sample is bent cannot be told: it is taken as it is" if lattice else ""
     if not deformation.bent:
         return None, ""
     mean = deformation.lattice
