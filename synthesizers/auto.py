@@ -66,12 +66,7 @@ class Auto:
     needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "paper": {
-            "threshold": 0.1,
-            "regular": "tile-set:preset=paper",
-            "other": "ann-pixel",
-            "geometry": "as-is",
-        }
+        "paper": {"threshold": 0.1, "regular": "tile-set:preset=paper", "other": "ann-pixel", "geometry": "as-is"}
     }
     paper: ClassVar[str] = TileSet.paper
 

@@ -29,6 +29,7 @@ LEAST_FOUND: Final = 0.5
 LEAST_POINTS: Final = 9
 """Whole tiles that the sample must hold."""
 Array = NDArray[np.float64]
+Locate = Callable[[Points], Points]
 WAVES: Final = 128
 """Number of plane waves along each axis of a drawn field."""
 MOST_VERTICES: Final = 512
@@ -76,16 +77,9 @@ class DeformedLattice:
     obstacle: str = ""
 
     @classmethod
-    def read(
-        cls,
-        lattice: Lattice,
-        shape: tuple[int, ...],
-        locate: Callable[[Points], Points],
-        amplitude: float,
-        obstacle: str = "",
-    ) -> DeformedLattice:
-        """Return a reduced lattice whose points lie where ``locate`` says, in a sample of ``shape``; NaN: not known."""
-        knots, last = knot_lattice(lattice), np.array(shape[1::-1]) - 1.0
+    def read(cls, lattice: Lattice, size: Points, locate: Locate, amplitude: float, obstacle: str) -> DeformedLattice:
+        """Return a reduced lattice whose points lie where ``locate`` says, in a sample of ``size`` (x, y) px; NaN: not known."""
+        knots, last = knot_lattice(lattice), size - 1.0
         numbers = knots.cell_numbers(-last, 2 * last)
         places = knots.from_cell(numbers)
         found = locate(places)
@@ -128,10 +122,10 @@ def find_deformed_lattice(sample: Image, lattice: Lattice) -> DeformedLattice:
     lattice
         The regular lattice. Its phase need not fit.
     """
-    lattice = lattice.reduced()
+    lattice, size = lattice.reduced(), np.array(sample.shape[1::-1], np.float64)
     tile = MeanTile.of(sample, lattice)
     if tile.flat:
-        return DeformedLattice.read(lattice, sample.shape, np.copy, 0.0, "the mean tile is flat")
+        return DeformedLattice.read(lattice, size, np.copy, 0.0, "the mean tile is flat")
     track = track_tiles(sample, lattice, tile)
     obstacle = _obstacle(track)
     amplitude = 0.0 if obstacle else _amplitude(track)
@@ -139,7 +133,7 @@ def find_deformed_lattice(sample: Image, lattice: Lattice) -> DeformedLattice:
     def locate(points: Points) -> Points:
         return np.asarray(points + track.nodes.interpolate(track.field, points))
 
-    return DeformedLattice.read(lattice, sample.shape, locate, amplitude, obstacle)
+    return DeformedLattice.read(lattice, size, locate, amplitude, obstacle)
 
 
 def read_deformation(deformation: Deformation, origin: Points) -> DeformedLattice | None:
@@ -159,7 +153,8 @@ def read_deformation(deformation: Deformation, origin: Points) -> DeformedLattic
     def locate(points: Points) -> Points:
         return np.where(deformation.covers(points)[:, np.newaxis], deformation.locate(points), np.nan)
 
-    return DeformedLattice.read(lattice, deformation.image.shape, locate, deformation.amplitude * lattice.s)
+    size = np.array(deformation.image.shape[1::-1], np.float64)
+    return DeformedLattice.read(lattice, size, locate, deformation.amplitude * lattice.s, "")
 
 
 def _obstacle(track: Track) -> str:

@@ -37,8 +37,6 @@ from .free_form import REPEATS, FreeForm
 
 LEAST_GAIN: Final = 1.2
 """Factor by which straightening must raise the share of the variance that the mean tile explains."""
-_SAME = 0.04
-"""Tolerance, in s, at which two lattices count as the same."""
 _LEAST_PERIODS = 2.0
 """Periods along both vectors that the straightened sample must show."""
 _MARGIN = 3
@@ -267,7 +265,7 @@ def straighten_sample(sample: Image, lattice: Lattice | None, given: bool) -> tu
     if not deformation.bent:
         return None, ""
     mean = deformation.lattice
-    if tracked is None or not (given or mean.is_equivalent(tracked.deformed.lattice, _SAME * mean.s)):
+    if tracked is None or not given:
         tracked = StraightSample(sample, find_deformed_lattice(sample, mean))
     followed = read_deformation(deformation, np.array(tracked.deformed.lattice.origin))
     ways = [tracked] if followed is None else [tracked, StraightSample(sample, followed)]
