@@ -78,7 +78,7 @@ class DeformedLattice:
 
     @classmethod
     def read(cls, lattice: Lattice, size: Points, locate: Locate, amplitude: float, obstacle: str) -> DeformedLattice:
-        """Return a reduced lattice whose points lie where ``locate`` says, in a sample of ``size`` (x, y) px; NaN: not known."""
+        """Return a reduced lattice whose points lie where ``locate`` says, NaN: unknown, in a sample of ``size`` px."""
         knots, last = knot_lattice(lattice), size - 1.0
         numbers = knots.cell_numbers(-last, 2 * last)
         places = knots.from_cell(numbers)
