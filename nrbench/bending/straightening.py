@@ -262,8 +262,13 @@ def straighten_sample(sample: Image, lattice: Lattice | None, given: bool) -> tu
         deformation = _follow(sample, None)
     if deformation is None:
         return None, "whether the sample is bent cannot be told: it is taken as it is" if lattice else ""
+    amplitude = f"{deformation.amplitude:.2f} s"
     if not deformation.bent:
-        return None, ""
+        off = deformation.amplitude >= LEAST_AMPLITUDE
+        return (
+            None,
+            f"tiles lie off the lattice by {amplitude}, not smoothly: the sample is taken as it is" if off else "",
+        )
     mean = deformation.lattice
     if tracked is None or not given:
         tracked = StraightSample(sample, find_deformed_lattice(sample, mean))
@@ -272,7 +277,7 @@ def straighten_sample(sample: Image, lattice: Lattice | None, given: bool) -> tu
     best = max(ways, key=lambda way: way.gain)
     if best.gain < LEAST_GAIN:
         return None, "the sample seems bent, but straightening gains nothing: it is taken as it is"
-    return best, f"bent by {deformation.amplitude:.2f} s: the sample was straightened"
+    return best, f"bent by {amplitude}: the sample was straightened"
 
 
 def _follow(sample: Image, lattice: Lattice | None) -> Deformation | None:
