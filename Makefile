@@ -19,7 +19,9 @@ SOURCES := $(shell find nrbench synthesizers metrics datasets_procedural reports
 run: $(VENV)/.installed
 	$(BIN)/nrbench run --out runs/default
 
-test: lint types unit
+test: $(VENV)/.installed-test
+	$(MAKE) -j 2 -O lint types
+	$(MAKE) unit
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
@@ -30,7 +32,7 @@ types: $(VENV)/.installed-test
 	cd $(VENV) && bin/mypy --config-file "$(CURDIR)/pyproject.toml" -p nrbench
 
 unit: $(VENV)/.installed-test
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 fuzz: $(VENV)/.installed-test
 	NRBENCH_FUZZ=$(or $(INPUTS),10000) $(BIN)/python -m pytest tests/core/test_untrusted_input.py

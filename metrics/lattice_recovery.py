@@ -27,7 +27,7 @@ class LatticeRecovery:
 
     tolerance: float = 1.0
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     columns: ClassVar[Mapping[str, Column]] = {
         "found": Column("Whether the detector found a lattice."),
         "confidence": Column("Confidence of the detector in its lattice."),
@@ -38,6 +38,7 @@ class LatticeRecovery:
             better="one",
         ),
         "vector_error": Column("Largest error of a generating vector.", "px", (0.0, math.inf), "lower"),
+        "vector_error_in_s": Column("That error over the shortest true vector s.", "of s", (0.0, math.inf), "lower"),
         "angle": Column("Largest angle between a generating vector and the true one.", "deg", (0.0, 180.0), "lower"),
         "area_ratio": Column("Area of the method's cell over the true cell's.", "", (0.0, math.inf), "one"),
         "drift": Column(
@@ -69,7 +70,7 @@ class LatticeRecovery:
         height, width = observation.output.shape[:2]
         error = lattice_error(used, truth, (height, width), self.tolerance)
         reasons = {} if error.index is not None else {"index": "the lattice is wrong, not a multiple of the true one"}
-        return Score(_values(error), reasons, records={"class": error.label})
+        return Score(_values(error, truth.s), reasons, records={"class": error.label})
 
 
 _COMPARED = tuple(name for name in LatticeRecovery.columns if name not in ("found", "confidence"))
@@ -83,11 +84,12 @@ def _score_detection(detected: FoundLattice | None) -> Score:
     return Score({"found": detected.lattice is not None, "confidence": detected.confidence}, reasons)
 
 
-def _values(error: LatticeError) -> dict[str, Value]:
+def _values(error: LatticeError, s: float) -> dict[str, Value]:
     return {
         "exact": error.relation == "exact",
         "index": error.index,
         "vector_error": error.vector,
+        "vector_error_in_s": error.vector / s,
         "angle": error.angle,
         "area_ratio": error.area_ratio,
         "drift": error.drift,

@@ -57,7 +57,7 @@ class Regularity:
     by default. The record ``lattice_from`` names the source: model, given, or dominance.
     """
 
-    version: ClassVar[str] = "10"
+    version: ClassVar[str] = "11"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
@@ -79,6 +79,7 @@ class Regularity:
             "Whether the output's own least-squares lattice is the true one, to 1 px of its vectors.", better="higher"
         ),
         "lattice_vector_error": _distance("Larger error of the generating vectors of the output's own lattice", "px"),
+        "lattice_vector_error_in_s": _distance("Larger error of the generating vectors of the output's own lattice"),
         "lattice_area_ratio": Column(
             "Area of the output's own cell over the true cell's.", range=(0.0, math.inf), better="one"
         ),
@@ -141,7 +142,7 @@ def _rate(examination: Examination) -> dict[str, Value]:
 
 def _compare_lattice(followed: FollowedPicture, in_place: Mask, reasons: dict[str, str]) -> dict[str, Value]:
     """Return the output's own lattice beside the true one: the affine part of the displacements."""
-    names = ("drift", "lattice_exact", "lattice_vector_error", "lattice_area_ratio")
+    names = ("drift", "lattice_exact", "lattice_vector_error", "lattice_vector_error_in_s", "lattice_area_ratio")
     share = float(in_place[followed.valid].mean())
     if share < 0.5:
         reasons |= dict.fromkeys(names, f"not measured: only {share:.0%} of the windows lie on one lattice")
@@ -150,7 +151,8 @@ def _compare_lattice(followed: FollowedPicture, in_place: Mask, reasons: dict[st
     own, true = _own_lattice(followed), Lattice.from_basis(vectors)
     error = lattice_error(own, true, (followed.lab.shape[0], followed.lab.shape[1]))
     drift = 100 * float(np.linalg.norm(followed.drift, 2))
-    return dict(zip(names, (drift, error.relation == "exact", error.vector, error.area_ratio), strict=True))
+    values = (drift, error.relation == "exact", error.vector, error.vector / true.s, error.area_ratio)
+    return dict(zip(names, values, strict=True))
 
 
 def _own_lattice(followed: FollowedPicture) -> Lattice:

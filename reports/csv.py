@@ -63,8 +63,8 @@ class CsvTables:
       ranked methods, adjusted for all pairs.
     - ``columns.csv``: for every column of ``cells.csv`` its meaning, unit, range, and which values are better.
     - ``perils.csv``: the points of the perils plane.
-    - ``baseline.csv``: for each method the difference in quality to one method, by default the best, with the effect
-      size and the p-value of ``differences.csv``.
+    - ``baseline.csv``: for each method the difference in quality to one method, by default the best, with the
+      p-value of ``differences.csv``.
 
     If the suite has textures at two levels or more of one departure, ``levels.csv`` has the mean quality of each method
     at each level, and ``breaking_points.csv`` the first level at which it is below 0.5.
@@ -75,6 +75,7 @@ class CsvTables:
     If the suite has analogues of figures of the report of 2004, ``published.csv`` has one row a figure and method,
     ``published_rates.csv`` the success rates as published and as measured over the same figures, and
     ``published_classes.csv`` the agreement by class of texture, with kappa and the kappa of random pairings.
+    ``published_table_2.csv`` and ``published_table_3.csv`` are tables 2 and 3 of the report, as it prints them.
 
     If detectors found the lattices, ``detections.csv`` has one row an answer, and ``detectors.csv`` each detector's
     share of right answers, with its interval over draws, by family, departure and level; an empty cell there stands for
@@ -134,6 +135,9 @@ class CsvTables:
                 "published_rates": published_rates_table(published),
                 "published_classes": published_classes_table(published),
             }
+            for number, regular in ((2, True), (3, False)):
+                heads, *lines = published.lines(regular)
+                tables[f"published_table_{number}"] = pd.DataFrame(lines, columns=heads)
         if labelers := compare_labelers(run, self.labels):
             tables |= {"labels": labels_table(run, self.labels), "agreement": agreement_table(labelers)}
         answers = tabulate_answers(run)
@@ -197,12 +201,12 @@ def differences_table(comparison: Comparison) -> pd.DataFrame:
 
 
 def baseline_table(comparison: Comparison) -> pd.DataFrame:
-    """Return one row a method: its difference in quality to the baseline, the effect size, and the adjusted p-value."""
+    """Return one row a method: its difference in quality to the baseline, and the adjusted p-value."""
     assert comparison.baseline is not None
     return pd.DataFrame(
         {"method": one.method.label, "baseline": comparison.baseline.label}
         | one.estimate.columns("difference")
-        | {"rank_biserial": one.effect, "p": one.p}
+        | {"p": one.p}
         for one in comparison.against
     )
 

@@ -12,6 +12,7 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
 from .page.environment import make_environment
+from .statistics.expectations import compare_with_published
 from .statistics.method_comparison import compare_methods
 from .statistics.summaries import list_patch_terms
 from .statistics.verdicts import count_reasons
@@ -23,7 +24,8 @@ _ACTIVE = re.compile(r"([\\`*_\[\]<>|~&@#]|:(?=//)|(?<=www)\.|^[-+=])")
 class MarkdownTables:
     """``comparison.md``: methods from the highest mean quality to the lowest, and textures by methods, as pipe tables.
 
-    A last table says how methods that copy patches choose, place and join them. Names and messages are escaped: nothing
+    A further table says how methods that copy patches choose, place and join them (table 1 of the report of 2004). If
+    the run has analogues of the report's figures, its tables 2 and 3 follow. Names and messages are escaped: nothing
     in them becomes markup or a link.
 
     Parameters
@@ -53,7 +55,10 @@ class MarkdownTables:
         """Return the tables as text; every line ends in a newline."""
         template = make_environment({"escape_markdown": escape_markdown}).get_template("comparison.md")
         comparison = compare_methods(run, self.tests, self.baseline, self.population)
-        return template.render(comparison=comparison, reasons=count_reasons(run), patch_terms=list_patch_terms(run))
+        published = compare_with_published(run, comparison)
+        return template.render(
+            comparison=comparison, reasons=count_reasons(run), patch_terms=list_patch_terms(run), published=published
+        )
 
 
 def escape_markdown(text: str) -> str:

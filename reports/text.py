@@ -22,6 +22,7 @@ from nrbench.storage import write_text
 from .statistics import verdicts
 from .statistics.detections import DetectorSummary, compare_detectors
 from .statistics.estimates import Estimate
+from .statistics.expectations import compare_with_published
 from .statistics.format import format_interval, format_number, format_percent, format_value, pluralize
 from .statistics.method_comparison import Comparison, Entry, choose_rows, compare_methods
 from .statistics.summaries import MethodSummary, SummaryRow
@@ -40,7 +41,9 @@ _DETECTOR_LEGEND = (
 class TextTable:
     """The comparison as plain text: methods from the highest mean quality to the lowest, then textures by methods.
 
-    If detectors found the lattices, a second table shows the accuracy of each detector.
+    If the run has analogues of figures of the report of 2004, its tables 2 and 3 follow, with the measured verdicts.
+
+    If detectors found the lattices, a last table shows the accuracy of each detector.
 
     Parameters
     ----------
@@ -90,6 +93,16 @@ class TextTable:
             console.print(*_split_table(partial(_texture_table, comparison), methods, console), sep="")
             for line in [*_legend(comparison), *_reasons(run)]:
                 console.print(Text(line))
+        if published := compare_with_published(run, comparison):
+            for regular in (True, False):
+                if published.table(regular):
+                    heads, *rows = published.lines(regular)
+                    table = _make_table(*heads)
+                    for row in rows:
+                        table.add_row(*map(Text, row))
+                    console.print(Text(f"{published.titles[regular]} of the report of 2004: published, then measured"))
+                    console.print(table)
+            console.print(Text(published.sentence))
         if detectors:
             console.print(_detector_table(detectors.summaries))
             console.print(Text(_DETECTOR_LEGEND))

@@ -132,7 +132,7 @@ class FftmPatch(MaskParameters):
             **MASK_OF_THE_PAPER,
         }
     }
-    patch_shape: ClassVar[str] = "rectangular patch from the period"
+    patch_shape: ClassVar[str] = "rectangular patch from the period, matching={matching}"
     patch_placement: ClassVar[str] = "best match of color and mask"
     patch_stitching: ClassVar[str] = "graph cut"
     paper: ClassVar[str] = Frdft.paper

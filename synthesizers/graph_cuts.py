@@ -129,7 +129,7 @@ class GraphCuts:
         }
     }
     patch_shape: ClassVar[str] = "input texture image"
-    patch_placement: ClassVar[str] = "random or maximal correlation locations"
+    patch_placement: ClassVar[str] = "random or maximal correlation locations, placement={placement}"
     patch_stitching: ClassVar[str] = "graph cut & blending"
     paper: ClassVar[str] = """@article{kwatra2003graphcut,
   author = {Kwatra, Vivek and Sch{\\"o}dl, Arno and Essa, Irfan and Turk, Greg and Bobick, Aaron},

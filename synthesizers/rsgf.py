@@ -136,8 +136,8 @@ class Rsgf:
         }
     }
     patch_shape: ClassVar[str] = "user-defined, square patch"
-    patch_placement: ClassVar[str] = "lattice points at random, gaps by best match"
-    patch_stitching: ClassVar[str] = "graph cut or blending"
+    patch_placement: ClassVar[str] = "lattice points at random, gaps by best match, search={search}"
+    patch_stitching: ClassVar[str] = "borders, seam={seam}"
     paper: ClassVar[str] = Gncc.paper
 
     def __post_init__(self) -> None:

@@ -157,7 +157,7 @@ class TileSet:
     }
     patch_shape: ClassVar[str] = "tile shape/size from translational symmetry analysis"
     patch_placement: ClassVar[str] = "lattice points"
-    patch_stitching: ClassVar[str] = "dynamic programming & blending, or graph cut"
+    patch_stitching: ClassVar[str] = "seams, stitch={stitch}"
     paper: ClassVar[str] = """@article{liu2005promise,
   author = {Liu, Yanxi and Tsin, Yanghai and Lin, Wen-Chieh},
   title = {The Promise and Perils of Near-Regular Texture},

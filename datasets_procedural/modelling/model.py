@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -307,10 +307,15 @@ def check_degrees(model: Any, *names: str) -> None:
 
 def check_choices(model: Any) -> None:
     """Raise :class:`BadInput` unless each ``Literal`` field of ``model`` holds one of its words."""
-    for name, hint in get_type_hints(type(model)).items():
+    for name, words in _choices(type(model)).items():  # type: ignore[arg-type]
         word = getattr(model, name)
-        if get_origin(hint) is Literal and word not in get_args(hint):
-            raise BadInput(f"{name} is {word!r}; give one of: {', '.join(get_args(hint))}")
+        require(word in words, f"{name} is {word!r}; give one of: {', '.join(words)}")
+
+
+@cache
+def _choices(model: type[Any]) -> dict[str, tuple[str, ...]]:
+    """Return the words of each ``Literal`` field of a class. To read its annotations takes longer than many a cell."""
+    return {name: get_args(hint) for name, hint in get_type_hints(model).items() if get_origin(hint) is Literal}
 
 
 def check_shape(shape: Shape) -> None:

@@ -117,7 +117,7 @@ def _limits(metric: str) -> list[dict[str, Any]]:
 
 
 def _page(kind: str, plugin: Any) -> dict[str, Any]:
-    from nrbench.plugins import PATCH_TERMS
+    from nrbench.plugins import PATCH_TERMS, describe_patches
     from nrbench.plugins.parameters import fields_by_call
 
     cls = plugin.cls
@@ -132,7 +132,7 @@ def _page(kind: str, plugin: Any) -> dict[str, Any]:
         "bibtex": inspect.cleandoc(getattr(cls, "paper", "")),
     }
     if kind == "synthesizers":
-        page["patches"] = {term: getattr(cls, term) for term in PATCH_TERMS if hasattr(cls, term)}
+        page["patches"] = dict(zip(PATCH_TERMS, describe_patches(cls, page["parameters"]), strict=False))
     if kind == "metrics":
         page["columns"] = {key: _declared(column) for key, column in cls.columns.items()}
     return page

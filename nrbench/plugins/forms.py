@@ -547,7 +547,8 @@ class Synthesizer(Protocol):
         kind may have presets.
     ``patch_shape``, ``patch_placement``, ``patch_stitching``
         For methods that copy patches: what a patch is, how its place is chosen, and how it is joined to the others, in
-        a few words each. Reports show them in a table. A method has all three or none.
+        a few words each. ``{name}`` stands for the value of a parameter. Reports show them in a table. A method has all
+        three or none.
     """
 
     def synthesize(self, task: Task) -> Synthesis:

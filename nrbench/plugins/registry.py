@@ -408,6 +408,11 @@ def _preset_fault(kind: str, cls: Any) -> str:
     return ""
 
 
+def describe_patches(cls: Any, parameters: Mapping[str, Any]) -> list[str]:
+    """Return the :data:`PATCH_TERMS` that a method declares, with its parameters in the places of their names."""
+    return [str(getattr(cls, term)).format_map(parameters) for term in PATCH_TERMS if hasattr(cls, term)]
+
+
 def _patch_fault(kind: str, cls: Any) -> str:
     if kind != "synthesizers":
         return ""

@@ -51,7 +51,7 @@ class Recipe:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the recipe as a mapping that can be written as JSON."""
-        return dataclasses.asdict(self)
+        return dict(vars(self))
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Recipe:
@@ -189,8 +189,10 @@ class Cell:
         return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the cell as a mapping that can be written as JSON."""
-        return {"key": self.key, **dataclasses.asdict(self)}
+        """Return the cell as a mapping that can be written as JSON. No parameter is copied, to save time."""
+        known = {name: getattr(self, name) for name in ("lattice_given", "lattice_truth", "detected")}
+        parts = {name: dataclasses.asdict(part) for name, part in known.items() if part}
+        return {"key": self.key, **vars(self), **parts, "recipe": self.recipe.as_dict()}
 
     @classmethod
     def from_dict(cls, mapping: Mapping[str, Any]) -> Cell:

@@ -25,8 +25,10 @@ LEVEL = 0.95
 RESAMPLES = 9999
 """Number of bootstrap resamples."""
 FEWEST = 6
-"""An interval of a mean needs so many textures that scatter, and a test so many textures: with five no sign test of a
-pair can be significant at 5 %."""
+"""A test needs so many textures: with five no sign test of a pair can be significant at 5 %."""
+FEWEST_DIFFERENT = 9
+"""An interval of a mean needs so many textures that scatter between draws, or over a population that differ: with fewer
+it holds the mean less often than it says (``benchmarks/table_errors.py``)."""
 _BATCH = 256
 """Number of means whose resamples are in memory at the same time."""
 
@@ -61,6 +63,10 @@ class Estimate:
     def ends(self) -> tuple[float, float] | None:
         """The interval; None if there is none."""
         return None if self.low is None or self.high is None else (self.low, self.high)
+
+    def __neg__(self) -> Estimate:
+        low, high = (None, None) if self.ends is None else (-self.ends[1], -self.ends[0])
+        return replace(self, value=None if self.value is None else -self.value, low=low, high=high)
 
     def within(self, limits: tuple[float, float]) -> Estimate:
         """Return the estimate with the ends of its interval inside the range of its score."""
@@ -142,8 +148,8 @@ def draw_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
     The variance of the mean is the sum of the variances of the textures' means. Its degrees of freedom are
     Satterthwaite's in the form of Welch (1947), which allows for the error of the variances themselves; two draws of
-    each texture suffice. There is no interval unless every texture has two draws and :data:`FEWEST` textures have
-    draws that differ: a few rare differences do not tell how often they occur.
+    each texture suffice. There is no interval unless every texture has two draws and :data:`FEWEST_DIFFERENT` textures
+    have draws that differ: a few rare differences do not tell how often they occur.
 
     Parameters
     ----------
@@ -166,7 +172,7 @@ def draw_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
     parts = (away**2).sum(2) / np.maximum(counts * (counts - 1), 1)
     largest = np.abs(np.where(known, values, 0.0)).max(2, initial=0.0)
     parts[parts <= (1e-12 * largest) ** 2] = 0.0
-    carried = ((parts > 0).sum(1) >= FEWEST) & (counts != 1).all(1)
+    carried = ((parts > 0).sum(1) >= FEWEST_DIFFERENT) & (counts != 1).all(1)
     variance, n = parts.sum(1), np.maximum((counts > 0).sum(1), 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.maximum(variance**2 / (parts**2 / (counts + 1)).sum(1) - 2, 1.0)
@@ -178,8 +184,9 @@ def population_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute intervals of means over a population of textures: a hierarchical bootstrap over textures and draws.
 
     Textures are drawn with replacement, and of each the draws. Percentiles of few textures are too narrow, so the level
-    is raised by the ratio of Student's to the normal quantile. There is no interval for fewer than :data:`FEWEST`
-    different textures. It is our own code because ``scipy.stats.bootstrap`` draws at one level only.
+    is raised by the ratio of Student's to the normal quantile. There is no interval for fewer than
+    :data:`FEWEST_DIFFERENT` different textures. It is our own code because ``scipy.stats.bootstrap`` draws at one level
+    only.
 
     Parameters
     ----------
@@ -198,7 +205,7 @@ def population_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     means = mean_of_known(values, 2)
     known, ends = np.isfinite(means), np.full((len(values), 2), np.nan)
-    if values.shape[1] < FEWEST:
+    if values.shape[1] < FEWEST_DIFFERENT:
         return ends
     filled = np.nan_to_num(np.where(np.isfinite(values), values, means[..., None]))
     weights = _resample_weights(*values.shape[1:])
@@ -206,7 +213,7 @@ def population_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
         totals = weights.reshape(RESAMPLES, -1) @ filled.reshape(len(values), -1).T
         draws = np.sort(totals / (weights.sum(2) @ known.T), axis=0)
     for i, row in enumerate(known):
-        if len(np.unique(means[i, row])) >= FEWEST:
+        if len(np.unique(means[i, row])) >= FEWEST_DIFFERENT:
             tail = expanded_tail(int(row.sum()))
             ends[i] = np.quantile(draws[: np.isfinite(draws[:, i]).sum(), i], (tail, 1 - tail))
     return ends

@@ -39,7 +39,7 @@ from .estimates import (
 )
 from .method_comparison import Comparison
 from .summaries import Method
-from .verdicts import PRESERVED, QUALITY, RANKING, tabulate_cells
+from .verdicts import MARKS, PRESERVED, QUALITY, RANKING, tabulate_cells
 
 _WORDS = {"less": "less than", "greater": "greater than", "equal": "equal to"}
 GROUPS: Mapping[str, tuple[int, int, tuple[str, ...]]] = {
@@ -123,7 +123,7 @@ def evaluate_claims(run: Run) -> list[ClaimResult]:
     """Return the claims of a run's suite with what the scores show of them; none if the suite has no claims.
 
     A claim speaks of textures that no suite lists, so intervals are over a population of textures: Wilson's for
-    ``regularity.preserved``, else a bootstrap interval, from six textures up. A difference of
+    ``regularity.preserved``, else a bootstrap interval, if nine textures differ. A difference of
     two series, or of two levels, is paired by texture and replicate; by family and replicate if the two have no
     texture in common, for example where the levels are sizes of the output.
     """
@@ -355,11 +355,14 @@ class PublishedComparison:
     methods
         The methods that the report ran and the run has.
     figures
-        The figures of which the run has an analogue.
+        The figures whose analogues the run has cells of.
     verdicts
         One row a figure and method: the published verdict and the measured share of preserved replicates.
     rates, classes
         Rates over groups of figures, and the agreement by class of texture.
+    types
+        For textures of type II (irregular geometry, regular colors) and III (both irregular), which are analogues of no
+        figure: for each method the number that preserve the lattice, and the number with a verdict.
     kappa
         Cohen's kappa of measured and published verdicts, figure by figure; None if it does not exist. A share of
         one half or more counts as preserved.
@@ -373,6 +376,7 @@ class PublishedComparison:
     verdicts: pd.DataFrame
     rates: Sequence[RateRow]
     classes: Sequence[ClassRow]
+    types: Mapping[str, Sequence[tuple[float, int]]]
     kappa: float | None
     chance: tuple[float, float] | None
 
@@ -381,9 +385,55 @@ class PublishedComparison:
         "They are a fixed list and no sample of a population of textures."
     )
 
+    titles: ClassVar[Mapping[bool, str]] = {
+        True: "Table 2: regular textures", False: "Table 3: near-regular textures"
+    }  # fmt: skip
+
     def table(self, regular: bool) -> list[FigureRow]:
         """Return the rows of table 2 (regular textures, figures 3 to 7) or of table 3 (figures 8 to 45)."""
         return [row for row in self.figures if (row.figure.number <= 7) == regular]
+
+    def footers(self, regular: bool) -> dict[str, list[tuple[str, str]]]:
+        """Return the bottom rows of table 2 or 3 by their names: for each method the published and the measured rate.
+
+        Below the success rate of table 3, which is that of textures of type I, stand those of types II and III.
+
+        A figure without a verdict does not count. The share of a figure's replicates counts as so much of a figure.
+        """
+        rows = self.table(regular)
+        pairs = []
+        for i, method in enumerate(self.methods):
+            words = [word for row in rows if (word := row.figure.verdicts.get(method.base))]
+            shares = [share for row in rows if (share := row.measured[i]) is not None]
+            published = _rate_text(words.count("preserved"), len(words))
+            pairs.append((published, _rate_text(sum(shares), len(shares))))
+        others = {} if regular else self.types
+        return {
+            "success rate": pairs,
+            **{f"type {kind}": [("–", _rate_text(*rate)) for rate in rates] for kind, rates in others.items()},
+        }
+
+    def lines(self, regular: bool) -> list[list[str]]:
+        """Return table 2 or 3 as text: the heads, a line for each figure, and the success rates.
+
+        In each place the published mark stands before the measured one.
+        """
+        lines = [["figure", "description", *(method.label for method in self.methods)]]
+        for row in self.table(regular):
+            words = [MARKS[row.figure.verdicts.get(method.base, "refused")] for method in self.methods]
+            shares = [
+                "?" if one is None else MARKS["preserved"] if one == 1 else MARKS["lost"] if one == 0 else f"{one:.0%}"
+                for one in row.measured
+            ]
+            marks = [f"{word} {share}" for word, share in zip(words, shares, strict=True)]
+            lines.append([str(row.figure.number), row.figure.description, *marks])
+        for name, pairs in self.footers(regular).items():
+            lines.append([name, "preserved/total", *(f"{published}, {measured}" for published, measured in pairs)])
+        return lines
+
+
+def _rate_text(preserved: float, total: int) -> str:
+    return f"{preserved / total:.0%} ({preserved:.3g}/{total})" if total else "–"
 
 
 def compare_with_published(run: Run, comparison: Comparison) -> PublishedComparison | None:
@@ -397,7 +447,8 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
         The comparison of the run, which gives the methods.
     """
     rows = run.info.get("suite", {}).get("content", {}).get("texture", [])
-    names = {row["figure"]: row["name"] for row in rows if row.get("figure")}
+    textures = {record.cell.texture for record in run.cells}
+    names = {row["figure"]: row["name"] for row in rows if row.get("figure") and row["name"] in textures}
     ran = dict.fromkeys(method for figure in read_published() for method in figure.verdicts)
     methods = [found for name in ran if (found := _find_method(name, comparison.methods)) is not None]
     known = [figure for figure in read_published() if figure.number in names]
@@ -426,9 +477,21 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
         classes=[
             _class_agreement(kind, figures, pairs) for kind in [*dict.fromkeys(figure.kind for figure in known), "all"]
         ],
+        types=_count_types(run, cells[~cells["texture"].isin(list(names.values()))], methods),
         kappa=observed,
         chance=chance,
     )
+
+
+def _count_types(run: Run, cells: pd.DataFrame, methods: Sequence[Method]) -> dict[str, list[tuple[float, int]]]:
+    """Return for each of the types II and III how many textures each method preserves, and how many have a verdict."""
+    found = {}
+    for kind in ("II", "III"):
+        own = cells[cells["texture"].isin([record.texture for record in run.cells if record.cell.kind == kind])]
+        shares = [_measured_shares(own[own["label"] == method.label]) for method in methods]
+        if any(shares):
+            found[kind] = [(sum(one.values()), len(one)) for one in shares]
+    return found
 
 
 def _find_method(name: str, methods: Sequence[Method]) -> Method | None:

@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 from nrbench.errors import BadInput
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import CellRecord, Run
 
-from .estimates import FEWEST, Estimate, estimate_means, mean_of_known, stack_draws
+from .estimates import FEWEST, FEWEST_DIFFERENT, Estimate, estimate_means, mean_of_known, stack_draws
 from .format import pluralize
 from .pair_tests import ALPHA, PairTests, adjust_means, compare_pairs
 from .summaries import (
@@ -83,15 +82,12 @@ class BaselineDifference:
         The method.
     estimate
         Mean over textures of its quality minus that of the other method.
-    effect
-        The rank-biserial correlation of the differences, in [-1, 1].
     p
         p-value of the difference, as in :class:`PairedDifference`.
     """
 
     method: Method
     estimate: Estimate
-    effect: float | None
     p: float | None
 
 
@@ -294,7 +290,7 @@ def _build_comparison(run: Run, tests: bool, baseline: str, population: bool) ->
     methods = [one.method for one in ranked]
     differences = list_differences(run, methods, cells, fit if tests else (), population)
     if tests and other is not None and fit:
-        against = compare_with(cells, differences, other, [one for one in methods if one != other], population)
+        against = compare_with(differences, other)
     score = QUALITY if has_quality(run) else SCORE
     notes = list(dict.fromkeys(record.note for record in run.cells if record.note))
     rows = _texture_rows(run, methods, score, {note: number for number, note in enumerate(notes, 1)})
@@ -324,10 +320,11 @@ def _describe_estimand(textures: int, draws: int, population: bool) -> str:
     if population:
         return (
             f"Estimated: the mean over a population of textures, of which these {textures} are a sample. Intervals: "
-            f"95 %, by a hierarchical bootstrap over textures and draws, where {FEWEST} textures or more differ."
+            "95 %, by a hierarchical bootstrap over textures and draws, where "
+            f"{FEWEST_DIFFERENT} textures or more differ."
         )
     intervals = (
-        f"Intervals: 95 %, over draws, where {FEWEST} textures or more scatter between them."
+        f"Intervals: 95 %, over draws, where {FEWEST_DIFFERENT} textures or more scatter between them."
         if draws > 1
         else "One draw of each carries no interval of a mean."
     )
@@ -479,52 +476,14 @@ def choose_rows(run: Run, comparison: Comparison, names: Sequence[str]) -> Seque
     return [rows[name] for name in names]
 
 
-def rank_biserial(differences: Sequence[float] | Floats) -> float | None:
-    """Compute the matched-pairs rank-biserial correlation, the effect size of Wilcoxon's test.
-
-    It is the sum of the ranks of positive differences minus that of negative ones, over the sum of all ranks: 1 if the
-    first method is better on every texture, -1 if it is worse on every texture, 0 if they are even.
-
-    Parameters
-    ----------
-    differences
-        One a texture. Zeros are left out.
-
-    Returns
-    -------
-    float or None
-        In [-1, 1]; None if all differences are zero or there are none.
-
-    References
-    ----------
-    D. S. Kerby, "The simple difference formula: an approach to teaching nonparametric correlation", Comprehensive
-    Psychology 3, 2014.
-    """
-    values = np.asarray(differences, np.float64)
-    values = values[np.isfinite(values) & (values != 0)]
-    if not len(values):
-        return None
-    ranks = rankdata(np.abs(values))
-    return float((ranks * np.sign(values)).sum() / ranks.sum())
-
-
-def compare_with(
-    cells: pd.DataFrame,
-    differences: Sequence[PairedDifference],
-    other: Method,
-    methods: Sequence[Method],
-    population: bool = False,
-) -> list[BaselineDifference]:
-    """Return the difference of each method to ``other`` in quality; methods without common textures are left out."""
-    gaps = _draws(cells, RANKING, methods) - _draws(cells, RANKING, [other])
-    p = {frozenset((one.first.label, one.second.label)): one.p for one in differences if one.score == RANKING}
-    return [
-        BaselineDifference(
-            one, estimate, rank_biserial(mean_of_known(gap, 1)), p.get(frozenset((one.label, other.label)))
-        )
-        for one, estimate, gap in zip(methods, estimate_means(gaps, population=population), gaps, strict=True)
-        if estimate.n
-    ]
+def compare_with(differences: Sequence[PairedDifference], other: Method) -> list[BaselineDifference]:
+    """Return the difference of each method to ``other`` in quality, from those of all pairs."""
+    found = []
+    for one in differences:
+        if one.score == RANKING and one.estimate.n and other in (one.first, one.second):
+            gap, method = (-one.estimate, one.second) if one.first == other else (one.estimate, one.first)
+            found.append(BaselineDifference(method, gap, one.p))
+    return found
 
 
 def _draws(cells: pd.DataFrame, score: str, methods: Sequence[Method]) -> Floats:

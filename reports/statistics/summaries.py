@@ -14,7 +14,7 @@ from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from .estimates import Estimate, estimate_means, stack_draws, success_rate
+from .estimates import NO_ESTIMATE, Estimate, estimate_means, estimate_proportion, stack_draws, success_rate
 from .format import (
     describe_column,
     format_count,
@@ -49,6 +49,11 @@ COSTS: Mapping[str, Column] = {
     "seconds": Column("Wall time of the synthesis, including its own lattice detection.", "s", (0, math.inf), "lower"),
     "peak_mib": Column("Peak memory above the idle worker.", "MiB", (0, math.inf), "lower"),
 }
+LATTICES: Mapping[str, tuple[str, str]] = {
+    "lattice_used": ("lattice_recovery.", "the lattice that the method used"),
+    "lattice_of_output": ("regularity.lattice_", "the lattice of the output, fitted to its windows that are in place"),
+}
+"""The lattices that are compared with the true one: the beginnings of the names of their columns, and their meaning."""
 RATE = Column("Share of outputs whose lattice is preserved.", better="higher")
 RATE_MEANING = (
     "With Wilson's 95 % interval over outputs. Failures and refusals count as not preserved. Undecided cells are left "
@@ -95,16 +100,25 @@ def method_classes(cells: Iterable[CellRecord]) -> dict[str, type | None]:
 
 
 def list_patch_terms(run: Run) -> list[tuple[str, ...]]:
-    """Return the rows of the table of patches (Lin et al. 2004, table 1), as the methods that copy patches declare.
+    """Return the rows of table 1 of the report of 2004, as the methods that copy patches declare for their parameters.
 
     Returns
     -------
     list of tuple
-        The name of the method, what a patch is, how its place is chosen, and how it is joined to the others.
+        The method, what a patch is, how its place is chosen, and how it is joined to the others.
     """
-    classes = method_classes(record for record in run.cells if not record.cell.reference)
-    rows = [(name, *(getattr(cls, term, "") for term in plugins.PATCH_TERMS)) for name, cls in classes.items()]
-    return [row for row in rows if all(row)]
+    records = {record.method: record for record in run.cells if not record.cell.reference}
+    classes = method_classes(records.values())
+    found = {
+        name: plugins.describe_patches(cls, {**_defaults(cls), **record.parameters})
+        for name, record in records.items()
+        if (cls := classes.get(record.cell.method)) is not None
+    }
+    return [(name, *terms) for name, terms in found.items() if len(terms) == len(plugins.PATCH_TERMS)]
+
+
+def _defaults(cls: type) -> dict[str, Any]:
+    return {name: getattr(cls, name, "") for name in getattr(cls, "__dataclass_fields__", {})}
 
 
 @dataclass(frozen=True)
@@ -123,6 +137,8 @@ class MethodSummary:
         Mean over textures of every score and cost.
     validity, validity_scored
         On how many textures a baseline is valid: of all, and of those with a quality.
+    lattices
+        For each of :data:`LATTICES` the median error over outputs in px and in s, and the share that are exact.
     rank
         Position by mean quality, 1 the best; None for a reference, without a quality, and if the method has a quality
         on fewer than half as many textures as the method with the most.
@@ -137,6 +153,7 @@ class MethodSummary:
     means: Mapping[str, Estimate]
     validity: BaselineValidity
     validity_scored: BaselineValidity
+    lattices: Mapping[str, Estimate]
     rank: int | None = None
     leading: bool = False
 
@@ -147,9 +164,9 @@ class MethodSummary:
 
     @property
     def all_means(self) -> dict[str, Estimate]:
-        """The success rates and the means, by the names of their columns."""
+        """The success rates, the errors of lattices, and the means, by the names of their columns."""
         rates = {"preserved": self.success, "preserved_refusals_left_out": self.success_answered}
-        return {**rates, **self.means}
+        return {**rates, **self.lattices, **self.means}
 
 
 @dataclass(frozen=True)
@@ -182,8 +199,9 @@ class SummaryRow:
 
     @property
     def title(self) -> str:
-        """The name, without the metric for the four perils."""
-        return self.name.rpartition(".")[2] if self.name in PERILS else self.name
+        """The name, without the metric for the four perils, and in words for the errors of lattices."""
+        words = self.name.replace("_", " ") if self.name.startswith(tuple(LATTICES)) else self.name
+        return words.rpartition(".")[2] if self.name in PERILS else words
 
     @property
     def meaning(self) -> str:
@@ -290,9 +308,31 @@ def summarize_methods(run: Run, cells: pd.DataFrame, population: bool = False) -
                 means=means,
                 validity=count_valid_textures(own),
                 validity_scored=count_valid_textures(scored),
+                lattices=compare_lattices(own),
             )
         )
     return summaries
+
+
+def compare_lattices(cells: pd.DataFrame) -> dict[str, Estimate]:
+    """Return the errors of the lattices of some cells, see :class:`MethodSummary`.
+
+    An output on which no lattice can be fitted, because fewer than half of its windows lie on one, is not exact.
+    """
+    found: dict[str, Estimate] = {}
+    for name, (columns, _) in LATTICES.items():
+        if f"{columns}exact" not in cells:
+            continue
+        exact = cells[f"{columns}exact"]
+        if name == "lattice_of_output":
+            exact = exact.where(exact.notna() | cells[SCORE].isna(), 0.0)
+        outcomes = exact.dropna().astype(float) > 0
+        for unit, column in {"px": "vector_error", "s": "vector_error_in_s"}.items():
+            errors = cells[f"{columns}{column}"].dropna().astype(float)
+            middle = float(errors.median()) if len(errors) else None
+            found[f"{name}_{unit}"] = Estimate(middle, n=len(errors), of=len(outcomes))
+        found[f"{name}_exact"] = estimate_proportion(outcomes)
+    return found
 
 
 def count_statuses(status: pd.Series[str]) -> dict[str, int]:
@@ -321,8 +361,26 @@ def summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRo
             note = f"{MEAN_MEANING} Failures, refusals and undecided cells are left out."
             means.append(SummaryRow("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
     seconds = len(means) - 1 if RANKING in columns else 0
+    rates += _lattice_rows(summaries)
     blanks = [MARKS["refused"] if one.counts["refused"] == one.counts["cells"] else "–" for one in summaries]
     return [replace(row, blanks=blanks) for row in (*means[:seconds], *rates, *means[seconds:])]
+
+
+def _lattice_rows(summaries: Sequence[MethodSummary]) -> list[SummaryRow]:
+    """Return the rows of the errors of lattices that any method has."""
+    rows = []
+    for name, (_, lattice) in LATTICES.items():
+        for unit in ("px", "s"):
+            part = Column(f"Error of {lattice}: its worst generating vector.", unit, (0.0, math.inf), "lower")
+            rows.append(_lattice_row(f"{name}_{unit}", part, "Median over outputs.", summaries))
+        share = Column(f"Share of outputs on which {lattice}, is the true one to 1 px.", better="higher")
+        rows.append(_lattice_row(f"{name}_exact", share, "With Wilson's 95 % interval over outputs.", summaries))
+    return [row for row in rows if any(row.estimates)]
+
+
+def _lattice_row(name: str, column: Column, note: str, summaries: Sequence[MethodSummary]) -> SummaryRow:
+    estimates = _known(one.lattices.get(name, NO_ESTIMATE) for one in summaries)
+    return SummaryRow(name, column, note, estimates, rate=name.endswith("exact"))
 
 
 def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRow]:

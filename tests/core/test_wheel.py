@@ -83,7 +83,8 @@ def test_it_runs_from_an_empty_directory(wheel: Path, tmp_path: Path) -> None:
     python = place / ("Scripts" if os.name == "nt" else "bin") / "python"
     paths = sysconfig.get_paths(vars={"base": str(place), "platbase": str(place)})
     zipfile.ZipFile(wheel).extractall(paths["purelib"])
-    (Path(paths["purelib"]) / "dependencies.pth").write_text(sysconfig.get_paths()["purelib"])
+    installed = "\n".join(folder for folder in sys.path if folder.endswith("-packages"))
+    (Path(paths["purelib"]) / "dependencies.pth").write_text(installed)
     empty = tmp_path / "empty"
     empty.mkdir()
     (empty / "small.toml").write_text(SUITE)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from nrbench.errors import BadInput
+from nrbench.plugins.forms import Column
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.json import JsonSummary
@@ -54,13 +55,16 @@ Make = Callable[..., Any]
 
 
 def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """Methods that copy patches are listed once each, in the plugins' words; all three formats have the table."""
+    """Methods that copy patches are listed once each, with their parameters; all three formats have the table."""
     methods = ("tile-set", "ann-pixel", "nowhere", "rsgf")
-    run = make_run([make_cell(texture, method) for texture in "ab" for method in methods])
+    cells = [make_cell(texture, method) for texture in "ab" for method in methods]
+    cells += [make_cell("a", "tile-set:stitch=dynamic", parameters={"stitch": "dynamic"})]
+    run = make_run(cells)
     terms = list_patch_terms(run)
-    assert [row[0] for row in terms] == ["tile-set", "rsgf"]
+    assert [row[0] for row in terms] == ["tile-set", "rsgf", "tile-set:stitch=dynamic"]
     shape = "tile shape/size from translational symmetry analysis"
-    assert terms[0][1:] == (shape, TileSet.patch_placement, TileSet.patch_stitching)
+    assert terms[0][1:] == (shape, TileSet.patch_placement, "seams, stitch=graphcut")
+    assert terms[2][3] == "seams, stitch=dynamic"
     tables = LatexTables().write(run, tmp_path)
     latex = next(path for path in tables if path.name == "patches.tex").read_text("utf-8")
     for text in (MarkdownTables().render(run), HtmlReport().render(run, tmp_path), latex):
@@ -95,6 +99,23 @@ def test_failures_count_zero_or_not_at_all(make_cell: Make, make_run: Make) -> N
     counted, answered = compare_methods(run).summary_rows[:2]
     assert (counted.title, counted.values, counted.counts) == ("quality", ["0.40"], ["4 of 5"])
     assert (answered.values, answered.counts) == (["0.80"], ["2 of 5"])
+
+
+def test_the_errors_of_both_lattices_stand_in_the_table(make_cell: Make, make_run: Make) -> None:
+    """Medians in px and in s and the share exact, of the lattice used and of the output; torn outputs are not exact."""
+    run = make_run([])
+    for number, (used, output) in enumerate([(0.2, 0.5), (0.4, 1.5), (2.0, None)]):
+        values: dict[str, float | bool | None] = {}
+        for start, error in (("lattice_recovery.", used), ("regularity.lattice_", output)):
+            values |= {f"{start}vector_error": error, f"{start}exact": None if error is None else error < 1}
+            values[f"{start}vector_error_in_s"] = None if error is None else error / 10
+        run.columns.update(dict.fromkeys(values, Column("An error.", "px", (0.0, math.inf), "lower")))
+        run.cells.append(make_cell(f"t{number}", "m", values=values))
+    rows = compare_methods(run).summary_rows
+    assert {row.title: row.values[0] for row in rows if row.name.startswith("lattice")} == {
+        "lattice used px": "0.40", "lattice used s": "0.040", "lattice used exact": "67 %",
+        "lattice of output px": "1.00", "lattice of output s": "0.10", "lattice of output exact": "33 %",
+    }  # fmt: skip
 
 
 def test_the_ranking_uses_textures_that_most_methods_decide(make_cell: Make, make_run: Make) -> None:
@@ -136,12 +157,12 @@ def test_a_refused_reference_is_not_zero(make_cell: Make, make_run: Make) -> Non
 
 def test_a_population_has_other_intervals(make_cell: Make, make_run: Make) -> None:
     """Over a population of textures the intervals are wide, one draw carries them, and the sentence says which."""
-    cells = [make_cell(f"t{i}", "m", replicate=j, perils=0.3 + 0.08 * i + 0.01 * j) for i in range(8) for j in (0, 1)]
+    cells = [make_cell(f"t{i}", "m", replicate=j, perils=0.2 + 0.08 * i + 0.01 * j) for i in range(9) for j in (0, 1)]
     run = make_run(cells)
     listed, drawn = compare_methods(run), compare_methods(run, population=True)
     widths = [np.ptp(one.summaries[0].means["quality"].ends) for one in (listed, drawn)]
     assert widths[1] > 5 * widths[0]
-    assert "fixed list of 8 textures, over draws" in TextTable().render(run)
+    assert "fixed list of 9 textures, over draws" in TextTable().render(run)
     assert "population of textures" in " ".join(TextTable(population=True).render(run).split())
 
 

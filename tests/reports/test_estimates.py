@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import bootstrap, permutation_test, ttest_ind
 
 from nrbench.errors import BadInput
 from nrbench.reports.statistics import estimates
 from nrbench.reports.statistics.estimates import expanded_tail
-from nrbench.reports.statistics.method_comparison import compare_methods, rank_biserial
+from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.reports.statistics.pair_tests import PairTests, adjust_means, compare_pairs
 from nrbench.runs.records import Run
 
@@ -48,10 +48,10 @@ def test_draws_of_two_methods_give_the_interval_of_welch() -> None:
     """With many draws of each texture the interval over draws is that of Welch's t for the mean of two samples."""
     rng = np.random.default_rng(1)
     one, other = rng.normal(0.2, 0.1, 40), rng.normal(0.6, 0.3, 40)
-    scattered = np.tile(np.stack([one, other]), (3, 1))
+    scattered = np.tile(np.stack([one, other]), (5, 1))
     ends = estimates.draw_intervals(scattered[None])[0]
     half = ttest_ind(one, -other, equal_var=False).confidence_interval()
-    assert (ends[1] - ends[0]) * np.sqrt(3) == pytest.approx((half.high - half.low) / 2, rel=0.02)
+    assert (ends[1] - ends[0]) * np.sqrt(5) == pytest.approx((half.high - half.low) / 2, rel=0.02)
     assert ends.mean() == pytest.approx(scattered.mean())
 
 
@@ -64,17 +64,17 @@ def test_two_draws_of_each_texture_cover_the_mean_of_the_list() -> None:
 
 
 def test_data_that_carry_no_interval_have_none() -> None:
-    """One draw, equal values, five textures that scatter, and a texture with a single draw give a mean alone."""
-    values = np.random.default_rng(0).random((1, 8, 2))
+    """One draw, equal values, eight textures that scatter, and a texture with a single draw give a mean alone."""
+    values = np.random.default_rng(0).random((1, 11, 2))
     assert estimates.estimate_means(values)[0].ends is not None
-    single, five = values.copy(), values.copy()
+    single, eight = values.copy(), values.copy()
     single[0, 0, 0] = np.nan
-    five[0, :3] = 1.0
-    for bare in (values[..., :1], np.ones((1, 8, 2)), single, five):
+    eight[0, :3] = 1.0
+    for bare in (values[..., :1], np.ones((1, 11, 2)), single, eight):
         for population in (False, True):
             (estimate,) = estimates.estimate_means(bare, population=population)
             assert estimate.value == pytest.approx(np.nanmean(np.nanmean(bare, 2)))
-            assert estimate.ends is None or (population and len(np.unique(np.nanmean(bare, 2))) >= 6)
+            assert estimate.ends is None or (population and len(np.unique(np.nanmean(bare, 2))) >= 9)
 
 
 def test_a_population_scatters_more_than_draws() -> None:
@@ -268,16 +268,6 @@ def test_cliques_hold_no_pair_that_differs(count: int, seed: int) -> None:
         assert different[i, i + 1] or any(a <= i and i + 1 <= b for a, b in cliques)
 
 
-@settings(max_examples=30)
-@given(st.lists(st.integers(-5, 5), max_size=9))
-def test_effect_size_is_antisymmetric(values: list[int]) -> None:
-    """The effect changes its sign with the differences, lies in [-1, 1], and is 1 if all are positive."""
-    effect = rank_biserial(values)
-    assert effect is None or -1 <= effect <= 1
-    assert rank_biserial([-x for x in values]) == (None if effect is None else pytest.approx(-effect))
-    assert rank_biserial([abs(x) + 1 for x in values]) == (1.0 if values else None)
-
-
 def _run(make_cell: Make, make_run: Make, qualities: dict[str, dict[str, float]]) -> Run:
     cells = [
         make_cell(texture, method, perils=value)
@@ -311,14 +301,13 @@ def test_a_method_that_shares_no_texture_with_the_best_does_not_lead(make_cell: 
 
 
 def test_tests_begin_at_six_textures(make_cell: Make, make_run: Make) -> None:
-    """Stars and p-values need six textures; the differences and effect sizes do not."""
+    """Stars and p-values need six textures; the differences do not."""
     for n in (5, 6):
         values = _qualities(n, (0.0, 0.2))
         run = _run(make_cell, make_run, {m: {f"t{i}": values[i, j] for i in range(n)} for j, m in enumerate("ab")})
         found = compare_methods(run)
         (against,) = found.against
         assert against.estimate.value == pytest.approx((values[:, 1] - values[:, 0]).mean())
-        assert against.effect == -1
         assert (found.tests is None, against.p is None) == (n == 5, n == 5)
         assert [one.leading for one in found.summaries] == [n == 6, False]
         assert ("sign flips" in found.leading_sentence, "fewer than 6" in found.leading_sentence) == (n == 6, n == 5)

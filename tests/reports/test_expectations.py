@@ -12,6 +12,7 @@ import pytest
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
+from nrbench.reports.markdown import MarkdownTables
 from nrbench.reports.plots.method_plots import plot_claim
 from nrbench.reports.statistics.expectations import (
     GROUPS,
@@ -22,12 +23,13 @@ from nrbench.reports.statistics.expectations import (
     read_published,
 )
 from nrbench.reports.statistics.method_comparison import compare_methods
+from nrbench.reports.text import TextTable
 from nrbench.runs.records import Run
 from nrbench.suites.suite import load_suite
 
 Make = Callable[..., Any]
 SMALL, LARGE = "rsgf:block=24", "rsgf"
-NAMES = [f"t{i}" for i in range(8)]
+NAMES = [f"t{i}" for i in range(10)]
 
 
 @pytest.fixture
@@ -96,7 +98,7 @@ def noise(i: int) -> float:
 def test_a_difference_decides_a_claim(make_claims: Make, gap: float, relation: str, outcome: str) -> None:
     """The interval of the paired difference lies on the stated side, on the other, or on both."""
     expect = {"relation": relation, "other_at": 24, **({"margin": 0.1} if relation == "equal" else {})}
-    run = make_claims(lambda method, i: 0.5 + 0.1 * i + (gap + noise(i)) * (method == LARGE), expect)
+    run = make_claims(lambda method, i: 0.3 + 0.1 * i + (gap + noise(i)) * (method == LARGE), expect)
     result = only(run)
     assert result.outcome == outcome
     (test,) = result.expectations
@@ -105,7 +107,7 @@ def test_a_difference_decides_a_claim(make_claims: Make, gap: float, relation: s
 
 
 def test_a_rate_is_compared_with_a_number(make_claims: Make) -> None:
-    """Eight textures that are all preserved are more than half, with Wilson's interval; four of eight are not."""
+    """Ten textures that are all preserved are more than half, with Wilson's interval; five of ten are not."""
     expect = {"relation": "less", "value": 0.5}
     assert only(make_claims(lambda *_: True, expect, "regularity.preserved")).outcome == "failed"
     assert only(make_claims(lambda *_: False, expect, "regularity.preserved")).outcome == "held"
@@ -126,19 +128,19 @@ def test_one_failed_expectation_fails_the_claim(make_claims: Make) -> None:
 
 def test_levels_of_different_textures_are_paired_by_family(make_claims: Make) -> None:
     """If two levels have no texture in common, for example other sizes, their textures of one family are a pair."""
-    names = [f"t{i}" for i in range(12)]
-    halves = [names[:6], names[6:]]
+    names = [f"t{i}" for i in range(18)]
+    halves = [names[:9], names[9:]]
     series = {"name": "rsgf", "levels": [24, 40], "methods": [SMALL, LARGE], "textures": halves}
     run = make_claims(
-        lambda _, i: 0.5 + 0.1 * (i % 6) - 0.2 * (i // 6) + 0.3 * noise(i),
+        lambda _, i: 0.5 + 0.1 * (i % 9) - 0.2 * (i // 9) + 0.3 * noise(i),
         {"relation": "less", "other_at": 24},
         names=names,
         series=[series],
     )
     for i, record in enumerate(run.cells):
-        object.__setattr__(record.cell, "family", f"family-{i % 6}")
+        object.__setattr__(record.cell, "family", f"family-{i % 9}")
     (test,) = only(run).expectations
-    assert (test.difference.n, test.outcome) == (6, "held")
+    assert (test.difference.n, test.outcome) == (9, "held")
     assert test.difference.value == pytest.approx(-0.2, abs=0.02)
 
 
@@ -218,7 +220,7 @@ def test_the_published_rates_are_those_that_the_report_prints() -> None:
 
 def test_every_published_figure_has_an_analogue() -> None:
     """The suite report2004 has one texture for each figure of the tables."""
-    figures = {row.figure for row in load_suite("report2004").texture}
+    figures = {row.figure for row in load_suite("report2004").texture if row.figure}
     assert figures == {one.number for one in read_published()}
 
 
@@ -283,6 +285,31 @@ def test_a_run_without_figures_or_methods_has_no_comparison(make_report: Make, m
     assert compare_with_published(run, compare_methods(run)) is None
 
 
+def read_table_3(run: Run, directory: Path) -> str:
+    """Return table 3 as CSV, with its title."""
+    (path,) = (path for path in CsvTables().write(run, directory) if path.name == "published_table_3.csv")
+    return f"Table 3\n{path.read_text('utf-8')}"
+
+
+def test_types_two_and_three_stand_below_type_one(make_report: Make, make_cell: Make) -> None:
+    """Textures of types II and III that are no analogue have a row each below table 3, without a published rate."""
+    run = make_report(lambda *_: True, methods=("quilting", "patch-based"))
+    for number, kind in enumerate(("II", "II", "III")):
+        run.cells.append(make_cell(f"t{number}", "quilting", lattice_source="none", preserved=number > 0, kind=kind))
+    rows = {line[0]: line[2:] for line in compare(run).lines(False)[-2:]}
+    assert rows == {"type II": ["–, –", "–, 50% (1/2)"], "type III": ["–, –", "–, 100% (1/1)"]}
+    assert list(compare(run).footers(True)) == ["success rate"]
+
+
+def test_only_figures_that_ran_are_shown(make_report: Make) -> None:
+    """A run of some textures of the suite has a line for each of their figures, the heads, and the success rates."""
+    run = make_report(lambda *_: True)
+    run.cells[:] = [record for record in run.cells if record.cell.texture in ("f4", "f9", "f10")]
+    published = compare(run)
+    assert [line[0] for line in published.lines(False)] == ["figure", "9", "10", "success rate"]
+    assert published.lines(True)[-1][2:] == ["100% (1/1), 100% (1/1)"] * 4 + ["–, 100% (1/1)"]
+
+
 def test_every_report_shows_the_comparison(make_report: Make, tmp_path: Path) -> None:
     """The page, the CSV tables and the LaTeX tables hold it, with the sentence that the textures are analogues."""
     run = make_report(lambda figure, _: figure.number % 2 == 0)
@@ -294,4 +321,7 @@ def test_every_report_shows_the_comparison(make_report: Make, tmp_path: Path) ->
     (path,) = (path for path in LatexTables().write(run, tmp_path) if path.name == "published.tex")
     text = path.read_text("utf-8")
     assert text.count(r"\begin{table}") == 3
+    assert r"& success rate, preserved/total & \shortstack{53\% (20/38)\\50\% (19/38)}" in text
+    for words in (page, MarkdownTables().render(run), TextTable(width=200).render(run), read_table_3(run, tmp_path)):
+        assert "success rate" in words and "50% (19/38)" in words and "Table 3" in words
     assert r"45 & cans & \nrbLost{} \nrbLost{} & \nrbPreserved{} \nrbLost{}" in text
