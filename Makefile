@@ -56,7 +56,7 @@ $(VENV)/bin/python:
 
 $(VENV)/.installed: $(VENV)/bin/python pyproject.toml $(SOURCES)
 	rm -rf build
-	$(BIN)/pip install --quiet --upgrade .
+	$(BIN)/pip install --quiet --no-compile --upgrade .
 	@touch $@
 
 $(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml $(SOURCES)

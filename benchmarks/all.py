@@ -35,6 +35,7 @@ BENCHMARKS = {
     "validation.py baselines --textures brick-strong": "validation.py baselines",
     "validation.py bases --textures brick-strong": "validation.py bases",
     "sensitivity.py runs/default --textures brick-strong --limits JND": "sensitivity.py runs/default",
+    "seeds.py --seeds 1 2 --textures brick-strong": "seeds.py",
     "table_errors.py --short --runs 50": "table_errors.py --runs 400",
     "labels.py --sets models-2": "labels.py --photographs FOLDER",
 }

@@ -80,11 +80,11 @@ METHODS = (
     *("quilting", "quilting:block=24", "patch-based", "patch-based:search=kdtree", "patch-based:patch=24"),
     *("regularized-patch", "regularized-patch:texel=quadrilateral"),
     *("graph-cuts", "graph-cuts:passes=0", "graph-cuts:placement=sub-patch", "graph-cuts:placement=random"),
-    "texture-optimization",
+    *("texture-optimization", "gpnn", "gpdm"),
 )
 PLAIN = (
     *("rsgf", "tile-set", "representative-tile", "tiling", "fftm-pixel", "fftm-patch", "ann-pixel"),
-    *("quilting", "patch-based", "regularized-patch", "graph-cuts", "texture-optimization"),
+    *("quilting", "patch-based", "regularized-patch", "graph-cuts", "texture-optimization", "gpnn", "gpdm"),
 )
 EVERYTHING = {"light": 0.3, "damage": 0.2, "missing": 0.1, "jitter": 0.3, "bend": 0.3}
 SIDES = (256, 512, 1024, 2048, 4096)

@@ -121,20 +121,25 @@ def _name_type(hint: Any) -> str:
 def load_kernels(compiling: Callable[[], None] = lambda: None) -> None:
     """Load every declared kernel. A process calls this before it forks children that compute.
 
-    Of several processes that find kernels uncompiled at the same time, one compiles them; the others wait for it and
-    read the cache.
+    Processes that find kernels uncompiled at the same time share the work: each compiles the kernels of the files that
+    no other has begun, then waits for those, and reads them from the cache.
 
     Parameters
     ----------
     compiling
         Called if kernels have to be compiled, before that begins.
     """
-    with contextlib.ExitStack() as stack:
-        if any(map(_is_uncompiled, KERNELS)):
-            compiling()
-            stack.enter_context(_one_process_at_a_time())
-        for declared in KERNELS:
-            declared.load()
+    if any(map(_is_uncompiled, KERNELS)):
+        compiling()
+    files: dict[str, list[Kernel[..., Any]]] = {}
+    for declared in KERNELS:
+        files.setdefault(declared.function.__module__, []).append(declared)
+    for waits in (False, True):
+        for name in list(files):
+            with _lock(name, waits) as own:
+                if own:
+                    for declared in files.pop(name):
+                        declared.load()
 
 
 def _is_uncompiled(declared: Kernel[..., Any]) -> bool:
@@ -148,16 +153,21 @@ def _is_uncompiled(declared: Kernel[..., Any]) -> bool:
 
 
 @contextlib.contextmanager
-def _one_process_at_a_time() -> Iterator[None]:
-    """Hold a lock in the folder of the cache, where the system has such locks and the folder can be written."""
+def _lock(name: str, waits: bool) -> Iterator[bool]:
+    """Lock the kernels of a file for this process; yield whether it may load them, as where nothing can be locked."""
     with contextlib.ExitStack() as stack:
+        own = True
         with contextlib.suppress(ImportError, OSError):
             import fcntl
 
             folder = platformdirs.user_cache_path("nrbench", appauthor=False)
             folder.mkdir(parents=True, exist_ok=True)
-            fcntl.flock(stack.enter_context((folder / ".compiling").open("w")), fcntl.LOCK_EX)
-        yield
+            file = stack.enter_context((folder / f".{name}.lock").open("w"))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | (0 if waits else fcntl.LOCK_NB))
+            except BlockingIOError:
+                own = False
+        yield own
 
 
 def cache_folder(function: Callable[..., Any], version: str) -> Path:

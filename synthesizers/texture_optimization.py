@@ -13,7 +13,8 @@ from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
-from .neighbor_fields.neighbor_field import NeighborField, make_grid, rescale, scale_shape
+from .neighbor_fields.neighbor_field import NeighborField, make_grid
+from .neighbor_fields.pyramid import cover_sample, rescale, scale_shape
 
 SMALLEST: Final = 8
 """Side in px of the smallest neighborhood, of the paper."""
@@ -97,14 +98,12 @@ class TextureOptimization:
                 f"the sample is {width}x{height} px, less than two neighborhoods; choose a larger sample or a smaller "
                 "neighborhood"
             )
-        # Every neighborhood fits into half the sample, so it fits into an output that is at least as large.
-        height, width = (max(sides) for sides in zip(task.shape, task.sample.shape, strict=False))
         image: Image | None = None
         field: NeighborField | None = None
         energies: list[float] = []
         before = steps[0][0]
         for number, (factor, size) in enumerate(steps):
-            shape = scale_shape((height, width), factor)
+            shape = scale_shape(cover_sample(task), factor)
             sample = rescale(task.sample, factor, scale_shape(task.sample.shape[:2], factor))
             grid, places = make_grid(shape, size, size // 4), sample.shape[:2]
             if field is None or image is None:

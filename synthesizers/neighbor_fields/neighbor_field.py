@@ -1,13 +1,11 @@
-"""Nearest patches of a sample for the patches of an output, the mean of the patches found, and pyramids of images."""
+"""Nearest patches of a sample for the patches of an output, and the mean of the patches found."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
@@ -17,8 +15,6 @@ from .neighbor_field_kernels import add_votes, improve_matches
 
 DRAWS: Final = 1 << 16
 """Number of random numbers that one search uses again and again."""
-ROUNDING: Final = 1e-6
-"""px: what a side may exceed a whole number by rounding errors."""
 Grid = tuple[NDArray[np.int64], NDArray[np.int64]]
 """Rows and columns of the first pixels of patches, ascending."""
 
@@ -140,40 +136,3 @@ class NeighborField:
 def _flatten(image: Image) -> NDArray[np.float32]:
     """Return an image as rows of values, ``(H, W C)``."""
     return np.ascontiguousarray(image).reshape(len(image), -1)
-
-
-def scale_shape(shape: Shape, factor: float) -> Shape:
-    """Return the height and width of an image at another resolution, rounded up."""
-    height, width = (math.ceil(side * factor - ROUNDING) for side in shape[:2])
-    return height, width
-
-
-def rescale(image: Image, factor: float, shape: Shape) -> Image:
-    """Return an image at another resolution, by cubic interpolation, blurred first where it becomes smaller.
-
-    The upper left corner of the image stays in place, and the scale is exact whatever the shape: no lattice drifts.
-
-    Parameters
-    ----------
-    image
-        ``(H, W, C)``.
-    factor
-        The new resolution over the old one.
-    shape
-        Height and width of the result in px. Beyond the image its border is repeated.
-    """
-    step = 1 / factor
-    sigma = math.sqrt(max(step**2 - 1, 0)) / 2
-    planes = [
-        scipy.ndimage.affine_transform(
-            scipy.ndimage.gaussian_filter(plane, sigma, mode="nearest"),
-            [step, step],
-            (step - 1) / 2,
-            shape,
-            output=np.float32,
-            order=3,
-            mode="nearest",
-        )
-        for plane in np.moveaxis(image, -1, 0)
-    ]
-    return np.stack(planes, -1)

@@ -74,6 +74,18 @@ def test_what_is_not_measured_is_not_zero() -> None:
         assert sheet.reasons[name]
 
 
+def test_replicates_are_judged_by_the_same_draws(tmp_path: Path) -> None:
+    """Two draws of a texture have truths of their own, but the fresh draws of the first one judge both."""
+    content = {"name": "two", "sample": "64x64", "size": "64x64", "methods": ["scatter"], "metrics": ["cost"]}
+    suite = validated_suite({**content, "replicates": 2, "texture": [{"name": "wall", "dataset": "brick"}]}, "test")
+    folders = [CellFolder(record.folder) for record in run(suite, out=tmp_path, options=Options(jobs=0)).cells]
+    cells = [Cell.from_dict(json.loads(folder.cell_file.read_text())) for folder in folders]
+    one, other = (phases.observe(folder, cell) for folder, cell in zip(folders, cells, strict=True))
+    assert one.truth and other.truth and one.truth.lattice != other.truth.lattice
+    assert one.again and other.again
+    np.testing.assert_array_equal(one.again((64, 64), 3).image, other.again((64, 64), 3).image)
+
+
 def test_the_truth_of_a_sample_is_drawn_once_for_the_metrics_of_nrbench(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

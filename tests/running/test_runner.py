@@ -8,9 +8,10 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import tomllib
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from suites import scores
 
 from nrbench.api import changed, run
 from nrbench.errors import BadInput
+from nrbench.running import executors
 from nrbench.running.executors import Executor
 from nrbench.running.pace import Step
 from nrbench.running.runner import TICK, Options, _Runner
@@ -47,6 +49,26 @@ texture = [{ name = "wall", dataset = "brick", parameters = { color = 0.2, noise
 def small(**more: object) -> Suite:
     """Return a suite of one wall and four methods."""
     return validated_suite({**tomllib.loads(SUITE_TOML), **more}, "test")
+
+
+def test_cells_of_a_texture_go_to_one_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of two threads keeps to the jobs of one group; with one group left, both take its jobs."""
+    submitted, both, taken = threading.Event(), threading.Barrier(2), []
+
+    def take(job: Request, tell: object) -> Result:
+        submitted.wait(60)
+        both.wait(60)
+        taken.append((job.group, threading.get_ident()))
+        return {}
+
+    monkeypatch.setattr(executors, "run_job", take)
+    with executors.executor(2) as pool:
+        futures = [pool.submit(Request("cell", "", 1, 1, group=group)) for group in "ab" * 8]
+        submitted.set()
+        wait(futures)
+        assert len(set(taken)) == 2
+        last = [pool.submit(Request("cell", "", 1, 1, group="a")) for _ in range(2)]
+        assert [future.result() for future in last] == [{}, {}]
 
 
 def outputs(found: Run) -> dict[str, bytes]:

@@ -47,6 +47,21 @@ def test_a_plan_holds_what_cannot_be_drawn_again(tmp_path: Path) -> None:
     assert all(region is not None and region.shape == (52, 56, 3) for _, region in regions)
 
 
+def test_references_run_once() -> None:
+    """With references_once, the references run on the first draw alone and with the first source of the lattice."""
+    wall = {"name": "wall", "dataset": "brick"}
+    more: dict[str, Any] = {"methods": ["oracle", "tiling", "rsgf"], "lattice": ["given", "own"], "replicates": 2}
+    cells = [
+        [(cell.method, cell.lattice_source, cell.replicate) for cell, _ in make_plan(suite_of(wall, **once)).cells]
+        for once in (more, {**more, "references_once": True})
+    ]
+    assert len(cells[0]) == 10
+    assert cells[1] == [
+        *(("oracle", "none", 0), ("tiling", "given", 0)),
+        *(("rsgf", source, replicate) for replicate in (0, 1) for source in ("given", "own")),
+    ]
+
+
 def test_a_picture_that_changes_during_a_run(tmp_path: Path) -> None:
     """A plan keeps the sample and the region of a picture: the run goes on as if the file had not changed."""
     image = nrbench.texture("brick", shape=(200, 220)).image

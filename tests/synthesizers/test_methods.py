@@ -165,6 +165,7 @@ def test_any_basis_of_the_lattice_gives_the_same_bytes(spec: str, lattice: Latti
     [
         "representative-tile",
         "texture-optimization",
+        "gpnn",
         *(f"rsgf:block=8,border=2,match={m},seam={s}" for m in ("ncc", "color") for s in ("graphcut", "blend")),
     ],
 )
@@ -177,6 +178,8 @@ def test_a_flat_sample_gives_a_flat_output(spec: str) -> None:
 CHANGES = {
     "ann-pixel": "neighborhood=5 search=k-coherence,coherence=0 coherence=1 dimensions=4",
     "cartoon": "grain=white",
+    "gpdm:steps=20": "patch=5 projections=2 rate=0.05 ratio=0.6 coarsest=40 noise=0.5",
+    "gpnn": "patch=5 alpha=0 alpha=1 iterations=1 first_iterations=1 coarsest=40 noise=0.2",
     "graph-cuts": "placement=sub-patch placement=random randomness=1 region=0.4 refine=random refine=minima "
     "refine=extremes passes=0 normalized=false feather=2",
     "patch-based": "patch=16 zone=5 epsilon=1",
@@ -197,7 +200,8 @@ def test_every_parameter_changes_something(name: str) -> None:
     sample = quantize(wall.image * np.linspace(0.7, 1, 96, dtype=np.float32)[:, np.newaxis, np.newaxis])
     base = synthesize(build(name), sample, (120, 120), wall.lattice).image
     for change in CHANGES[name].split():
-        assert (synthesize(build(f"{name}:{change}"), sample, (120, 120), wall.lattice).image != base).any(), change
+        changed = f"{name}{',' if ':' in name else ':'}{change}"
+        assert (synthesize(build(changed), sample, (120, 120), wall.lattice).image != base).any(), change
 
 
 BAD = {
@@ -208,6 +212,8 @@ BAD = {
     "threshold=255 threshold=nan tileable=true,harmonics=free",
     "fftm-pixel": "neighborhood=1 neighborhood=7 weight=-1 weight=nan weight=101 coherence=0.5 coherence=inf "
     "coherence=nan dimensions=-1 weight=2,match=cluster tileable=true,harmonics=free threshold=-1",
+    "gpdm": "patch=2 projections=0 steps=0 rate=0 rate=nan ratio=0.2 ratio=1 coarsest=0 noise=-1",
+    "gpnn": "patch=2 alpha=-1 alpha=1e-9 alpha=nan iterations=0 first_iterations=0 coarsest=0 noise=-1 noise=nan",
     "graph-cuts": "randomness=-0.1 randomness=inf randomness=1e300 randomness=nan region=0 region=0.9 passes=-1 "
     "feather=-1 feather=9 feather=1e-200 feather=nan",
     "patch-based": "patch=2 zone=7,patch=12 zone=-1 epsilon=-0.1 epsilon=nan epsilon=1e200",

@@ -7,7 +7,9 @@ import pytest
 from synthesis_cases import UPRIGHT, noise, waves
 
 from nrbench.imaging.convert import Image
-from nrbench.synthesizers.neighbor_fields.neighbor_field import NeighborField, make_grid, rescale, scale_shape
+from nrbench.plugins.forms import Refused
+from nrbench.synthesizers.neighbor_fields.neighbor_field import NeighborField, make_grid
+from nrbench.synthesizers.neighbor_fields.pyramid import list_resolutions, rescale, scale_shape
 
 
 def nearest_distances(image: Image, other: Image, size: int) -> np.ndarray:
@@ -78,3 +80,12 @@ def test_rescaling_is_exact_in_scale(factor: float) -> None:
     y, x = np.mgrid[: shape[0], : shape[1]]
     error = made - np.sin((x + 0.5) / factor / 7 + (y + 0.5) / factor / 9)
     assert np.abs(error[4:-4, 4:-4]).max() < 0.03
+
+
+def test_resolutions_end_where_the_sample_or_a_patch_is_too_small() -> None:
+    """They are powers of the ratio, and at the coarsest one the shorter side still has the least number of px."""
+    assert list_resolutions((128, 200), 0.5, 32, 7) == [0.25, 0.5, 1]
+    assert list_resolutions((128, 200), 0.5, 33, 7) == [0.5, 1]
+    assert list_resolutions((9, 9), 0.75, 28, 9) == [1]
+    with pytest.raises(Refused, match="8x9 px"):
+        list_resolutions((9, 8), 0.75, 28, 9)
