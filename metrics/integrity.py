@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,17 +23,17 @@ from .perception.visible import tint_places
 from .randomness import gather_tiles
 from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.followed import FollowedPicture
-from .registration.lattice_net import LatticeNet, Mask, Values, split_cells
+from .registration.lattice_net import LatticeNet, Mask, Values, fold_cells, split_cells
 
 Lag = tuple[int, int]
 _COLOR = np.array((0.7, 0.1, 0.8), np.float32)
 _DIRECTIONS = 8
 _DISTANCES = (0.25, 0.5)
 """Distances in s of two places of one element."""
-_COMPOSITES = 4
-"""Number of pictures of joined elements that are made of each reference."""
-_FARTHEST = 3
-"""Largest distance of joined elements, in cells."""
+_SHUFFLES = 4
+"""Number of pictures of shuffled cells that are made of the references."""
+_REACHES = (1, 3)
+"""Sides, in places, of the neighborhoods over which evidence is averaged, of which the better one is used."""
 _LEAST_SHARE = 0.7
 """Share of the places of a cell that must be known."""
 _LEAST_CELLS = 4
@@ -71,23 +71,30 @@ class ElementModel:
     .. math:: e = \frac{\nu + 3}{2} \left[\ln(1 + d' W^{-1} d / \nu) - \ln(1 + d' V^{-1} d / \nu)\right]
               - \frac{1}{2} \ln \frac{|V|}{|W|},
 
-    and that of a cell is the largest one in it. Pairs that never go together (W = V) give no evidence.
+    averaged over neighboring places, because a joint is a line, and grain is not. The evidence of a cell is the largest
+    one in it. Pairs that never go together (W = V) give no evidence.
 
     Parameters
     ----------
     pairs
         The models of all lags.
+    reach
+        Side, in places, of the neighborhoods over which evidence is averaged.
     limit
         Evidence above which a cell counts as broken.
     power
-        Share of cells above the limit where straight cuts join elements to others.
+        Share of cells above the limit where the cells of the references are shuffled.
+    least
+        That share where the cells are cut at the place that shows it least.
     chance
         Largest share of cells above the limit that chance explains in whole elements.
     """
 
     pairs: Sequence[PairModel]
+    reach: int = 1
     limit: float = 0.0
     power: float = 0.0
+    least: float = 0.0
     chance: float = 1.0
 
     def weigh(self, values: Values, known: Mask) -> NDArray[np.float64]:
@@ -100,6 +107,11 @@ class ElementModel:
             whole, unrelated = (_square_form(difference, m, shape) for m in (pair.whole, pair.unrelated))
             ratio = np.log1p(whole / limits.FREEDOM) - np.log1p(unrelated / limits.FREEDOM)
             evidence = (limits.FREEDOM + 3) / 2 * ratio - np.tile(pair.constant, shape) / 2
+            if self.reach > 1:
+                sums = ndimage.uniform_filter(np.where(both, evidence, 0), self.reach, mode="constant")
+                share = ndimage.uniform_filter(both.astype(np.float32), self.reach, mode="constant")
+                both &= share > 0.5
+                evidence = sums / np.maximum(share, 0.5)
             largest = np.where(both, np.maximum(largest, evidence), largest)
         places = (limits.PLACES, limits.PLACES)
         seen = split_cells(np.isfinite(largest), places).mean((2, 3))
@@ -156,40 +168,57 @@ def learn_elements(reference: TextureReference) -> ElementModel:
 
     Noise that nobody sees is added to fresh draws before they are weighed, so that it breaks no element of an output.
     Cells of a sample are weighed by a model of its other strips, along both axes, because threads run through all
-    strips along them.
+    strips along them. The test is the one by which the smallest share of joined elements shows: limit and
+    reach with the least ratio of chance to power, among those with enough power.
     """
-    net = reference.net
-    lags = list_lags(net)
-    planes = [CoarsePlane(fine, known, net.samples) for fine, known in reference.residuals]
-    model = ElementModel(learn_pairs(planes, lags))
-    rng = np.random.default_rng(0)
+    net, lags, rng = reference.net, list_lags(reference.net), np.random.default_rng(0)
+    pictures = reference.departures if reference.from_sample else reference.residuals
+    planes = [CoarsePlane(fine, known, net.samples) for fine, known in pictures]
+    pairs = learn_pairs(planes, lags)
     if reference.from_sample:
-        strips = [strip for axis in (0, 1) for strip in net.cut_strips(axis, STRIPS)]
-        weighed = [_weigh_strip(planes[0], strip, lags) for strip in strips]
+        weighed = _weigh_strips(planes[0], net, lags)
     else:
-        noise = [rng.normal(0, limits.UNSEEN_NOISE, plane.values.shape).astype(np.float32) for plane in planes]
-        weighed = [model.weigh(plane.values + n, plane.complete) for plane, n in zip(planes, noise, strict=True)]
-    whole = [evidence[np.isfinite(evidence)] for evidence in weighed]
-    whole = [evidence for evidence in whole if evidence.size]
-    joined = np.concatenate([_weigh_composites(plane, model, net, rng) for plane in planes])
-    if len(whole) < 2 or not joined.size:
-        return model
-    tried = [_set_limit(model.pairs, whole, joined, share, reference.from_sample) for share in limits.WHOLE_SHARES]
-    return max(tried, key=lambda found: found.power - found.chance)
+        seen = [
+            (plane.values + rng.normal(0, limits.UNSEEN_NOISE, plane.values.shape).astype(np.float32), plane.complete)
+            for plane in planes
+        ]
+        weighed = [[ElementModel(pairs, reach).weigh(*plane) for plane in seen] for reach in _REACHES]
+    shuffled = [shuffle_cells(plane, net, rng) for plane in (planes * _SHUFFLES)[: max(_SHUFFLES, len(planes))]]
+    tried = [ElementModel(pairs)]
+    for reach, cells in zip(_REACHES, weighed, strict=True):
+        known = [evidence[np.isfinite(evidence)] for evidence in cells]
+        whole = [evidence for evidence in known if evidence.size]
+        model = ElementModel(pairs, reach)
+        broken = [model.weigh(*picture) for picture in shuffled]
+        joined = [evidence[np.isfinite(evidence)] for evidence in broken if np.isfinite(evidence).any()]
+        if len(whole) > 1 and joined:
+            shares = limits.WHOLE_SHARES
+            tried += [_set_limit(model, whole, joined, share, reference.from_sample) for share in shares]
+    able = [model for model in tried if model.power - model.chance >= limits.LEAST_POWER]
+    if able:
+        return min(able, key=lambda model: model.chance / model.power)
+    return max(tried, key=lambda model: model.power - model.chance)
 
 
-def _weigh_strip(plane: CoarsePlane, strip: Mask, lags: Sequence[Lag]) -> NDArray[np.float64]:
-    """Return the evidence of the cells of a strip, by a model of the other strips."""
-    rest = ElementModel(learn_pairs([plane.restrict(plane.known & ~strip)], lags))
-    evidence = rest.weigh(plane.values, plane.complete)
-    inside = split_cells(strip, plane.samples).mean((2, 3))
-    return np.where(inside > 0.5, evidence, np.nan)
+def _weigh_strips(plane: CoarsePlane, net: LatticeNet, lags: Sequence[Lag]) -> list[list[NDArray[np.float64]]]:
+    """Return the evidence of the cells of each strip, by a mean cell and a model of the other strips, by reach."""
+    found: list[list[NDArray[np.float64]]] = [[] for _ in _REACHES]
+    for strip in (strip for axis in (0, 1) for strip in net.cut_strips(axis, STRIPS)):
+        rest = plane.known & ~strip
+        own = CoarsePlane(
+            plane.fine - net.tile(fold_cells(plane.fine, rest, plane.samples)), plane.known, plane.samples
+        )
+        pairs = learn_pairs([own.restrict(rest)], lags)
+        inside = split_cells(strip, plane.samples).mean((2, 3)) > 0.5
+        for cells, reach in zip(found, _REACHES, strict=True):
+            cells.append(ElementModel(pairs, reach).weigh(own.values, own.complete)[inside])
+    return found
 
 
 def _set_limit(
-    pairs: Sequence[PairModel],
+    model: ElementModel,
     whole: list[NDArray[np.float64]],
-    joined: NDArray[np.float64],
+    joined: list[NDArray[np.float64]],
     share: float,
     pooled: bool,
 ) -> ElementModel:
@@ -200,26 +229,34 @@ def _set_limit(
     limit = float(np.quantile(np.concatenate(whole), 1 - share))
     shares = np.array([(evidence > limit).mean() for evidence in whole])
     spread = limits.DEVIATIONS * float(shares.std(ddof=1)) / (math.sqrt(len(shares)) if pooled else 1)
-    return ElementModel(pairs, limit, float((joined > limit).mean()), float(shares.mean()) + spread + limits.OVERLOOKED)
+    chance = float(shares.mean()) + spread + limits.OVERLOOKED
+    power = float((np.concatenate(joined) > limit).mean())
+    least = min(float((evidence > limit).mean()) for evidence in joined)
+    return replace(model, limit=limit, power=power, least=least, chance=chance)
 
 
-def _weigh_composites(
-    plane: CoarsePlane, model: ElementModel, net: LatticeNet, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Return the evidence of cells through whose middle a straight cut joins elements some cells apart."""
-    size, found = limits.PLACES, []
-    numbers = np.moveaxis(np.indices(plane.complete.shape), 0, -1) / size @ net.vectors
-    reach = np.clip(np.array(plane.complete.shape) // (4 * size), 1, _FARTHEST)
-    for _ in range(_COMPOSITES):
-        shift = tuple(size * rng.integers(1, reach + 1) * rng.choice((-1, 1), 2))
-        other, known = np.roll(plane.values, shift, (0, 1)), np.roll(plane.complete, shift, (0, 1))
-        angle = rng.uniform(0, np.pi)
-        along = (numbers @ (np.cos(angle), np.sin(angle)) / (3 * net.s) + rng.random()) % 2
-        first = along < 1
-        evidence = model.weigh(np.where(first[..., np.newaxis], plane.values, other), plane.complete & known)
-        balance = split_cells(first, (size, size)).mean((2, 3))
-        found.append(evidence[(np.abs(balance - 0.5) < 0.3) & np.isfinite(evidence)])
-    return np.concatenate(found)
+def shuffle_cells(plane: CoarsePlane, net: LatticeNet, rng: np.random.Generator) -> tuple[Values, Mask]:
+    """Return the values and the known places of a picture whose cells, cut at a random place, change places.
+
+    The joints are seen through the blur of the eye, as those of an output are.
+    """
+    size = (limits.PLACES, limits.PLACES)
+    cut = rng.integers(0, limits.PLACES, 2)
+    values, known = (split_cells(np.roll(a, -cut, (0, 1)), size) for a in (plane.values, plane.complete))
+    from_cells = np.argwhere(known[:-1, :-1].mean((2, 3)) > _LEAST_SHARE)
+    to_cells = rng.permutation(from_cells)
+    shuffled: list[NDArray[Any]] = []
+    for cells in (values, known):
+        moved = np.zeros_like(cells)
+        moved[tuple(to_cells.T)] = cells[tuple(from_cells.T)]
+        shuffled.append(np.roll(moved.swapaxes(1, 2).reshape(*plane.complete.shape, *cells.shape[4:]), cut, (0, 1)))
+    places = limits.PLACES / np.linalg.norm(net.vectors, axis=1)
+    for k, blur in enumerate((limits.BLUR, limits.CHROMA_BLUR, limits.CHROMA_BLUR)):
+        sums, share = (
+            ndimage.gaussian_filter(a.astype(np.float32), blur * places) for a in (shuffled[0][..., k], shuffled[1])
+        )
+        shuffled[0][..., k] = sums / np.maximum(share, 1e-3)
+    return shuffled[0], shuffled[1]
 
 
 @dataclass(frozen=True)
@@ -230,17 +267,19 @@ class Integrity:
     of a thread. The mean cell cannot show this, because both parts lie in their places. Their tones do: in a whole
     element the tones of its parts go together (:class:`ElementModel`).
 
-    Let p be the share of joined elements of the references above the limit of the evidence, q the largest share of
-    whole ones that chance explains, and c the share of the output's cells. The score is 1 - (c - q) / (p - q), in [0,
-    1]: the share of whole elements, corrected for those that the test misses and for those that it counts wrongly. The
-    limit is the one with the largest p - q, which is ``detection_power``. Below a power of 0.3 the elements of the
-    texture do not have tones that tell joined ones from whole ones, and the score is None.
+    Let p be the share of the shuffled cells of the references above the limit of the evidence, r that share where the
+    cells are cut at the place that shows it least, q the largest share of whole ones that chance explains, and c the
+    share of the output's cells. The score is 1 - (c - q) / (r - q), in [0, 1]: the share of whole elements, corrected
+    for those that the test misses and for those that it counts wrongly. The limit is the one with the smallest q / p;
+    p - q is ``detection_power``. Where it cannot be 0.3, the elements of the texture do not have tones that tell joined
+    ones from whole ones, and the score is None. It is None beside a sample of fewer than twelve cells, too, because
+    other elements may have tones that it does not show.
 
     The references are fresh draws of the model, or strips of the sample, each weighed by a model of the others.
     Elements out of place are left out; they count for regularity.
     """
 
-    version: ClassVar[str] = "11"
+    version: ClassVar[str] = "12"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column("Share of the elements that are whole: 1 as in a fresh draw.", better="higher"),
@@ -277,13 +316,14 @@ def _score(observation: Observation) -> Score:
             "not measured: the tones of the parts of an element do not tell joined elements from whole ones",
         )
         return Score({**missing.values, "detection_power": power}, missing.reasons)
-    if judged.sum() < _LEAST_CELLS:
+    shown = sum(known.sum() for _, known in reference.departures) / reference.net.samples.prod()
+    if judged.sum() < _LEAST_CELLS or shown < limits.FEWEST_SHOWN:
         return Score.missing(Integrity.columns, "undecided: too few whole tiles in place")
     broken = judged & (np.nan_to_num(evidence) > model.limit)
     share = float(broken.sum() / judged.sum())
     excess = max(share - model.chance, 0.0)
     values = {
-        "score": float(np.clip(1 - excess / power, 0, 1)),
+        "score": float(np.clip(1 - excess / max(model.least - model.chance, limits.LEAST_POWER), 0, 1)),
         "broken_share": share,
         "broken_tiles": float(np.rint(excess * judged.sum())),
         "detection_power": power,

@@ -67,6 +67,9 @@ class RankingRobustness:
             If another run lacks a ranked method.
         """
         methods = compare_methods(run).ranked
+        if len(methods) > 1:
+            quality = _stack(run, methods, RANKING)
+            methods = [one for one in methods if quality[one.label].notna().any()]
         if len(methods) < 2:
             return pd.DataFrame(columns=["ranking", "tau"])
         rankings = {"as in the tables": _adjusted(run, methods), **_rank_otherwise(run, methods)}
@@ -109,9 +112,8 @@ def _rank_otherwise(run: Run, methods: Sequence[Method]) -> dict[str, Floats]:
         "trimmed mean over textures": np.array([trim_mean(column, _TRIM) for column in columns]),
         "failures and refusals left out": _adjusted(run, methods, QUALITY),
     }
-    return rankings | {
-        f"without {name}": adjust_means(quality.drop(name).to_numpy(np.float64)) for name in quality.index
-    }
+    left_out = quality.index if len(quality) > 1 else ()
+    return rankings | {f"without {name}": adjust_means(quality.drop(name).to_numpy(np.float64)) for name in left_out}
 
 
 def _markdown(table: pd.DataFrame) -> str:

@@ -75,13 +75,13 @@ class FftmPixel(MaskParameters, SearchParameters):
     weight
         c, 0 to 100: the weight of d_MM, the difference in the mask; that in the texture has weight 1. (The paper uses
         about 1. Below 0.1 the mask has no effect; above 5 it is too strong.) Only for match ``full``.
-    distance
-        What d_TT and d_MM are: ``"squares"``, sums of squared differences, or ``"norms"``, their square roots (the
-        paper); principal components then do not mix texture and mask. Only for match ``full``.
     match
         ``"full"``: as above. ``"cluster"``: pixels are sorted into 64 clusters by the mask in the whole window around
         them (k-means). The candidates for an output pixel are the sample's pixels of the same cluster; only d_TT
         compares them.
+    distance
+        What d_TT and d_MM are: ``"squares"``, sums of squared differences, or ``"norms"``, their square roots (the
+        paper); principal components then do not mix texture and mask. Only for match ``full``.
 
     References
     ----------

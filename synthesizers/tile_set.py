@@ -49,7 +49,7 @@ class TileSet:
     seams meet where the sum of errors over both is least, and blends where these seams conflict (``stitch=dynamic``).
     Anchored in the middle of a joint between two courses, at whole pixels, nine of ten bricks stay whole. But these
     seams move by at most a pixel sideways in each row: from any other anchor, or where periods are not whole pixels, a
-    fifth to two fifths of the bricks of mild walls become two-toned. The default is an exact minimum cut that leads
+    fifth to three fifths of the bricks of mild walls become two-toned. The default is an exact minimum cut that leads
     around elements: seams cost differences over gradients (Kwatra et al. 2003, section 5), the border of the filled
     region costs double, covering an old seam regains its cost, and tiles are slightly larger.
 

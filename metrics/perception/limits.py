@@ -98,8 +98,8 @@ MOST_DRIFT = _limit("MOST_DRIFT", 0.06, "", "convention: three times the uncerta
 FREEDOM = _limit(
     "FREEDOM", 6.0, "", "degrees of freedom of a heavy-tailed likelihood: single odd places decide nothing"
 )
-WHOLE_SHARES = (0.1, 0.05, 0.03, 0.02, 0.01, 0.005)
-"""Shares of whole elements above the limit that are tried; the one with the largest difference is used."""
+WHOLE_SHARES = (0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002)
+"""Shares of whole elements above the limit that are tried; the one with the least chance for its power is used."""
 LEAST_POWER = _limit(
     "LEAST_POWER", 0.3, "", "share of joined elements, beyond whole ones, below which the score is None"
 )
@@ -107,6 +107,9 @@ UNSEEN_NOISE = _limit(
     "UNSEEN_NOISE", 0.75, "CIELAB", "measured: root mean square of what JPEG 85 changes, as it is seen"
 )
 OVERLOOKED = _limit("OVERLOOKED", 0.005, "", "convention: share of broken elements that is overlooked")
+FEWEST_SHOWN = _limit(
+    "FEWEST_SHOWN", 12.0, "cells", "measured: fresh plaids are called joined beside a sample that shows nine cells"
+)
 FEW_CELLS = _limit("FEW_CELLS", 100.0, "cells", "with fewer cells, covariances of neighboring places are pooled")
 
 # Randomness
@@ -141,7 +144,7 @@ FINE_FLOOR = _limit("FINE_FLOOR", 5.0, "20 ln", "a fourth of the amplitude of th
 BAND_FLOOR = _limit("BAND_FLOOR", 4.0, "20 ln", "a fifth of the amplitude of a band")
 CHROMA_FLOOR = _limit("CHROMA_FLOOR", 6.0, "20 ln", "a third of the contrast of chroma, which depends on few elements")
 TURN_FLOOR = _limit(
-    "TURN_FLOOR", 0.8, "20 ln", "measured: half a pixel, interpolated, turns slopes by up to 1.0 on nine models"
+    "TURN_FLOOR", 0.8, "20 ln", "measured: half a pixel, interpolated, turns slopes by up to 1.0 on 15 textures"
 )
 CLUSTER_FLOOR = _limit("CLUSTER_FLOOR", 0.35, "20 ln", "measured: a blur of .6 px changes it by up to 0.4")
 LACK = _limit("LACK", 6.0, "20 ln", "convention: a window may lack a fourth of the amplitude of the least one")

@@ -387,6 +387,6 @@ def _compare_sides(picture: FollowedPicture) -> NDArray[np.float64]:
                 for a in (known.astype(float), *np.moveaxis(moved, -1, 0))
             ]
             means.append(np.stack(sums[1:], -1) / np.maximum(sums[0], 1)[..., np.newaxis])
-            enough &= sums[0] > 0.6 * side.sum()
+            enough &= sums[0] > 0.45 * side.sum()
         largest = np.maximum(largest, np.where(enough, np.linalg.norm(means[0] - means[1], axis=-1), 0))
     return largest

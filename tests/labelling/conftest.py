@@ -19,7 +19,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("labels") / "run"
     methods = ("oracle", "tiling", "scatter")
     changes = {"sample": "64x64", "size": "96x96", "replicates": 2, "lattice": ("given",), "methods": methods}
-    suite = load_suite("default").with_changes(metrics=["cost"])
+    suite = load_suite("default").with_changes(metrics=["cost"], references_once=False)
     nrbench.run(suite, textures=("brick-strong", "hexagon-strong"), out=root, options=Options(jobs=0), **changes)
     return root
 

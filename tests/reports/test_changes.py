@@ -150,7 +150,7 @@ def test_equal_samples_are_paired(tmp_path: Path) -> None:
 
 
 def test_a_failure_of_another_draw_is_no_new_failure(tmp_path: Path) -> None:
-    """A cell that fails on the same sample is told; one that fails on another draw counts among the scores."""
+    """A cell that fails on the same sample is listed; one that fails on another draw counts among the scores."""
     values = np.full((8, 1), 0.5)
     before = _draws(tmp_path / "A", values, "a")
     assert compare_runs(before, _draws(tmp_path / "B", values, "a", failed=3)).newly_failed == ["rsgf (own)"]
