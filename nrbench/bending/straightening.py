@@ -35,8 +35,10 @@ from nrbench.views.deformed import find_deformation
 from .deformed_lattice import DeformedLattice, find_deformed_lattice, output_field, read_deformation
 from .free_form import REPEATS, FreeForm
 
-LEAST_GAIN: Final = 1.2
+LEAST_GAIN: Final = 1.25
 """Factor by which straightening must raise the share of the variance that the mean tile explains."""
+_SAME = 0.15
+"""Tolerance, in s, at which the mean lattice of a bent sample counts as the given one."""
 _LEAST_PERIODS = 2.0
 """Periods along both vectors that the straightened sample must show."""
 _MARGIN = 3
@@ -257,9 +259,7 @@ def straighten_sample(sample: Image, lattice: Lattice | None, given: bool) -> tu
     tracked = None if lattice is None else StraightSample(sample, find_deformed_lattice(sample, lattice))
     if tracked is not None and tracked.still:
         return None, ""
-    deformation = _follow(sample, lattice)
-    if deformation is None and not given and lattice is not None:
-        deformation = _follow(sample, None)
+    deformation = _follow(sample, lattice, given)
     if deformation is None:
         return None, "whether the sample is bent cannot be told: it is taken as it is" if lattice else ""
     amplitude = f"{deformation.amplitude:.2f} s"
@@ -280,13 +280,21 @@ def straighten_sample(sample: Image, lattice: Lattice | None, given: bool) -> tu
     return best, f"bent by {amplitude}: the sample was straightened"
 
 
-def _follow(sample: Image, lattice: Lattice | None) -> Deformation | None:
-    """Return the deformation of a sample; None if its lattice cannot be followed."""
-    try:
-        thorough, quick = map(NamedDetector, BENT_FINDERS)
-        return find_deformation(sample, thorough, quick, lattice).deformation
-    except (NoLatticeFound, BadInput):
-        return None
+def _follow(sample: Image, lattice: Lattice | None, given: bool) -> Deformation | None:
+    """Return the deformation of a sample; None if its lattice cannot be followed.
+
+    If the lattice cannot be followed from what it is on average, one that is detected in a part of the sample is.
+    """
+    thorough, quick = map(NamedDetector, BENT_FINDERS)
+    for start in (None,) if lattice is None else (lattice, None):
+        try:
+            found = find_deformation(sample, thorough, quick, start).deformation
+        except (NoLatticeFound, BadInput):
+            continue
+        other = start is None and given and lattice and not found.lattice.is_equivalent(lattice, _SAME * lattice.s)
+        if found.covered and not other:
+            return found
+    return None
 
 
 def _trace(straight: StraightSample, source: SourceMap, places: Points) -> SourceMap:

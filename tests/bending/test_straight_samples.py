@@ -140,6 +140,17 @@ def test_what_the_tracker_loses_is_followed(model: str) -> None:
     assert explained_share(straight.image, straight.lattice) > 0.7
 
 
+def test_a_given_lattice_that_cannot_be_followed_is_found_in_a_part() -> None:
+    """The sample is straightened to the given lattice; another given lattice is not replaced by the one that is found."""
+    texture = bent("hexagon", bend=1.0, seed=3, side=192, rotation=33.0)
+    assert texture.lattice is not None
+    straight, _ = straighten_sample(texture.image, texture.lattice, given=True)
+    assert straight is not None and straight.lattice.is_equivalent(texture.lattice, 2)
+    other = Lattice.from_basis(1.3 * texture.lattice.matrix)
+    straight, note = straighten_sample(texture.image, other, given=True)
+    assert straight is None and "cannot be told" in note
+
+
 def test_a_bent_lattice_is_found_where_the_detector_finds_none() -> None:
     """Without a lattice, that of a bent sample is found, and a method gets it."""
     texture = bent("weave", bend=1.0, color=0.3, seed=42, side=160)
