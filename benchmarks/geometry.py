@@ -8,7 +8,7 @@ Samples have 192 x 192 px, outputs 256 x 256 px; the lattice is given. Subjects:
     Amplitude and correlation length of the displacements in outputs of regularized-patch, over those in equally large
     parts of the sample, by the metric ``deformation``, for each way to make the field; and the share of folded cells.
 ``quality``
-    How many outputs of some methods (``--methods``) keep their regularity, and their mean ``quality.score``.
+    How many outputs of some methods (``--methods``) keep their regularity, of how many, and the mean ``quality.score``.
 ``regular``
     Which undisturbed, displaced and bent draws are straightened, over all models.
 """
@@ -86,7 +86,7 @@ def spread(values: list[float]) -> str:
 
 
 def show_quality(options: argparse.Namespace) -> None:
-    """Print how many outputs keep their regularity, and their mean quality."""
+    """Print how many outputs keep their regularity, of how many can be judged, and their mean quality."""
     regularity, quality = (plugins.build("metrics", name) for name in ("regularity", "quality"))
     for spec in options.methods:
         method, kept = plugins.build("synthesizers", *parse_spec(spec)), []
@@ -101,11 +101,15 @@ def show_quality(options: argparse.Namespace) -> None:
                         odd.append(f"{seed} refused: {refused.reason}")
                         continue
                     seen = observe(texture, built, made)
-                    verdicts.append(regularity.score(seen).values["preserved"] is True)
+                    found = regularity.score(seen)
+                    if found.values["preserved"] is None:
+                        odd.append(f"{seed} {found.reasons['preserved']}")
+                        continue
+                    verdicts.append(found.values["preserved"])
                     scores.append(float(quality.score(seen).values["score"] or 0))
                     odd += [] if verdicts[-1] and "straightened" in made.note else [f"{seed} {made.note}"]
                 kept += verdicts
-                print(f"  {spec:20} {model:8} bend {bend:<5}kept {sum(verdicts)} of {len(options.seeds)}", end="")
+                print(f"  {spec:20} {model:8} bend {bend:<5}kept {sum(verdicts)} of {len(verdicts)}", end="")
                 print(f"  quality {np.mean(scores or [0]):.2f}  {odd or ''}", flush=True)
         print(f"  {spec:20} all kept {sum(kept)} of {len(kept)}", flush=True)
 

@@ -141,7 +141,7 @@ def test_what_the_tracker_loses_is_followed(model: str) -> None:
 
 
 def test_a_given_lattice_that_cannot_be_followed_is_found_in_a_part() -> None:
-    """The sample is straightened to the given lattice; another given lattice is not replaced by the one that is found."""
+    """The sample is straightened to the given lattice; another given one is not replaced."""
     texture = bent("hexagon", bend=1.0, seed=3, side=192, rotation=33.0)
     assert texture.lattice is not None
     straight, _ = straighten_sample(texture.image, texture.lattice, given=True)
