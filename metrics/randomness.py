@@ -379,15 +379,24 @@ def _rate_bending(examination: Examination) -> float | None:
 
 def _find_copies(examination: Examination, tiles: Tiles, population: Population) -> float | None:
     """Return the share of windows of half a tile that have a twin at an equal place of the sample."""
-    try:
-        sample = examination.reference.follow(perceive(examination.observation.sample))
-    except CannotTell:
+    sample = np.ascontiguousarray(examination.observation.sample, np.float32)
+    sources = _cut_sample(examination.reference, sample.tobytes(), sample.shape)
+    if sources is None:
         return None
-    sources = Tiles(CoarsePlane(*sample.residual, sample.net.samples))
     limit = population.twins[0]
     pairs = [(a, b) for (a, _), (b, _) in zip(tiles.quarters, sources.quarters, strict=True) if len(a) and len(b)]
     near = [(_square_distances(a, b) < limit).any(1) for a, b in pairs]
     return float(np.concatenate(near).mean()) if near else None
+
+
+@lru_cache(maxsize=2)
+def _cut_sample(reference: TextureReference, pixels: bytes, shape: tuple[int, ...]) -> Tiles | None:
+    """Return the tiles of a sample; cached, because many outputs have one sample."""
+    try:
+        followed = reference.follow(perceive(np.frombuffer(pixels, np.float32).reshape(shape)))
+    except CannotTell:
+        return None
+    return Tiles(CoarsePlane(*followed.residual, followed.net.samples))
 
 
 def _rate_survival(examination: Examination) -> float | None:
