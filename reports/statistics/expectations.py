@@ -217,35 +217,6 @@ def _outcome(expected: Expectation, difference: Estimate) -> str:
     return "held" if held else "failed" if failed else "undecided"
 
 
-def claims_table(results: Sequence[ClaimResult]) -> pd.DataFrame:
-    """Return one row a claim, series and level: the mean with its interval."""
-    rows = [
-        {
-            **{"claim": result.claim.name, "score": result.claim.score, "axis": result.claim.axis},
-            **{"series": series.name, "level": level, "method": method},
-            **estimate.columns("mean"),
-        }
-        for result in results
-        for series in result.series
-        for level, method, estimate in zip(series.levels, series.methods, series.estimates, strict=True)
-    ]
-    return pd.DataFrame(rows)
-
-
-def claim_tests_table(results: Sequence[ClaimResult]) -> pd.DataFrame:
-    """Return one row an expectation: the claim, its quote and outcome, the difference with its interval."""
-    rows = [
-        {
-            **{"claim": result.claim.name, "source": result.claim.source, "quote": result.claim.quote},
-            **{"claim_outcome": result.outcome, "expectation": test.words, "outcome": test.outcome},
-            **test.difference.columns("difference", parts=("low", "high", "n")),
-        }
-        for result in results
-        for test in result.expectations
-    ]
-    return pd.DataFrame(rows)
-
-
 @dataclass(frozen=True)
 class PublishedFigure:
     """One figure of the report (tables 2 and 3).
@@ -568,28 +539,3 @@ def _kappa_of(published: NDArray[np.bool_], measured: NDArray[np.bool_]) -> NDAr
     """Return Cohen's kappa of published verdicts, ``(..., n)``, with the measured ones, ``(n,)``."""
     first, second = (np.stack([words, ~words], -1).astype(float) for words in (published, measured))
     return kappa(np.einsum("...ni,nj->...ij", first, second))
-
-
-def published_rates_table(published: PublishedComparison) -> pd.DataFrame:
-    """Return one row a group of figures and method: published and measured rates, and their difference."""
-    parts = ("published", "same", "measured", "difference")
-    rows = []
-    for rate in published.rates:
-        row = {"figures": rate.group, "method": rate.method.name, "lattice_source": rate.method.lattice_source}
-        for part in parts:
-            row |= getattr(rate, part).columns(part, f"{part}_", ("low", "high", "n"))
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def published_classes_table(published: PublishedComparison) -> pd.DataFrame:
-    """Return one row a class of textures: the agreement with its interval; kappa and its chance on the last row."""
-    rows = [
-        {"class": row.kind, "pairs": row.pairs, **row.agreement.columns("agreement", parts=("low", "high", "n"))}
-        for row in published.classes
-    ]
-    table = pd.DataFrame(rows).rename(columns={"n": "figures"})
-    chance = published.chance or (None, None)
-    for name, value in {"kappa": published.kappa, "chance_mean": chance[0], "chance_95": chance[1]}.items():
-        table[name] = pd.Series([value], [len(table) - 1], dtype=object)
-    return table

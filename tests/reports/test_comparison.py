@@ -14,24 +14,21 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
-from nrbench.reports.csv import CsvTables
+from nrbench.reports.csv import CsvTables, breaking_points_table, levels_table
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.json import JsonSummary
-from nrbench.reports.latex import LatexTables
+from nrbench.reports.latex import LatexTables, list_patch_terms
 from nrbench.reports.markdown import MarkdownTables
 from nrbench.reports.plots.method_plots import caption_text
 from nrbench.reports.statistics import verdicts
 from nrbench.reports.statistics.levels import (
     LevelPanel,
     LevelSeries,
-    breaking_points_table,
     compare_levels,
-    levels_table,
 )
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.reports.statistics.summaries import (
     COSTS,
-    list_patch_terms,
     other_score_rows,
     perils_points,
     sort_headlines_first,
