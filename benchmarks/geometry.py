@@ -8,11 +8,9 @@ Samples have 192 x 192 px, outputs 256 x 256 px; the lattice is given. Subjects:
     Amplitude and correlation length of the displacements in outputs of regularized-patch, over those in equally large
     parts of the sample, by the metric ``deformation``, for each way to make the field; and the share of folded cells.
 ``quality``
-    ``quality.score`` of rsgf and tile-set as they are and with the mechanism, on the same samples and with the same
-    random numbers; and, for comparison, on the same texture without bend.
+    How many outputs of some methods (``--methods``) keep their regularity, of how many, and the mean ``quality.score``.
 ``regular``
-    Which undisturbed and which bent draws count as departing from their lattices, over all models: the rule was set on
-    seeds 0 to 3, other seeds test it.
+    Which undisturbed, displaced and bent draws are straightened, over all models.
 """
 
 from __future__ import annotations
@@ -24,15 +22,15 @@ from dataclasses import replace
 import numpy as np
 
 from nrbench import plugins
+from nrbench.bending.straightening import straighten_sample, synthesize_in_geometry
 from nrbench.imaging.convert import quantize
-from nrbench.plugins.forms import Observation, Shape, Synthesis, Task, Texture
+from nrbench.plugins.forms import Observation, Refused, Shape, Synthesis, Task, Texture
 from nrbench.plugins.parameters import parse_spec
 from nrbench.streams import stream
-from nrbench.synthesizers.geometry.straightening import StraightSample, synthesize_straight
 
 SAMPLE, OUTPUT = (192, 192), (256, 256)
 ROTATIONS = {"brick": 0.0, "weave": 12.0, "hexagon": 33.0}
-FIELDS = ("", ":deform=argmax", ":deform=none")
+FIELDS = ("", ":geometry=argmax", ":geometry=straight")
 NOT_LATTICES = ("images", "noise")
 
 
@@ -69,12 +67,14 @@ def show_fields(options: argparse.Namespace) -> None:
                 rows = []
                 for seed in options.seeds:
                     texture, built = draw(model, seed, bend=bend)
-                    values = metric.score(observe(texture, built, method.synthesize(task_of(texture, seed)))).values
+                    values = metric.score(
+                        observe(texture, built, synthesize_in_geometry(method, task_of(texture, seed)))
+                    ).values
                     rows.append([values[name] for name in ("amplitude_ratio", "length_ratio", "folded")])
                 amplitude, length, folded = (
                     [float(value) for value in column if value is not None] for column in zip(*rows, strict=True)
                 )
-                print(f"  {model:8} bend {bend:<5} {variant or ':update=sample':16}", end="")
+                print(f"  {model:8} bend {bend:<5} {variant or ':geometry=bent':16}", end="")
                 print(f"  amplitude {spread(amplitude)}  length {spread(length)}  folded {max(folded):.3f}", flush=True)
 
 
@@ -86,43 +86,32 @@ def spread(values: list[float]) -> str:
 
 
 def show_quality(options: argparse.Namespace) -> None:
-    """Print paired qualities."""
-    metric = plugins.build("metrics", "quality")
-    for name in ("rsgf", "tile-set"):
-        method, every = plugins.build("synthesizers", name), []
+    """Print how many outputs keep their regularity, of how many can be judged, and their mean quality."""
+    regularity, quality = (plugins.build("metrics", name) for name in ("regularity", "quality"))
+    for spec in options.methods:
+        method, kept = plugins.build("synthesizers", *parse_spec(spec)), []
         for model in options.models:
             for bend in options.bends:
-                pairs, unbent = [], []
+                verdicts, scores, odd = [], [], []
                 for seed in options.seeds:
                     texture, built = draw(model, seed, bend=bend)
-                    lattice = texture.lattice
-                    assert lattice is not None
-                    plain = method.synthesize(task_of(texture, seed))
-                    bent = synthesize_straight(task_of(texture, seed), lattice, method.synthesize)
-                    scores = [metric.score(observe(texture, built, made)).values["score"] for made in (plain, bent)]
-                    if None not in scores:
-                        pairs.append([float(score) for score in scores])
-                    still, model_of_still = draw(model, seed)
-                    made = method.synthesize(task_of(still, seed))
-                    unbent.append(metric.score(observe(still, model_of_still, made)).values["score"] or 0.0)
-                every += pairs
-                print(
-                    f"  {name:9} {model:8} bend {bend:<5}{gain(pairs)}   unbent texture {np.mean(unbent):.2f}",
-                    flush=True,
-                )
-        print(f"  {name:9} all                {gain(every)}", flush=True)
-
-
-def gain(pairs: list[list[float]]) -> str:
-    """Return the mean scores of pairs, and their difference with its least and greatest value."""
-    if not pairs:
-        return "  no verdict"
-    plain, bent = np.array(pairs).T
-    more = bent - plain
-    return (
-        f"  as it is {plain.mean():.2f}, straightened {bent.mean():.2f}, gain {more.mean():+.2f} "
-        f"({more.min():+.2f} to {more.max():+.2f}, n = {len(pairs)})"
-    )
+                    try:
+                        made = synthesize_in_geometry(method, task_of(texture, seed))
+                    except Refused as refused:
+                        odd.append(f"{seed} refused: {refused.reason}")
+                        continue
+                    seen = observe(texture, built, made)
+                    found = regularity.score(seen)
+                    if found.values["preserved"] is None:
+                        odd.append(f"{seed} {found.reasons['preserved']}")
+                        continue
+                    verdicts.append(found.values["preserved"])
+                    scores.append(float(quality.score(seen).values["score"] or 0))
+                    odd += [] if verdicts[-1] and "straightened" in made.note else [f"{seed} {made.note}"]
+                kept += verdicts
+                print(f"  {spec:20} {model:8} bend {bend:<5}kept {sum(verdicts)} of {len(verdicts)}", end="")
+                print(f"  quality {np.mean(scores or [0]):.2f}  {odd or ''}", flush=True)
+        print(f"  {spec:20} all kept {sum(kept)} of {len(kept)}", flush=True)
 
 
 def show_rule(options: argparse.Namespace) -> None:
@@ -130,6 +119,7 @@ def show_rule(options: argparse.Namespace) -> None:
     cases: Mapping[str, dict[str, float]] = {
         "undisturbed": {},
         "undisturbed, color 0.6": {"color": 0.6},
+        "jitter 0.3": {"jitter": 0.3},
         "bend 0.25": {"bend": 0.25},
         "bend 0.5": {"bend": 0.5},
     }
@@ -141,12 +131,12 @@ def show_rule(options: argparse.Namespace) -> None:
                 texture, _ = draw(model, seed, **parameters)
                 if texture.lattice is None:
                     continue
-                straight = StraightSample.of(texture.image, texture.lattice)
-                measured += not straight.deformed.obstacle
-                found += straight.departs
-                if not straight.deformed.obstacle and straight.departs == case.startswith("undisturbed"):
+                straight, _ = straighten_sample(texture.image, texture.lattice, given=True)
+                measured += 1
+                found += straight is not None
+                if (straight is None) == case.startswith("bend"):
                     odd.append(model)
-        print(f"  {case:24} {found} of {measured} with nine tiles depart; not as expected: {sorted(set(odd))}")
+        print(f"  {case:24} {found} of {measured} are straightened; not as expected: {sorted(set(odd))}")
 
 
 SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
@@ -162,7 +152,8 @@ def main() -> None:
     parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"of {', '.join(SUBJECTS)}; none: all")
     parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1, 2])
     parser.add_argument("--models", nargs="*", default=list(ROTATIONS))
-    parser.add_argument("--bends", nargs="*", type=float, default=[0.25, 0.5])
+    parser.add_argument("--methods", nargs="*", default=["rsgf", "rsgf:geometry=as-is", "tile-set"])
+    parser.add_argument("--bends", nargs="*", type=float, default=[0.5, 1.0])
     options = parser.parse_args()
     for subject in options.subjects or SUBJECTS:
         print(f"\n{subject}")

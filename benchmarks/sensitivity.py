@@ -34,10 +34,10 @@ from nrbench.plugins.forms import Observation
 FACTORS = (0.8, 1.25)
 Outputs = list[tuple[str, Observation]]
 CACHES = {
-    regularity: texture_reference.reference_from_draws,
-    integrity: integrity.learn_elements,
-    randomness: randomness.gather_tiles,
-    appearance: appearance._looks_of_draws,
+    regularity: (texture_reference.perceive_draws, texture_reference.reference_from_draws),
+    integrity: (integrity.learn_elements,),
+    randomness: (randomness.gather_tiles,),
+    appearance: (appearance._measure_draws, appearance._looks_of_draws),
 }
 """The module of each peril, with what is learned there, or before all of them, from references by the limits."""
 
@@ -68,9 +68,10 @@ def find_user(limit: str) -> ModuleType | None:
 
 def judge_all(outputs: Outputs, only: ModuleType | None = None) -> pd.DataFrame:
     """Judge all outputs by the limits as they are now; with ``only``, the other perils are as they were."""
-    for module, cache in CACHES.items():
+    for module, caches in CACHES.items():
         if only is None or (module is only and module is not regularity):
-            cache.cache_clear()
+            for cache in caches:
+                cache.cache_clear()
     rows = []
     for method, seen in outputs:
         if only is None:

@@ -11,12 +11,12 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Value
 
 from .judgment.examination import examine
-from .judgment.texture_reference import DRAWS, FIRST_DRAW, STRIPS, CannotTell
+from .judgment.texture_reference import FIRST_DRAW, STRIPS, CannotTell, perceive_draws
 from .perception import limits
 from .perception.visible import Lab, measure_detail, measure_looks, perceive
 from .registration.lattice_net import LatticeNet, sample_planes, sum_boxes
@@ -154,9 +154,15 @@ def _cut_means(planes: NDArray[Any], parts: int) -> Looks:
     return np.array([part.mean((0, 1), dtype=np.float64) for part in cut])
 
 
-def learn_looks(labs: Sequence[Lab], net: LatticeNet, sample_shape: Shape, from_sample: bool) -> LooksModel:
-    """Learn how a texture looks from fresh draws, or from its sample."""
-    scale, looks, details = _looks_scale(), [measure_looks(lab) for lab in labs], [measure_detail(lab) for lab in labs]
+def _learn_looks(
+    looks: Sequence[NDArray[np.float32]],
+    details: Sequence[NDArray[np.float32]],
+    net: LatticeNet,
+    sample_shape: Shape,
+    from_sample: bool,
+) -> LooksModel:
+    """Learn how a texture looks from the features of fresh draws, or of its sample."""
+    scale = _looks_scale()
     planes = [sample_planes(look, net.points) for look in looks]
     means = np.concatenate([_cut_means(look, 1) for look in looks])
     mean, detail = means.mean(0), np.concatenate([_cut_means(each, 1) for each in details]).mean(0)
@@ -234,17 +240,21 @@ def _group_windows(
 
 @lru_cache(maxsize=4)
 def _looks_of_draws(again: Again, lattice: Lattice | None, shape: Shape, sample_shape: Shape) -> LooksModel:
-    draws = [again(shape, FIRST_DRAW + k) for k in range(DRAWS)]
-    labs = [perceive(quantize(draw.image)) for draw in draws if draw is not None]
-    if len(labs) < DRAWS:
-        raise CannotTell("not applicable: the texture's dataset gives no fresh draw of the output's shape")
-    return learn_looks(labs, _make_net(lattice, shape), sample_shape, False)
+    return _learn_looks(*_measure_draws(again, shape), _make_net(lattice, shape), sample_shape, False)
+
+
+@lru_cache(maxsize=2)
+def _measure_draws(again: Again, shape: Shape) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
+    """Return looks and detail of fresh draws; replicates of a texture, whose lattices differ by origin, share them."""
+    labs = perceive_draws(again, shape)[1]
+    return [measure_looks(lab) for lab in labs], [measure_detail(lab) for lab in labs]
 
 
 @lru_cache(maxsize=2)
 def _looks_of_sample(pixels: bytes, shape: tuple[int, ...], lattice: Lattice | None) -> LooksModel:
     lab = perceive(np.frombuffer(pixels, np.float32).reshape(shape))
-    return learn_looks([lab], _make_net(lattice, (shape[0], shape[1])), (shape[0], shape[1]), True)
+    looks, details = [measure_looks(lab)], [measure_detail(lab)]
+    return _learn_looks(looks, details, _make_net(lattice, (shape[0], shape[1])), (shape[0], shape[1]), True)
 
 
 def _make_net(lattice: Lattice | None, shape: Shape) -> LatticeNet:

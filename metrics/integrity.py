@@ -120,11 +120,12 @@ class ElementModel:
 
 def _square_form(difference: Values, matrices: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
     """Return d' M d at each place, with one matrix for each place of the cell."""
-    total = np.zeros(difference.shape[:2], np.float32)
+    places = (shape[0], limits.PLACES, shape[1], limits.PLACES)
+    planes = [np.ascontiguousarray(difference[..., i]).reshape(places) for i in range(3)]
+    total = np.zeros(places, np.float32)
     for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
-        factor = np.tile(matrices[..., i, j] * (1 + (i != j)), shape)
-        total += difference[..., i] * difference[..., j] * factor
-    return total
+        total += planes[i] * planes[j] * (matrices[:, np.newaxis, :, i, j] * (1 + (i != j)))
+    return total.reshape(difference.shape[:2])
 
 
 def list_lags(net: LatticeNet) -> list[Lag]:

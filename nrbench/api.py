@@ -244,6 +244,7 @@ def synthesize(
     >>> synthesize("quilting", brick, (128, 160), seed=1).image.shape
     (128, 160, 3)
     """
+    from nrbench.bending.straightening import synthesize_in_geometry
     from nrbench.running.output_checks import checked_synthesis
 
     plugin = _plugin("synthesizers", method, parameters)
@@ -252,7 +253,7 @@ def synthesize(
     task = Task(sample, _checked_shape(shape), as_lattice(lattice), rng, progress or (lambda fraction: None))
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
-    synthesis = checked_synthesis(plugin.synthesize(task), sample, task.shape)
+    synthesis = checked_synthesis(synthesize_in_geometry(plugin, task), sample, task.shape)
     given = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, given))
 

@@ -12,6 +12,7 @@ import tempfile
 import threading
 import time
 import uuid
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -284,8 +285,15 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
-    """Write arrays as a compressed ``.npz``, atomically."""
-    write_aside(path, lambda aside: np.savez_compressed(aside, **arrays))  # type: ignore[arg-type]
+    """Write arrays as a compressed ``.npz``, atomically. The least level compresses source maps five times as fast."""
+
+    def write(aside: Path) -> None:
+        with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            for name, array in arrays.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, np.asanyarray(array), allow_pickle=False)
+
+    write_aside(path, write)
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:

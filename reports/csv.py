@@ -307,7 +307,10 @@ def published_classes_table(published: PublishedComparison) -> pd.DataFrame:
     ]
     table = pd.DataFrame(rows).rename(columns={"n": "figures"})
     chance = published.chance or (None, None)
-    for name, value in {"kappa": published.kappa, "chance_mean": chance[0], "chance_95": chance[1]}.items():
+    for name, value in {
+        **published.kappa.columns("kappa", "kappa_", ("low", "high")),
+        **{"chance_mean": chance[0], "chance_95": chance[1]},
+    }.items():
         table[name] = pd.Series([value], [len(table) - 1], dtype=object)
     return table
 

@@ -102,7 +102,7 @@ class TextTable:
                         table.add_row(*map(Text, row))
                     console.print(Text(f"{published.titles[regular]} of the report of 2004: published, then measured"))
                     console.print(table)
-            console.print(Text(published.sentence))
+            console.print(Text(f"{published.sentence} {published.agreement}"))
         if detectors:
             console.print(_detector_table(detectors.summaries))
             console.print(Text(_DETECTOR_LEGEND))

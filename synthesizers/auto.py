@@ -10,7 +10,7 @@ from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Synthesis, Synthesizer, Task, find_lattice
+from nrbench.plugins.forms import Geometry, Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .ann_pixel import AnnPixel
@@ -43,6 +43,11 @@ class Auto:
         ``"tile-set:preset=paper"``.
     other
         The method for all other textures: ``"rsgf"`` in its stochastic mode, or ``"ann-pixel"``.
+    geometry
+        How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
+        and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself.
 
     References
     ----------
@@ -53,6 +58,7 @@ class Auto:
     threshold: float = 0.1
     regular: Literal["rsgf", "tile-set", "tile-set:preset=paper"] = "rsgf"
     other: Literal["rsgf", "ann-pixel"] = "rsgf"
+    geometry: Geometry = "bent"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -60,7 +66,7 @@ class Auto:
     needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "paper": {"threshold": 0.1, "regular": "tile-set:preset=paper", "other": "ann-pixel"}
+        "paper": {"threshold": 0.1, "regular": "tile-set:preset=paper", "other": "ann-pixel", "geometry": "as-is"}
     }
     paper: ClassVar[str] = TileSet.paper
 

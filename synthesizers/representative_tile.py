@@ -15,7 +15,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.imaging.box_sums import box_sums
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Integers, Lattice, Points, integers_within
-from nrbench.plugins.forms import Refused, Shape, SourceMap, Synthesis, Task, require_lattice
+from nrbench.plugins.forms import Geometry, Refused, Shape, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .sampling.equal_places import PERIOD_SLACK, pixel_grid, require_two_periods
@@ -93,6 +93,11 @@ class RepresentativeTile:
         number (equation 3), never refused.
     tolerance
         Largest distance of a side of the tile from a lattice vector, in shares of s, in [0, 0.5).
+    geometry
+        How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
+        and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper.
 
     References
     ----------
@@ -107,6 +112,7 @@ class RepresentativeTile:
     scale_down: bool = True
     finder: Literal["ssdn:primitive=false", "ssdn:preset=paper"] = "ssdn:primitive=false"
     tolerance: float = 0.1
+    geometry: Geometry = "straight"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -118,6 +124,7 @@ class RepresentativeTile:
             "best_tiles": 1,
             "rescale": False,
             "finder": "ssdn:preset=paper",
+            "geometry": "as-is",
         },
         "figure-7": {
             "continuity_weight": 1.0,
@@ -126,6 +133,7 @@ class RepresentativeTile:
             "rescale": False,
             "scale_down": False,
             "finder": "ssdn:preset=paper",
+            "geometry": "as-is",
         },
     }
     patch_shape: ClassVar[str] = "rectangular tile from the period"

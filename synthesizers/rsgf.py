@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Final, Literal
 
@@ -16,12 +16,11 @@ from nrbench.detectors.gncc import Gncc
 from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import FoundLattice, Refused, Synthesis, Task, find_lattice
+from nrbench.plugins.forms import FoundLattice, Geometry, Refused, Synthesis, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .gap_filling.block_canvas import Block, BlockCanvas, BlockGrid, SeamMethod, check_border
 from .gap_filling.matching import FrameMatcher, Match, align_patch
-from .geometry.straightening import Geometry, straighten_first
 from .sampling.equal_places import EqualPlaces, Pixels, SearchShape, nearby_pixels, nearest_pixels
 from .sampling.patches import Patches, round_places
 
@@ -95,9 +94,10 @@ class Rsgf:
         which reports half or twice the period of some walls and carpets; or the paper's own, ``"gncc:preset=paper"``,
         which is right only where the periods are nearly whole pixels.
     geometry
-        ``"straighten"``: if the geometry of the sample departs from the lattice, the sample is straightened first and
-        the output deformed again, as the sample is (:func:`~.geometry.straightening.straighten_first`). ``"as-is"``:
-        not, as in the paper.
+        How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
+        and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper.
 
     References
     ----------
@@ -115,10 +115,9 @@ class Rsgf:
     candidate_fraction: float | None = None
     prefer_unused: bool = True
     finder: Finder = "consensus"
-    geometry: Geometry = "as-is"
+    geometry: Geometry = "bent"
 
     reference: ClassVar[bool] = False
-    uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -133,6 +132,7 @@ class Rsgf:
             "candidate_fraction": 0.0,
             "prefer_unused": False,
             "finder": "gncc:preset=paper",
+            "geometry": "as-is",
         }
     }
     patch_shape: ClassVar[str] = "user-defined, square patch"
@@ -147,8 +147,11 @@ class Rsgf:
         for name in ("tolerance", "candidate_fraction"):
             effective = getattr(self, name) is None or self.search == "lattice"
             require(effective, f"{name} has no effect with search {self.search!r}; choose search 'lattice'")
-        straight = self.geometry == "as-is" or self.search != "stochastic"
-        require(straight, "geometry 'straighten' needs a lattice, which search 'stochastic' does not use; drop one")
+
+    @property
+    def uses_lattice(self) -> bool:
+        """Whether it uses a lattice: the stochastic mode uses none."""
+        return self.search != "stochastic"
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`Rsgf`.
@@ -158,8 +161,6 @@ class Rsgf:
         Refused
             If the sample does not hold a block with its borders, or no patch equal to one of the output's.
         """
-        if self.geometry == "straighten":
-            return straighten_first(replace(self, geometry="as-is"), task, NamedDetector(self.finder))
         grid = BlockGrid(task.shape, self.block, self.border)
         grid.search_shape(task.sample.shape)
         found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, NamedDetector(self.finder))

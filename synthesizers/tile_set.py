@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from nrbench.errors import require, require_ranges
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Refused, Synthesis, Task, require_lattice
+from nrbench.plugins.forms import Geometry, Refused, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .geometry.straightening import Geometry, straighten_first
 from .sampling.equal_places import require_two_periods
 from .tile_laying.tile_canvas import OverlapMeasure, ShiftedImages, TileCanvas, TilePlaces, TileStock
 from .tile_laying.tile_kernels import FEATHER
@@ -114,9 +113,10 @@ class TileSet:
     finder
         Detector that finds the lattice if none is given: ``"consensus"``, or ``"dominance"``, that of the paper.
     geometry
-        ``"straighten"``: if the geometry of the sample departs from the lattice, the sample is straightened first and
-        the output deformed again, as the sample is (:func:`~.geometry.straightening.straighten_first`). ``"as-is"``:
-        not, as in the paper.
+        How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
+        and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper.
 
     References
     ----------
@@ -135,7 +135,7 @@ class TileSet:
     stitch: Literal["dynamic", "graphcut"] = "graphcut"
     anchor: AnchorKind | Literal["given"] = "elements"
     finder: Literal["consensus", "dominance"] = "consensus"
-    geometry: Geometry = "as-is"
+    geometry: Geometry = "bent"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
@@ -152,6 +152,7 @@ class TileSet:
             "stitch": "dynamic",
             "anchor": "given",
             "finder": "dominance",
+            "geometry": "as-is",
         }
     }
     patch_shape: ClassVar[str] = "tile shape/size from translational symmetry analysis"
@@ -181,8 +182,6 @@ class TileSet:
             If no lattice is found, if the sample does not show two periods, or not a complete tile of each set and two
             of one, or if registration or margin is larger than s.
         """
-        if self.geometry == "straighten":
-            return straighten_first(replace(self, geometry="as-is"), task, NamedDetector(self.finder))
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no tiles; give a lattice")
         self._require_within_s(lattice.s)
         unanchored = self.anchor == "given" and (task.lattice is None or lattice.origin == (0.0, 0.0))

@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.plugins.forms import Again, Shape
+from nrbench.plugins.forms import Again, Shape, Texture
 
 from ..perception import limits
 from ..perception.visible import Lab, perceive
@@ -169,6 +169,16 @@ class TextureReference:
 
 
 @lru_cache(maxsize=2)
+def perceive_draws(again: Again, shape: Shape) -> tuple[Texture, list[Lab]]:
+    """Return the first fresh draw of the reference, and what is seen of all; raises :class:`CannotTell` without any."""
+    draws = [again(shape, FIRST_DRAW + k) for k in range(DRAWS)]
+    found = [draw for draw in draws if draw is not None]
+    if len(found) < DRAWS:
+        raise CannotTell(f"not applicable: the texture's dataset gives no fresh draw of {shape[1]}x{shape[0]} px")
+    return found[0], [perceive(quantize(draw.image)) for draw in found]
+
+
+@lru_cache(maxsize=2)
 def reference_from_draws(
     again: Again, vectors: tuple[Vector, Vector], output: Shape, sample_shape: Shape
 ) -> TextureReference:
@@ -191,13 +201,10 @@ def reference_from_draws(
     least = np.maximum(_LEAST_TILES * np.abs(vectors).max(0)[::-1], _SIDES[0])
     sides = np.maximum(np.minimum(output, _SIDES[1]), np.ceil(least)).astype(int)
     shape = (int(sides[0]), int(sides[1]))
-    draws = [again(shape, FIRST_DRAW + k) for k in range(DRAWS)]
-    found = [draw for draw in draws if draw is not None]
-    if len(found) < DRAWS:
-        raise CannotTell(f"not applicable: the texture's dataset gives no fresh draw of {shape[1]}x{shape[0]} px")
-    ideal, drawn = found[0].ideal, found[0].lattice
+    first, labs = perceive_draws(again, shape)
+    ideal, drawn = first.ideal, first.lattice
     return _learn(
-        [perceive(quantize(draw.image)) for draw in found],
+        labs,
         canonical_lattice(drawn or Lattice(*vectors)),
         None if ideal is None else perceive(ideal),
         None,

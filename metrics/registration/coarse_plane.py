@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..perception import limits
-from .lattice_net import Mask, Values, split_cells
+from .lattice_net import Mask, Values, average_blocks, split_cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +41,7 @@ class CoarsePlane:
         return np.asarray(self._mean(self.known.astype(np.float32)) > 0.99)
 
     def _mean(self, a: Values) -> Values:
-        k1, k2 = self.samples // limits.PLACES
-        return np.asarray(a.reshape(a.shape[0] // k1, k1, a.shape[1] // k2, k2, *a.shape[2:]).mean((1, 3)))
+        return average_blocks(a, self.samples // limits.PLACES).astype(np.float32)
 
     @property
     def cells(self) -> Values:

@@ -17,6 +17,7 @@ from nrbench.lattice.geometry import Points
 from ..perception import limits
 from ..perception.visible import Lab
 from .lattice_net import LatticeNet, Mask, Values, find_inside, fold_cells, sample_planes, split_cells
+from .net_kernels import measure_lengths
 
 Field = NDArray[np.float64]
 """``(R, C, 2)``: displacements of windows, in cell coordinates."""
@@ -208,16 +209,14 @@ class FollowedPicture:
     @cached_property
     def straightened(self) -> tuple[Values, Mask]:
         """The picture with each point at its expected place, and the points that are known and in place."""
-        nodes = [
-            np.arange(side) / n * 2 - self.size for side, n in zip(self.plane.shape[:2], self.net.samples, strict=True)
-        ]
-        grid = np.meshgrid(*nodes, indexing="ij")
-
-        def spread(a: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.asarray(ndimage.map_coordinates(a, grid, order=1, mode="nearest"))
-
-        moved = np.stack([spread(self.expected[..., k]) for k in (0, 1)], -1) @ self.net.vectors
-        known = spread(self.in_place.astype(np.float64)) > 0.5
+        sides = self.plane.shape[:2]
+        rows, columns = (
+            _spread_matrix(side, n, self.size, nodes)
+            for side, n, nodes in zip(sides, self.net.samples, self.valid.shape, strict=True)
+        )
+        planes = np.concatenate([self.expected, self.in_place[..., np.newaxis]], -1)
+        spread = np.stack([rows @ plane @ columns.T for plane in np.moveaxis(planes, -1, 0)], -1)
+        moved, known = spread[..., :2] @ self.net.vectors, spread[..., 2] > 0.5
         points = self.net.points + moved
         shape = (self.lab.shape[0], self.lab.shape[1])
         return sample_planes(self.lab[..., :3], points), known & find_inside(points, shape)
@@ -242,6 +241,12 @@ class FollowedPicture:
             places = np.choose(number[..., np.newaxis], [f[0] for f in found])
             costs = np.choose(number[..., np.newaxis, np.newaxis], [f[1] for f in found])
         return places, costs, cover > 0.97
+
+
+def _spread_matrix(side: int, samples: int, size: int, nodes: int) -> NDArray[np.float64]:
+    """Return the weights of nodes in each sample along a vector, ``(side, nodes)``: linear, and constant beyond."""
+    at = np.clip(np.arange(side) / samples * 2 - size, 0, nodes - 1)
+    return np.asarray(np.maximum(1 - np.abs(at[:, np.newaxis] - np.arange(nodes)), 0))
 
 
 def _node_shape(net: LatticeNet, size: int) -> tuple[int, int]:
@@ -289,7 +294,8 @@ def _compare(windows: Values, model: CellModel, size: int) -> tuple[Field, Value
     powers, products = (np.conj(scipy.fft.rfft2(a, axes=(0, 1))) for a in (weights, weights * model.mean))
     spectra = (scipy.fft.rfft2(a, axes=(2, 3)) for a in (windows * windows, windows))
     total = sum(
-        ((spectrum * factor).sum(-1) for spectrum, factor in zip(spectra, (powers, -2 * products), strict=True))
+        np.einsum("rcijk,ijk->rcij", spectrum, factor)
+        for spectrum, factor in zip(spectra, (powers, -2 * products), strict=True)
     )
     costs = scipy.fft.irfft2(total, s=samples, axes=(2, 3)) + (weights * model.mean**2).sum()
     best = costs.reshape(*costs.shape[:2], -1).argmin(-1)
@@ -311,10 +317,8 @@ def _compare(windows: Values, model: CellModel, size: int) -> tuple[Field, Value
 
 def _length(difference: Field, vectors: Points) -> Values:
     """Return the length px of displacements in cell coordinates, modulo the lattice of reduced vectors."""
-    rest = difference - np.rint(difference)
-    shifts = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
-    lengths = np.linalg.norm((rest[..., np.newaxis, :] + shifts) @ vectors, axis=-1)
-    return np.asarray(lengths.min(-1))
+    lengths = measure_lengths(np.ascontiguousarray(difference).reshape(-1, 2), np.ascontiguousarray(vectors))
+    return np.asarray(lengths.reshape(difference.shape[:-1]))
 
 
 def _grow(displacement: Field, valid: Mask, vectors: Points, limit: float) -> tuple[Mask, Field]:
@@ -376,17 +380,15 @@ def _compare_sides(picture: FollowedPicture) -> NDArray[np.float64]:
     known = picture.valid & (picture.away < 0.3)
     moved = np.where(known[..., np.newaxis], (picture.expected + near - np.rint(near)) @ picture.net.vectors, 0)
     y, x = np.mgrid[-_SIDE : _SIDE + 1, -_SIDE : _SIDE + 1]
+    planes = np.stack([known.astype(float), *np.moveaxis(moved, -1, 0)])
+    planes = np.broadcast_to(planes, (2, *planes.shape))
     largest = np.zeros(known.shape)
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
         across, along = (y * down + x * right) / np.hypot(down, right), (y * right - x * down) / np.hypot(down, right)
         side = ((across > 0.6) & (across <= _SIDE) & (np.abs(along) <= _ALONG)).astype(np.float64)
-        means, enough = [], np.ones_like(known)
-        for kernel in (side, side[::-1, ::-1]):
-            sums = [
-                scipy.signal.fftconvolve(a, kernel, mode="same")
-                for a in (known.astype(float), *np.moveaxis(moved, -1, 0))
-            ]
-            means.append(np.stack(sums[1:], -1) / np.maximum(sums[0], 1)[..., np.newaxis])
-            enough &= sums[0] > 0.45 * side.sum()
-        largest = np.maximum(largest, np.where(enough, np.linalg.norm(means[0] - means[1], axis=-1), 0))
+        kernels = np.stack([side, side[::-1, ::-1]])[:, np.newaxis]
+        sums = scipy.signal.fftconvolve(planes, kernels, mode="same", axes=(2, 3))
+        means = sums[:, 1:] / np.maximum(sums[:, :1], 1)
+        enough = (sums[:, 0] > 0.45 * side.sum()).all(0)
+        largest = np.maximum(largest, np.where(enough, np.linalg.norm(means[0] - means[1], axis=0), 0))
     return largest

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Shape
 
 from ..perception import limits
+from .net_kernels import interpolate_pixels
 
 Values = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -94,32 +94,31 @@ class LatticeNet:
         """Return the means of planes over half cells, where a point is unknown as 0, and the known share of each."""
         half = self.samples // 2
 
-        def mean(a: NDArray[Any]) -> NDArray[np.float64]:
-            parts = a.reshape(a.shape[0] // half[0], half[0], a.shape[1] // half[1], half[1], *a.shape[2:])
-            return np.asarray(parts.mean((1, 3), dtype=np.float64))
-
-        return mean(np.where(known[..., np.newaxis], planes, 0)), mean(known)
+        return average_blocks(np.where(known[..., np.newaxis], planes, 0), half), average_blocks(known, half)
 
 
 def find_inside(points: Points, shape: Shape) -> Mask:
     """Return which points lie inside a picture of ``shape``."""
-    return np.asarray(((points >= 0) & (points <= np.array(shape[1::-1]) - 1)).all(-1))
+    x, y = points[..., 0], points[..., 1]
+    return np.asarray((x >= 0) & (x <= shape[1] - 1) & (y >= 0) & (y <= shape[0] - 1))
 
 
 def sample_planes(planes: Values, points: Points) -> Values:
     """Return the values of planes ``(H, W, C)`` at points (x, y), interpolated linearly."""
-    places = [points[..., 1], points[..., 0]]
-    values = [
-        map_coordinates(plane, places, order=1, mode="nearest", output=np.float32)
-        for plane in np.moveaxis(planes, -1, 0)
-    ]
-    return np.stack(values, -1)
+    places = np.ascontiguousarray(points, np.float64).reshape(-1, 2)
+    return interpolate_pixels(planes, places).reshape(*points.shape[:-1], planes.shape[-1])
 
 
 def split_cells(a: NDArray[Any], samples: NDArray[np.intp] | tuple[int, int]) -> NDArray[Any]:
     """Return an array in the order of a net, ``(N1 n1, N2 n2, ...)``, cell by cell: ``(N1, N2, n1, n2, ...)``."""
     n1, n2 = samples
     return a.reshape(a.shape[0] // n1, n1, a.shape[1] // n2, n2, *a.shape[2:]).swapaxes(1, 2)
+
+
+def average_blocks(a: NDArray[Any], size: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return the means of blocks of ``size`` along the first two axes; first down the columns, which is the fastest."""
+    rows = a.reshape(-1, size[0], *a.shape[1:]).mean(1, dtype=np.float64)
+    return np.asarray(rows.reshape(len(rows), -1, size[1], *a.shape[2:]).mean(2))
 
 
 def fold_cells(planes: Values, known: Mask, samples: NDArray[np.intp]) -> Values:

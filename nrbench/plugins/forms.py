@@ -19,6 +19,10 @@ Shape = tuple[int, int]
 """(height, width) in px."""
 Region = tuple[int, int, int, int]
 """(x0, y0, x1, y1) in px of the picture that a crop was cut from, half-open."""
+Geometry = Literal["bent", "argmax", "straight", "as-is"]
+"""How a method is run where the sample is bent. It gets the straightened sample, and its output is ``"bent"`` by a
+field like the sample's, bent by ``"argmax"`` as in Lin and others 2004 (appendix A, equation 3; one pass of each warp),
+or left ``"straight"``. ``"as-is"``: it gets the sample itself."""
 
 
 @dataclass(frozen=True)
@@ -519,6 +523,9 @@ class Synthesizer(Protocol):
         The detector, ``name`` or ``name:param=value,...``, by which the method finds a lattice if none is given. The
         key of a cell with the lattice source ``own`` depends on it. It may be a parameter or a property. Empty or
         absent: the method uses no detector.
+    ``geometry``
+        A parameter or a property, a :data:`Geometry`: how the core runs the method where the sample is bent; it then
+        gets the lattice, too. Absent: ``"as-is"``.
     ``label``
         The name of the method in tables, a parameter or a property; if it is empty, the tables show the plugin's name
         and the parameters that differ from their defaults. Two methods of a run may not have the same one.

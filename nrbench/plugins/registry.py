@@ -25,6 +25,9 @@ from nrbench.plugins.forms import Better, Column, Detection
 from nrbench.plugins.parameters import PRESET, converted, missing, nearest, parse_spec, validated
 from nrbench.storage import outside_user_folder
 
+BENT_FINDERS = ("consensus", "gncc")
+"""The detectors that find the lattice of a bent sample: one that confirms lattices, and a quick one."""
+
 
 @dataclass(frozen=True)
 class Form:
@@ -97,9 +100,11 @@ class Plugin:
     def full_version(self) -> str:
         """The version in the keys of cells and scores: the plugin's own, and those of the detectors that it calls.
 
-        Its class variable ``uses`` names these detectors. They run with their default parameters.
+        Its class variable ``uses`` names these detectors. They run with their default parameters. A method with a
+        ``geometry`` calls those that find the lattice of a bent sample.
         """
-        called = (f"+{name}-{find('detectors', name).full_version}" for name in getattr(self.cls, "uses", ()))
+        uses = (*getattr(self.cls, "uses", ()), *(BENT_FINDERS if hasattr(self.cls, "geometry") else ()))
+        called = (f"+{name}-{find('detectors', name).full_version}" for name in uses)
         return "".join([self.version, *called])
 
 

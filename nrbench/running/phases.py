@@ -19,6 +19,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from nrbench import plugins
+from nrbench.bending.straightening import synthesize_in_geometry
 from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image, write_image
@@ -118,7 +119,7 @@ def synthesize_cell(folder: Path, send: Send) -> None:
     method = plugins.build("synthesizers", cell.method, cell.parameters)
     task = _task(where, cell)
     wall, cpu = time.perf_counter(), cpu_seconds()
-    synthesis = method.synthesize(task)
+    synthesis = synthesize_in_geometry(method, task)
     wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
     synthesis = checked_synthesis(synthesis, task.sample, cell.shape)
     _write(where, synthesis)

@@ -171,6 +171,12 @@ class Deformation:
         assert self.knots is not None
         return self.knots.mean_lattice()
 
+    def covers(self, points: Points) -> NDArray[np.bool_]:
+        """Return which points ``(..., 2)`` of the mean lattice's plane are near knots, or lie in a known homography."""
+        if self.knots is None or self.homography is not None:
+            return np.ones(np.shape(points)[:-1], np.bool_)
+        return self.knots.is_near(self._knot_lattice.to_cell(points))
+
     def straighten(self) -> tuple[Image, Lattice]:
         """Return the image with its deformation undone, and the mean lattice in its pixels.
 
@@ -189,9 +195,7 @@ class Deformation:
         x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
         plane = np.stack([x, y], -1)
         sources = self.locate(plane)
-        inside = np.asarray(((sources >= 0) & (sources <= size - 1)).all(-1))
-        if self.homography is None:
-            inside &= self.knots.is_near(self._knot_lattice.to_cell(plane))
+        inside = np.asarray(((sources >= 0) & (sources <= size - 1)).all(-1)) & self.covers(plane)
         top, bottom, left, right = largest_box(inside)
         places = np.clip(sources[top:bottom, left:right], 0, size - 1)
         coefficients = spline_coefficients(np.array(self.image, np.float32, order="C"))

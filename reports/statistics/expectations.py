@@ -33,10 +33,12 @@ from .estimates import (
     estimate_mean,
     estimate_proportion,
     kappa,
+    mean_kappa,
     means_over_textures,
     paired_differences,
     success_rate,
 )
+from .format import format_interval, format_number
 from .method_comparison import Comparison
 from .summaries import Method
 from .verdicts import MARKS, PRESERVED, QUALITY, RANKING, tabulate_cells
@@ -335,11 +337,11 @@ class PublishedComparison:
         For textures of type II (irregular geometry, regular colors) and III (both irregular), which are analogues of no
         figure: for each method the number that preserve the lattice, and the number with a verdict.
     kappa
-        Cohen's kappa of measured and published verdicts, figure by figure; None if it does not exist. A share of
-        one half or more counts as preserved.
+        Cohen's kappa of measured and published verdicts, figure by figure, with a bootstrap interval over figures. A
+        share of one half or more counts as preserved. It has no value if a rater gave a single answer throughout.
     chance
         Mean and 95th percentile of kappa if the published verdicts are paired at random with measured ones of figures
-        of the same description; None if kappa does not exist.
+        of the same description; None if kappa has no value.
     """
 
     methods: Sequence[Method]
@@ -348,13 +350,26 @@ class PublishedComparison:
     rates: Sequence[RateRow]
     classes: Sequence[ClassRow]
     types: Mapping[str, Sequence[tuple[float, int]]]
-    kappa: float | None
+    kappa: Estimate
     chance: tuple[float, float] | None
 
     sentence: ClassVar[str] = (
         "The textures are analogues, not the report's images: they were drawn from the descriptions of its figures. "
         "They are a fixed list and no sample of a population of textures."
     )
+
+    @property
+    def agreement(self) -> str:
+        """Kappa and its chance as a sentence."""
+        if self.chance is None:
+            return "There is no kappa, because one of the two raters gave a single answer throughout."
+        value, mean, most = map(format_number, (self.kappa.value, *self.chance))
+        ends = f", 95 % interval over figures {format_interval(self.kappa)}" if self.kappa.ends else ""
+        return (
+            f"Kappa of published and measured verdicts: {value}{ends}. If the published verdicts are paired at random "
+            f"with those of figures of the same description: {mean} on average, and {most} or less in 95 % of the "
+            "pairings."
+        )
 
     titles: ClassVar[Mapping[bool, str]] = {
         True: "Table 2: regular textures", False: "Table 3: near-regular textures"
@@ -516,13 +531,14 @@ def _class_agreement(kind: str, figures: Sequence[FigureRow], pairs: pd.DataFram
     return ClassRow(kind, len(known), estimate_mean(means, of))
 
 
-def _compare_cells(pairs: pd.DataFrame) -> tuple[float | None, tuple[float, float] | None]:
+def _compare_cells(pairs: pd.DataFrame) -> tuple[Estimate, tuple[float, float] | None]:
     """Return kappa figure by figure, and its mean and 95th percentile under random pairing within a description."""
     known = pairs.dropna()
     published, measured = known["published"].to_numpy() > 0, known["measured_share"].to_numpy() >= 0.5
-    observed = float(_kappa_of(published, measured))
-    if not np.isfinite(observed):
-        return None, None
+    of_figure = known["figure"].to_numpy() == known["figure"].unique()[:, np.newaxis]
+    observed = mean_kappa(np.einsum("fn,ni,nj->fij", of_figure, *_one_hot(published, measured))[np.newaxis])
+    if observed.value is None:
+        return observed, None
     rng = stream("bootstrap", "published")
     stratum = known.groupby(["description", "method"], sort=False).ngroup().to_numpy()
     groups = [np.flatnonzero(stratum == i) for i in range(stratum.max() + 1)]
@@ -530,12 +546,11 @@ def _compare_cells(pairs: pd.DataFrame) -> tuple[float | None, tuple[float, floa
     for row in shuffled:
         for group in groups:
             row[group] = published[rng.permutation(group)]
-    values = _kappa_of(shuffled, measured)
+    values = kappa(np.einsum("bni,nj->bij", *_one_hot(shuffled, measured)))
     values = values[np.isfinite(values)]
     return observed, (float(values.mean()), float(np.quantile(values, 0.95)))
 
 
-def _kappa_of(published: NDArray[np.bool_], measured: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return Cohen's kappa of published verdicts, ``(..., n)``, with the measured ones, ``(n,)``."""
-    first, second = (np.stack([words, ~words], -1).astype(float) for words in (published, measured))
-    return kappa(np.einsum("...ni,nj->...ij", first, second))
+def _one_hot(*verdicts: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
+    """Return each array of verdicts with a last axis: 1 in the place of preserved or of lost."""
+    return [np.stack([words, ~words], -1).astype(np.float64) for words in verdicts]

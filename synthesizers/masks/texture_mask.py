@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nrbench.errors import require
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
+from nrbench.plugins.forms import Geometry, Refused, Shape, Synthesis, Task
 from nrbench.plugins.parameters import append_parameters
 from nrbench.spectra.harmonics import Channels, Harmonic, Signal, WaveAnalysis, analyze
 
@@ -33,6 +33,7 @@ MASK_OF_THE_PAPER: Final[Mapping[str, Any]] = {
     "harmonics": "free",
     "signal": "analytic",
     "channels": "each",
+    "geometry": "as-is",
 }
 """The mask of Nicoll et al. (2005) in terms of :class:`MaskParameters`. Their table 1 tries thresholds of 0.5, 1, 2 and
 5; they set it for each texture and do not say which values they used."""
@@ -64,6 +65,12 @@ class MaskParameters:
     channels
         ``"joint"``: a wave has the same frequency in all channels. ``"each"``: every channel is analyzed separately, as
         in the paper, so that the frequencies of a wave may differ between channels.
+    geometry
+        How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
+        and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper
+        and for a tileable output.
     """
 
     tileable: bool = False
@@ -71,6 +78,7 @@ class MaskParameters:
     harmonics: Harmonic = "tied"
     signal: Signal = "real"
     channels: Channels = "joint"
+    geometry: Geometry = "bent"
 
     def __init_subclass__(cls) -> None:
         """Append these parameters to the method's page."""
@@ -80,6 +88,8 @@ class MaskParameters:
     def __post_init__(self) -> None:
         require(0 <= self.threshold < 255, f"threshold {self.threshold}; choose 0 (automatic), or below 255")
         periodic = not self.tileable or self.harmonics == "tied"
+        if self.tileable:
+            object.__setattr__(self, "geometry", "as-is")
         require(periodic, "tileable with harmonics 'free', which have no common period; choose harmonics 'tied'")
 
     def find_mask(self, sample: Image, lattice: Lattice | None = None) -> TextureMask:

@@ -31,6 +31,7 @@ FLOORS = (
     ("nrbench.runs",),
     ("nrbench.suites",),
     ("nrbench.synthesizers", "nrbench.metrics", "nrbench.datasets_procedural", "nrbench.detectors"),
+    ("nrbench.bending",),
     ("nrbench.views",),
     ("nrbench.plugins",),
     ("nrbench.spectra",),

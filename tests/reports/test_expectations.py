@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from nrbench.reports.csv import CsvTables
@@ -229,7 +230,7 @@ def test_a_run_that_repeats_the_report_agrees_with_it(make_report: Make) -> None
     published = compare(make_report(lambda figure, method: figure.verdicts.get(method, "lost") == "preserved"))
     assert [one.difference.value for one in published.rates] == [0] * len(published.rates)
     assert {one.agreement.value for one in published.classes} == {1}
-    assert published.kappa == pytest.approx(1)
+    assert (published.kappa.value, *published.kappa.ends) == pytest.approx((1, 1, 1))
     assert published.chance is not None and published.chance[0] < 0.9
     assert [one.kind for one in published.classes] == ["motif", "tiles", "brick", "woven", "damaged", "all"]
 
@@ -267,14 +268,28 @@ def test_the_lattice_comes_from_where_the_report_took_it(make_cell: Make, make_r
     assert found == {("tile-set", "own"), ("regularized-patch", "given")}
 
 
+def test_kappa_has_an_interval_over_figures(make_report: Make, tmp_path: Path) -> None:
+    """Verdicts that agree on two of three figures have a kappa between 0 and 1, inside its interval, in all reports."""
+    run = make_report(lambda figure, method: (figure.verdicts.get(method) == "preserved") ^ (figure.number % 3 == 0))
+    published = compare(run)
+    low, high = published.kappa.ends or (1.0, 0.0)
+    assert published.kappa.value is not None and 0 < low < published.kappa.value < high < 1
+    CsvTables().write(run, tmp_path)
+    table = pd.read_csv(tmp_path / "published_classes.csv")
+    assert table["kappa_low"].iloc[-1] == pytest.approx(low)
+    words = published.agreement.partition(", ")[0]
+    for text in (HtmlReport().render(run, tmp_path), MarkdownTables().render(run), TextTable(width=200).render(run)):
+        assert words in text.replace("\n", " ")
+
+
 def test_random_pairing_keeps_what_descriptions_explain(make_report: Make) -> None:
     """If measured verdicts depend on the description alone, random pairing within descriptions reaches all of kappa."""
     first = {one.description: one.verdicts for one in reversed(read_published())}
     published = compare(
         make_report(lambda figure, method: first[figure.description].get(method, "lost") == "preserved")
     )
-    assert published.kappa is not None and published.chance is not None
-    assert published.kappa == pytest.approx(published.chance[0], abs=1e-9)
+    assert published.chance is not None
+    assert published.kappa.value == pytest.approx(published.chance[0], abs=1e-9)
 
 
 def test_a_run_without_figures_or_methods_has_no_comparison(make_report: Make, make_run: Make, make_cell: Make) -> None:

@@ -38,12 +38,10 @@ FINDERS = {
     "representative-tile": "ssdn:primitive=false",
     "representative-tile:preset=paper": "ssdn:preset=paper",
     "rsgf": "consensus",
-    "rsgf:geometry=straighten": "consensus",
     "rsgf:preset=paper": "gncc:preset=paper",
     "shuffle": "gncc",
     "supertile": "gncc",
     "tile-set": "consensus",
-    "tile-set:geometry=straighten": "consensus",
     "tile-set:preset=paper": "dominance",
     "tiling": "gncc",
 }

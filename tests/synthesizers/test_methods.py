@@ -224,8 +224,7 @@ BAD = {
     "representative-tile": "continuity_weight=-1 continuity_weight=1e308 rated_share=0 rated_share=1.5 best_tiles=0 "
     "best_tiles=100 tolerance=0.5",
     "rsgf": "border=0 border=21 block=1 tolerance=-1 tolerance=3,search=everywhere tolerance=3,search=stochastic "
-    "candidate_fraction=-0.1 candidate_fraction=1.5 candidate_fraction=nan candidate_fraction=0.5,search=everywhere "
-    "geometry=straighten,search=stochastic",
+    "candidate_fraction=-0.1 candidate_fraction=1.5 candidate_fraction=nan candidate_fraction=0.5,search=everywhere",
     "scatter": "border=11,block=20",
     "texture-optimization": "neighborhood=7 levels=0 iterations=0 exponent=0 exponent=2.5 exponent=nan",
     "tile-set": "quantile=1.2 threshold=-1 threshold=nan registration=-1 margin=-1 registration=inf parts=0 parts=17 "

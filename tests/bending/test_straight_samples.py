@@ -1,7 +1,7 @@
 """Claims about straightened samples, deformed outputs, and the free-form displacement between them."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,11 +11,7 @@ from scipy import ndimage
 
 import nrbench
 from nrbench import plugins
-from nrbench.imaging.convert import quantize
-from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Task, Texture
-from nrbench.running.output_checks import check_source
-from nrbench.synthesizers.geometry.deformed_lattice import (
+from nrbench.bending.deformed_lattice import (
     PARTS,
     DeformedLattice,
     WaveSpectrum,
@@ -24,9 +20,18 @@ from nrbench.synthesizers.geometry.deformed_lattice import (
     neighbor_field,
     output_field,
 )
-from nrbench.synthesizers.geometry.free_form import FreeForm, approximate, basis, refine
-from nrbench.synthesizers.geometry.straightening import StraightSample, explained_share, synthesize_straight
-from nrbench.synthesizers.sampling.equal_places import pixel_grid
+from nrbench.bending.free_form import FreeForm, approximate, basis, refine
+from nrbench.bending.straightening import (
+    LEAST_GAIN,
+    StraightSample,
+    explained_share,
+    straighten_sample,
+    synthesize_in_geometry,
+)
+from nrbench.imaging.convert import quantize
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Geometry, Task, Texture
+from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.tiling import Tiling
 from nrbench.tracking.tracker import MeanTile, track_tiles
 
@@ -37,10 +42,17 @@ def bent(model: str = "brick", bend: float = 0.5, seed: int = 0, side: int = 192
     return replace(texture, image=quantize(texture.image))
 
 
+@dataclass(frozen=True)
+class BendingTiling(Tiling):
+    """The baseline, straightened and bent."""
+
+    geometry: Geometry = "bent"
+
+
 def straightened(texture: Texture) -> StraightSample:
     """Return the straight sample of a texture of known lattice."""
     assert texture.lattice is not None
-    return StraightSample.of(texture.image, texture.lattice)
+    return StraightSample(texture.image, find_deformed_lattice(texture.image, texture.lattice))
 
 
 def synthetic(amplitude: float = 3.0, wave: float = 90.0, side: float = 220.0) -> DeformedLattice:
@@ -63,7 +75,7 @@ def test_the_displacement_of_a_model_is_recovered(bend: float, worst: float) -> 
     """On bricks displaced by 1.6 and 3.2 px (rms), the map errs by less than 0.25 and 0.6 px."""
     texture = bent(bend=bend)
     straight = straightened(texture)
-    grid = pixel_grid(192, 192).astype(np.float64)[12:-12, 12:-12]
+    grid = np.stack(np.meshgrid(np.arange(12.0, 180), np.arange(12.0, 180)), -1)
     places = straight.locate(grid)
     assert texture.displacement is not None
     truth = np.stack(
@@ -88,26 +100,63 @@ def test_the_straight_sample_is_as_periodic_as_the_ideal() -> None:
     assert explained_share(straight.image, straight.lattice) > 0.9
 
 
+def is_straightened(texture: Texture) -> bool:
+    """Return whether a sample of known lattice is straightened."""
+    return straighten_sample(texture.image, texture.lattice, given=True)[0] is not None
+
+
 @pytest.mark.parametrize("model", ["brick", "weave", "hexagon"])
-def test_only_samples_whose_geometry_departs_are_warped(model: str) -> None:
-    """Strong colors and noise do not count as displacements; a bend of 0.3 does."""
-    assert not straightened(bent(model, bend=0.0, color=0.6, noise=0.1, seed=5)).departs
-    assert straightened(bent(model, bend=0.3, seed=5)).departs
+def test_only_samples_that_are_bent_are_straightened(model: str) -> None:
+    """Strong colors, noise, and elements that are displaced one by one are no bend; a bend of 0.3 is one."""
+    assert not is_straightened(bent(model, bend=0.0, color=0.6, noise=0.1, seed=5))
+    assert not is_straightened(bent(model, bend=0.0, jitter=0.3, seed=5))
+    assert is_straightened(bent(model, bend=0.3, seed=5))
 
 
-def test_stripes_that_slide_along_themselves_are_not_warped() -> None:
+def test_stripes_that_slide_along_themselves_are_not_straightened() -> None:
     """Where nothing ties the lattice down along a line, the tracker errs, but straightening explains no more."""
-    straight = straightened(bent("corduroy", bend=0.0, color=0.6, seed=3))
+    texture = bent("corduroy", bend=0.0, color=0.6, seed=3)
+    straight = straightened(texture)
     assert straight.deformed.amplitude > 0.04 * straight.deformed.lattice.s
-    assert not straight.departs
+    assert straight.gain < LEAST_GAIN and not is_straightened(texture)
 
 
-def test_a_flat_or_small_sample_is_not_warped() -> None:
+def test_a_flat_or_small_sample_is_not_straightened() -> None:
     """A flat sample, and one with too few tiles, have an obstacle and are left alone."""
-    flat = StraightSample.of(np.full((64, 64, 3), 0.5, np.float32), Lattice((8, 0), (0, 8)))
-    assert "flat" in flat.deformed.obstacle and not flat.departs
-    small = StraightSample.of(bent(side=64).image, Lattice((27.3, 0), (13.65, 12.2)))
-    assert "whole tiles" in small.deformed.obstacle and not small.departs
+    flat, lattice = np.full((64, 64, 3), 0.5, np.float32), Lattice((8, 0), (0, 8))
+    assert "flat" in find_deformed_lattice(flat, lattice).obstacle
+    assert straighten_sample(flat, lattice, given=True)[0] is None
+    small, bricks = bent(side=64).image, Lattice((27.3, 0), (13.65, 12.2))
+    assert "whole tiles" in find_deformed_lattice(small, bricks).obstacle
+    assert straighten_sample(small, bricks, given=True)[0] is None
+
+
+@pytest.mark.parametrize("model", ["brick", "hexagon"])
+def test_what_the_tracker_loses_is_followed(model: str) -> None:
+    """At bend 1 the straightened sample is as periodic as its colors allow, however far the places have moved."""
+    texture = bent(model, bend=1.0, color=0.2, seed=42, side=160)
+    straight, note = straighten_sample(texture.image, texture.lattice, given=True)
+    assert straight is not None and straight.gain > 8 and note.startswith("bent by 0.")
+    assert explained_share(straight.image, straight.lattice) > 0.7
+
+
+def test_a_given_lattice_that_cannot_be_followed_is_found_in_a_part() -> None:
+    """The sample is straightened to the given lattice; another given one is not replaced."""
+    texture = bent("hexagon", bend=1.0, seed=3, side=192, rotation=33.0)
+    assert texture.lattice is not None
+    straight, _ = straighten_sample(texture.image, texture.lattice, given=True)
+    assert straight is not None and straight.lattice.is_equivalent(texture.lattice, 2)
+    other = Lattice.from_basis(1.3 * texture.lattice.matrix)
+    straight, note = straighten_sample(texture.image, other, given=True)
+    assert straight is None and "cannot be told" in note
+
+
+def test_a_bent_lattice_is_found_where_the_detector_finds_none() -> None:
+    """Without a lattice, that of a bent sample is found, and a method gets it."""
+    texture = bent("weave", bend=1.0, color=0.3, seed=42, side=160)
+    straight, _ = straighten_sample(texture.image, None, given=False)
+    assert straight is not None and texture.lattice is not None
+    assert straight.lattice.is_equivalent(texture.lattice, 1.5)
 
 
 def test_vertices_are_every_second_knot_and_lie_about_s_apart() -> None:
@@ -133,7 +182,7 @@ def test_a_drawn_field_has_the_amplitude_and_the_wave_length_of_the_sample() -> 
 def test_a_sample_without_displacements_gives_none() -> None:
     """A regular sample has a spectrum without power and an output field of zeros."""
     still = replace(synthetic(), displacements=np.zeros_like(synthetic().displacements))
-    _, moved, _ = output_field(still, (100, 100), "normal", np.random.default_rng(0))
+    _, moved, _ = output_field(still, (100, 100), "bent", np.random.default_rng(0))
     assert not moved.any()
 
 
@@ -150,7 +199,7 @@ def test_a_method_is_called_on_the_straight_sample_and_its_output_bent() -> None
     texture = bent()
     assert texture.lattice is not None
     task = Task(texture.image, (200, 220), texture.lattice, np.random.default_rng(1))
-    made = synthesize_straight(task, texture.lattice, Tiling().synthesize)
+    made = synthesize_in_geometry(BendingTiling(), task)
     assert made.image.shape == (200, 220, 3) and made.source is not None
     check_source(made.source, quantize(made.image), texture.image)
     found = find_deformed_lattice(quantize(made.image), texture.lattice)
@@ -166,21 +215,36 @@ def test_a_method_gets_the_task_itself_where_nothing_departs() -> None:
     texture = bent(bend=0.0)
     assert texture.lattice is not None
     tasks = [Task(texture.image, (90, 100), texture.lattice, np.random.default_rng(1)) for _ in range(2)]
-    plain, wrapped = Tiling().synthesize(tasks[0]), synthesize_straight(tasks[1], texture.lattice, Tiling().synthesize)
+    plain, wrapped = Tiling().synthesize(tasks[0]), synthesize_in_geometry(BendingTiling(), tasks[1])
     np.testing.assert_array_equal(plain.image, wrapped.image)
 
 
-@pytest.mark.parametrize("name", ["rsgf", "tile-set"])
-def test_methods_ask_for_it_by_a_parameter(name: str) -> None:
-    """``geometry=straighten`` gives the bytes of the mechanism on a bent sample, the method's own on a regular one."""
-    plain, asking = (plugins.build("synthesizers", name, {"geometry": way}) for way in ("as-is", "straighten"))
-    for bend in (0.0, 0.4):
-        texture = bent(bend=bend, side=160)
-        assert texture.lattice is not None
-        tasks = [Task(texture.image, (110, 120), texture.lattice, np.random.default_rng(1)) for _ in range(2)]
-        made, expected = asking.synthesize(tasks[0]), synthesize_straight(tasks[1], texture.lattice, plain.synthesize)
-        np.testing.assert_array_equal(made.image, expected.image)
-        assert ("straightened" in made.extras) == (bend > 0)
+BENDING = ("auto", "fftm-patch", "fftm-pixel", "regularized-patch", "representative-tile", "rsgf", "tile-set")
+
+
+def test_every_method_that_uses_a_lattice_is_straightened() -> None:
+    """Of nrbench's methods, all do but the baselines and external tools."""
+    using = [p for p in plugins.inventory("synthesizers") if p.own and getattr(p.cls, "uses_lattice", True)]
+    ranked = [p for p in using if not getattr(p.cls, "reference", False) and p.name not in ("command", "lattice-only")]
+    assert sorted(p.name for p in ranked if hasattr(p.cls, "geometry")) == sorted(BENDING)
+    assert {p.name for p in ranked} == set(BENDING)
+
+
+@pytest.mark.parametrize("name", BENDING)
+def test_a_method_is_straightened_by_default(name: str) -> None:
+    """The note says so where the sample is bent; ``geometry=as-is`` gives the method's own bytes."""
+    default, plain = (plugins.build("synthesizers", name, given) for given in ({}, {"geometry": "as-is"}))
+    texture = bent(bend=0.4, side=160)
+    tasks = [Task(texture.image, (60, 70), texture.lattice, np.random.default_rng(1)) for _ in range(3)]
+    made, own, expected = (
+        synthesize_in_geometry(default, tasks[0]),
+        synthesize_in_geometry(plain, tasks[1]),
+        plain.synthesize(tasks[2]),
+    )
+    assert "the sample was straightened" in made.note and "straightened" in made.extras
+    assert made.image.shape == own.image.shape == (60, 70, 3)
+    np.testing.assert_array_equal(own.image, expected.image)
+    assert np.abs(made.image - own.image).max() > 0.1 and own.note == expected.note
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
@@ -190,7 +254,7 @@ def test_the_output_keeps_the_phase_of_the_sample(seed: int) -> None:
     assert texture.lattice is not None and texture.ideal is not None
     lattice = texture.lattice.reduced()
     task = Task(texture.image, (230, 240), lattice, np.random.default_rng(2))
-    made = synthesize_straight(task, lattice, Tiling().synthesize)
+    made = synthesize_in_geometry(BendingTiling(), task)
     tile = MeanTile.of(texture.ideal, lattice)
     means = [track_tiles(quantize(one), lattice, tile).field.mean((0, 1)) for one in (texture.image, made.image)]
     assert np.hypot(*lattice.wrap(means[1] - means[0])) < 2

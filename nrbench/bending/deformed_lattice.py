@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import scipy
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Geometry
+from nrbench.tracking.bent_lattice import Deformation
 from nrbench.tracking.tracker import MeanTile, Track, track_tiles
 
 from .vertex_kernels import move_vertices
@@ -25,8 +28,8 @@ LEAST_FOUND: Final = 0.5
 """Share of the tiles that must be found."""
 LEAST_POINTS: Final = 9
 """Whole tiles that the sample must hold."""
-Deform = Literal["normal", "argmax", "none"]
 Array = NDArray[np.float64]
+Locate = Callable[[Points], Points]
 WAVES: Final = 128
 """Number of plane waves along each axis of a drawn field."""
 MOST_VERTICES: Final = 512
@@ -73,6 +76,17 @@ class DeformedLattice:
     amplitude: float
     obstacle: str = ""
 
+    @classmethod
+    def read(cls, lattice: Lattice, size: Points, locate: Locate, amplitude: float, obstacle: str) -> DeformedLattice:
+        """Return a reduced lattice whose points lie where ``locate`` says, NaN: unknown, in a sample of ``size`` px."""
+        knots, last = knot_lattice(lattice), size - 1.0
+        numbers = knots.cell_numbers(-last, 2 * last)
+        places = knots.from_cell(numbers)
+        found = locate(places)
+        inside = ((found >= 0) & (found <= last)).all(1)
+        moved = (found - places)[inside]
+        return cls(lattice, knots, numbers[inside], moved - moved.mean(0), amplitude, obstacle)
+
     @cached_property
     def places(self) -> Points:
         """``(n, 2)``: places (x, y) px of the points before they are displaced."""
@@ -108,23 +122,39 @@ def find_deformed_lattice(sample: Image, lattice: Lattice) -> DeformedLattice:
     lattice
         The regular lattice. Its phase need not fit.
     """
-    lattice = lattice.reduced()
-    knots = knot_lattice(lattice)
+    lattice, size = lattice.reduced(), np.array(sample.shape[1::-1], np.float64)
     tile = MeanTile.of(sample, lattice)
     if tile.flat:
-        return DeformedLattice(
-            lattice, knots, np.zeros((0, 2), np.int64), np.zeros((0, 2)), 0.0, "the mean tile is flat"
-        )
+        return DeformedLattice.read(lattice, size, np.copy, 0.0, "the mean tile is flat")
     track = track_tiles(sample, lattice, tile)
-    last = np.array(sample.shape[1::-1]) - 1.0
-    numbers = knots.cell_numbers(-last, 2 * last)
-    places = knots.from_cell(numbers)
-    found = places + track.nodes.interpolate(track.field, places)
-    inside = ((found >= 0) & (found <= last)).all(1)
-    moved = (found - places)[inside]
     obstacle = _obstacle(track)
     amplitude = 0.0 if obstacle else _amplitude(track)
-    return DeformedLattice(lattice, knots, numbers[inside], moved - moved.mean(0), amplitude, obstacle)
+
+    def locate(points: Points) -> Points:
+        return np.asarray(points + track.nodes.interpolate(track.field, points))
+
+    return DeformedLattice.read(lattice, size, locate, amplitude, obstacle)
+
+
+def read_deformation(deformation: Deformation, origin: Points) -> DeformedLattice | None:
+    """Return the lattice of a deformation that was followed from knot to knot; None if it was not followed.
+
+    Parameters
+    ----------
+    deformation
+        A mean lattice as it lies in the sample.
+    origin
+        The origin (x, y) px of the regular lattice that is returned, whose vectors are those of the mean lattice.
+    """
+    if deformation.knots is None:
+        return None
+    lattice = Lattice.from_basis(deformation.lattice.matrix, origin)
+
+    def locate(points: Points) -> Points:
+        return np.where(deformation.covers(points)[:, np.newaxis], deformation.locate(points), np.nan)
+
+    size = np.array(deformation.image.shape[1::-1], np.float64)
+    return DeformedLattice.read(lattice, size, locate, deformation.amplitude * lattice.s, "")
 
 
 def _obstacle(track: Track) -> str:
@@ -145,7 +175,7 @@ def _amplitude(track: Track) -> float:
 
 
 def output_field(
-    deformed: DeformedLattice, shape: tuple[int, int], deform: Deform, rng: np.random.Generator
+    deformed: DeformedLattice, shape: tuple[int, int], geometry: Geometry, rng: np.random.Generator
 ) -> tuple[Points, Points, float]:
     """Return the places of vertices around an output, their displacements, and the distance of the nearest two.
 
@@ -155,18 +185,18 @@ def output_field(
         The lattice as it lies in the sample.
     shape
         Height and width of the output, px.
-    deform
-        ``"normal"``: displacements are drawn at once from a normal distribution (:class:`WaveSpectrum`).
-        ``"argmax"``: :func:`neighbor_field`.
+    geometry
+        ``"bent"``: displacements are drawn at once from a normal distribution (:class:`WaveSpectrum`). ``"argmax"``:
+        :func:`neighbor_field`.
     rng
         The randomness.
     """
-    lattice = deformed.mesh if deform == "argmax" else deformed.knots
+    lattice = deformed.mesh if geometry == "argmax" else deformed.knots
     border = _BORDER * deformed.lattice.s + 3 * deformed.amplitude
     low, high = (-border, -border), (shape[1] - 1 + border, shape[0] - 1 + border)
     numbers = lattice.cell_numbers(low, high)
     places = lattice.from_cell(numbers)
-    if deform == "normal":
+    if geometry == "bent":
         return places, WaveSpectrum.of(deformed).draw(places, rng), lattice.s
     first = numbers.min(0)
     columns, rows = numbers.max(0) - first + 1

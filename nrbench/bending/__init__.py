@@ -1,0 +1,1 @@
+"""Straighten a bent sample, and bend the output as the sample is."""

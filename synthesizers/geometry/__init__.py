@@ -1,1 +1,0 @@
-"""Geometry: straighten a deformed sample, and deform the output again."""
