@@ -32,6 +32,8 @@ _COMPONENTS, _ARRANGED_COMPONENTS = 12, 3
 _MOST_TILES = 400
 """Largest number of tiles of which all pairs are compared; the first ones if there are more."""
 _LEAST_TILES = 4
+_SAME = (limits.JND / 3) ** 2
+"""Mean squared difference below which nobody tells two windows apart."""
 
 
 def _ratio(meaning: str) -> Column:
@@ -121,8 +123,15 @@ class Population:
 
     @cached_property
     def energy(self) -> float:
-        """Mean squared departure of the tiles from their mean, in CIELAB."""
-        return float(self.features.var(0, ddof=1).mean())
+        """Mean squared departure of the tiles from their mean, in CIELAB; that of L* in windows if tiles are few."""
+        if len(self.features) >= _LEAST_TILES:
+            return float(self.features.var(0, ddof=1).mean())
+        return float(np.median(self.differences)) / 2 if self.differences.size else math.inf
+
+    @cached_property
+    def differences(self) -> NDArray[np.float64]:
+        """Mean squared differences of all pairs of windows of half a tile."""
+        return np.concatenate([tiles.compare_windows()[0] for tiles in self.tiles])
 
     @property
     def varies(self) -> bool:
@@ -199,10 +208,10 @@ class Population:
     @cached_property
     def twins(self) -> tuple[float, float, float]:
         """Distance below which two windows are twins, the median distance, and the share of twins by chance."""
-        distances = np.concatenate([tiles.compare_windows()[0] for tiles in self.tiles])
+        distances = self.differences
         if not distances.size:
             return 0.0, 1.0, 0.0
-        limit = max(float(np.quantile(distances, min(limits.TWINS / self.sources, 0.5))), (limits.JND / 3) ** 2)
+        limit = max(float(np.quantile(distances, min(limits.TWINS / self.sources, 0.5))), _SAME)
         return limit, float(np.median(distances)), float((distances < limit).mean())
 
     def arrange(self, tiles: Tiles) -> NDArray[np.float64]:
@@ -270,10 +279,11 @@ class Randomness:
     - ``misplacement_ratio`` of ``regularity``, where the geometry of the texture varies: it may be lost as well.
 
     ``score`` is the smallest. Where the texture does not visibly vary, only the variation counts. Randomness is not
-    scored where half of the tiles are out of place.
+    scored where half of the tiles are out of place, nor where output or references show fewer than four whole tiles,
+    unless most windows of the output look the same where those of the references differ: that is 0.
     """
 
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column("The worst of the parts: 1 as a fresh draw, 0 one tile repeated.", better="higher"),
@@ -306,7 +316,7 @@ def _score(observation: Observation) -> Score:
         tiles = Tiles(CoarsePlane(*followed.residual, followed.net.samples))
         population = gather_tiles(reference)
         if min(len(tiles.features), len(population.features)) < _LEAST_TILES:
-            raise CannotTell(f"undecided: fewer than {_LEAST_TILES} whole tiles to compare")
+            return _score_few(tiles, population)
     except CannotTell as reason:
         return Score.missing(Randomness.columns, str(reason))
     values: dict[str, Value] = dict.fromkeys(Randomness.columns)
@@ -331,6 +341,17 @@ def _score(observation: Observation) -> Score:
     rare = "not scored: the references show no odd cell"
     reasons = {name: rare if name == "survival" else unseen for name, value in values.items() if value is None}
     return Score(values, reasons, records={"parts": parts, "sources": population.sources})
+
+
+def _score_few(tiles: Tiles, population: Population) -> Score:
+    """Return a score of 0 if most windows of half a tile look the same and the references' do not, else none."""
+    values: dict[str, Value] = dict.fromkeys(Randomness.columns)
+    distances = tiles.compare_windows()[0]
+    if population.varies and population.differences.size and distances.size and np.median(distances) < _SAME:
+        _, values["repetition"], values["returning"] = _rate_repetition(tiles, population)
+        values["score"] = 0.0
+    few = f"undecided: fewer than {_LEAST_TILES} whole tiles to compare"
+    return Score(values, {name: few for name, value in values.items() if value is None})
 
 
 def _rate_repetition(tiles: Tiles, population: Population) -> tuple[float, float, float]:

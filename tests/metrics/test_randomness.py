@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.quality import Quality
@@ -58,6 +59,16 @@ def test_one_tile_repeated_has_no_randomness(own: Case, model: bool) -> None:
     assert score.values["score"] == 0
     assert score.values["variation"] < 0.15
     assert score.values["repetition"] > 0.8 * score.records["sources"]
+
+
+def test_wallpaper_is_seen_beside_a_sample_of_few_tiles() -> None:
+    """Where the sample shows fewer than four whole tiles, one tile repeated has 0, and a draw has no score."""
+    own = Case.of(Hexagon(color=0.3, period=32.0))
+    task = Task(own.texture.image, (128, 128), own.lattice, np.random.default_rng(0))
+    wallpaper = randomness(own.observe(quantize(Tiling().synthesize(task).image), False)).values
+    fresh = randomness(own.observe(own.fresh(128), False))
+    assert wallpaper["score"] == 0 < wallpaper["repetition"] and wallpaper["variation"] is None
+    assert fresh.values["score"] is None and "fewer than 4 whole tiles" in fresh.reasons["score"]
 
 
 def test_a_crop_repeated_is_worse_than_the_best_copier(own: Case) -> None:
