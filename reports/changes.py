@@ -21,15 +21,9 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
 from .markdown import escape_markdown
-from .statistics.estimates import (
-    FEWEST,
-    Estimate,
-    estimate_means,
-    mean_of_known,
-    stack_draws,
-)
+from .statistics.estimates import FEWEST, Estimate, estimate_means, mean_of_known, stack_draws
 from .statistics.format import format_interval, format_number, format_signed, pluralize
-from .statistics.pair_tests import ALPHA, p_values_by_flips
+from .statistics.pair_tests import ALPHA, POWER, detectable_losses, p_values_by_flips
 from .statistics.summaries import count_statuses, describe_scores, headline_columns
 from .statistics.verdicts import tabulate_cells
 
@@ -47,7 +41,7 @@ PRESERVED = "preserved"
 """The score that is 1 where the lattice is preserved, and 0 where it is lost or the cell failed or was refused."""
 COSTS = ("seconds", "peak_mib")
 """Costs of a method. They depend on the machine, so they are no reason to fail unless they are named."""
-HEADS = ("method", "score", "first", "second", "difference", "textures", "change")
+HEADS = ("method", "score", "first", "second", "difference", "detectable", "textures", "change")
 """The headings of the table of changes."""
 FAILED = "failed"
 """The score that is 1 where a cell failed, was refused or is missing, and 0 where it has an output."""
@@ -55,7 +49,8 @@ LEGEND = (
     "Differences are second minus first: means over the textures that both runs have, with 95 % intervals over draws "
     "where these carry one. Better or worse: by more than other draws of the textures would move it, tested by sign "
     f"flips within textures, for all methods and scores at once, at {100 * ALPHA:g} % for the whole table. It takes "
-    f"{FEWEST} textures."
+    f"{FEWEST} textures. Detectable: the loss that such a comparison finds in {100 * POWER:g} % of all cases. It is "
+    "smaller with more replicates or textures, or fewer columns."
 )
 
 
@@ -140,6 +135,8 @@ class Change:
         The mean of ``after - before``.
     p
         p-value that the score is worse, adjusted for all scores and methods; None if too few textures are known.
+    detectable
+        The loss that is found with a power of 0.8; None if no loss can be, or nothing scatters.
     state
         ``same``: no value changed. ``better``, ``worse``, or ``changed`` where no way is better: by more than draws do.
         ``noise``: by no more. ``unknown``: fewer than six textures have a value in both runs.
@@ -152,6 +149,7 @@ class Change:
     after: float | None
     difference: Estimate
     p: float | None
+    detectable: float | None
     state: State
 
     def as_dict(self) -> dict[str, Any]:
@@ -164,7 +162,8 @@ class Change:
         """The change as the texts of a table's row."""
         gap = f"{format_signed(self.difference.value)} {format_interval(self.difference)}".strip()
         numbers = (format_number(self.before), format_number(self.after))
-        return [self.method, self.score, *numbers, gap, str(self.difference.n), WORDS[self.state]]
+        least = format_number(self.detectable)
+        return [self.method, self.score, *numbers, gap, least, str(self.difference.n), WORDS[self.state]]
 
 
 @dataclass(frozen=True)
@@ -366,7 +365,9 @@ def _moves(
             known.any() and ends[0].shape == ends[1].shape and np.array_equal(ends[0][i], ends[1][i], equal_nan=True)
         )
         state: State = "same" if equal else "unknown"
-        change = Change(str(after["label"].iloc[0]), reference, name, values[0], values[1], estimates[i], None, state)
+        change = Change(
+            str(after["label"].iloc[0]), reference, name, values[0], values[1], estimates[i], None, None, state
+        )
         moves.append((change, pd.Series(gains[i], textures)))
     return moves
 
@@ -403,8 +404,9 @@ def _decide(
         if not family:
             continue
         gains = pd.DataFrame({i: moves[i][1] for i in family}).to_numpy(np.float64)
-        p_better, p_worse = (p_values_by_flips(sign * gains, one_sided=True) for sign in (1, -1))
-        for i, better, worse in zip(family, p_better.tolist(), p_worse.tolist(), strict=True):
+        p_better, p_worse = (p_values_by_flips(sign * gains, one_sided=True).tolist() for sign in (1, -1))
+        least = detectable_losses(gains).tolist()
+        for i, better, worse, loss in zip(family, p_better, p_worse, least, strict=True):
             change = moves[i][0]
             if change.state == "same" or math.isnan(worse):
                 decided[i] = change
@@ -412,7 +414,7 @@ def _decide(
             moved: State = "better" if better <= ALPHA else "worse" if worse <= ALPHA else "noise"
             if columns[change.score].better == "none":
                 moved = "changed" if 2 * min(better, worse) <= ALPHA else "noise"
-            decided[i] = replace(change, p=worse, state=moved)
+            decided[i] = replace(change, p=worse, detectable=None if math.isnan(loss) else loss, state=moved)
     return [decided[i] for i in range(len(moves))]
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,19 +14,12 @@ from nrbench.labelling.labels import labels_table
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
-from .statistics.detections import detectors_table, tabulate_answers
-from .statistics.expectations import (
-    claim_tests_table,
-    claims_table,
-    compare_with_published,
-    evaluate_claims,
-    published_classes_table,
-    published_rates_table,
-)
-from .statistics.labelers import agreement_table, compare_labelers
-from .statistics.levels import breaking_points_table, compare_levels, levels_table
+from .statistics.detections import GROUP_KEYS, STOCHASTIC, group_answers, tabulate_answers
+from .statistics.expectations import ClaimResult, PublishedComparison, compare_with_published, evaluate_claims
+from .statistics.labelers import LabelerComparison, compare_labelers
+from .statistics.levels import LevelPanel, compare_levels
 from .statistics.method_comparison import Comparison, compare_methods
-from .statistics.summaries import describe_scores, perils_points, perils_table
+from .statistics.summaries import PerilsPoint, describe_scores, perils_points
 from .statistics.verdicts import QUALITY, is_valid_baseline
 
 OWN_COLUMNS: Mapping[str, str] = {
@@ -204,7 +198,7 @@ def baseline_table(comparison: Comparison) -> pd.DataFrame:
     """Return one row a method: its difference in quality to the baseline, and the adjusted p-value."""
     assert comparison.baseline is not None
     return pd.DataFrame(
-        {"method": one.method.label, "baseline": comparison.baseline.label}
+        {"method": one.first.label, "baseline": comparison.baseline.label}
         | one.estimate.columns("difference")
         | {"p": one.p}
         for one in comparison.against
@@ -222,6 +216,148 @@ def columns_table(run: Run) -> pd.DataFrame:
         for name, column in describe_scores(run).items()
     ]
     return pd.DataFrame([*own, *scores], columns=["column", "meaning", "unit", "low", "high", "better"])
+
+
+def perils_table(points: Sequence[PerilsPoint]) -> pd.DataFrame:
+    """Return one row a point, with intervals and the number of textures that each coordinate rests on."""
+    return pd.DataFrame(
+        {
+            **{"method": point.method.name, "lattice_source": point.method.lattice_source},
+            "reference": point.method.reference,
+            **point.structure.columns("structure_value", "structure_"),
+            **point.randomness.columns("randomness_value", "randomness_"),
+        }
+        for point in points
+    )
+
+
+def levels_table(panels: Sequence[LevelPanel]) -> pd.DataFrame:
+    """Return one row a departure, level and method: the mean quality with its interval."""
+    return pd.DataFrame(
+        {
+            **{"departure": panel.departure, "level": level, "method": one.method.name},
+            **{"lattice_source": one.method.lattice_source, "reference": one.method.reference},
+            **estimate.columns("quality"),
+        }
+        for panel in panels
+        for one in panel.series
+        for level, estimate in zip(panel.levels, one.estimates, strict=True)
+    )
+
+
+def breaking_points_table(panels: Sequence[LevelPanel]) -> pd.DataFrame:
+    """Return one row a departure and method: the level at which it breaks, and the number of levels with a quality."""
+    return pd.DataFrame(
+        {
+            **{"departure": panel.departure, "method": one.method.name, "lattice_source": one.method.lattice_source},
+            **{"reference": one.method.reference, "breaks_at": one.breaks_at},
+            **{"levels_scored": len(one.scored), "levels": len(panel.levels)},
+        }
+        for panel in panels
+        for one in panel.series
+    )
+
+
+def claims_table(results: Sequence[ClaimResult]) -> pd.DataFrame:
+    """Return one row a claim, series and level: the mean with its interval."""
+    rows = [
+        {
+            **{"claim": result.claim.name, "score": result.claim.score, "axis": result.claim.axis},
+            **{"series": series.name, "level": level, "method": method},
+            **estimate.columns("mean"),
+        }
+        for result in results
+        for series in result.series
+        for level, method, estimate in zip(series.levels, series.methods, series.estimates, strict=True)
+    ]
+    return pd.DataFrame(rows)
+
+
+def claim_tests_table(results: Sequence[ClaimResult]) -> pd.DataFrame:
+    """Return one row an expectation: the claim, its quote and outcome, the difference with its interval."""
+    rows = [
+        {
+            **{"claim": result.claim.name, "source": result.claim.source, "quote": result.claim.quote},
+            **{"claim_outcome": result.outcome, "expectation": test.words, "outcome": test.outcome},
+            **test.difference.columns("difference", parts=("low", "high", "n")),
+        }
+        for result in results
+        for test in result.expectations
+    ]
+    return pd.DataFrame(rows)
+
+
+def published_rates_table(published: PublishedComparison) -> pd.DataFrame:
+    """Return one row a group of figures and method: published and measured rates, and their difference."""
+    parts = ("published", "same", "measured", "difference")
+    rows = []
+    for rate in published.rates:
+        row = {"figures": rate.group, "method": rate.method.name, "lattice_source": rate.method.lattice_source}
+        for part in parts:
+            row |= getattr(rate, part).columns(part, f"{part}_", ("low", "high", "n"))
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def published_classes_table(published: PublishedComparison) -> pd.DataFrame:
+    """Return one row a class of textures: the agreement with its interval; kappa and its chance on the last row."""
+    rows = [
+        {"class": row.kind, "pairs": row.pairs, **row.agreement.columns("agreement", parts=("low", "high", "n"))}
+        for row in published.classes
+    ]
+    table = pd.DataFrame(rows).rename(columns={"n": "figures"})
+    chance = published.chance or (None, None)
+    for name, value in {
+        **published.kappa.columns("kappa", "kappa_", ("low", "high")),
+        **{"chance_mean": chance[0], "chance_95": chance[1]},
+    }.items():
+        table[name] = pd.Series([value], [len(table) - 1], dtype=object)
+    return table
+
+
+def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
+    """Return one row a detector and group of textures: shares of right answers, errors, seconds.
+
+    Parameters
+    ----------
+    answers
+        The table of :func:`tabulate_answers`.
+    """
+    tables = [answers[answers["departure"] != STOCHASTIC], answers, answers, answers[answers["level"].notna()]]
+    return pd.DataFrame(
+        {
+            **dict(itertools.zip_longest(GROUP_KEYS, key)),
+            **{"n": group.n, "right": round(group.n * (group.right.value or 0)), "found": group.found},
+            **group.right.columns("share_right", "share_right_", ("low", "high")),
+            **{"median_vector_error": group.vector_error, "median_seconds": group.seconds},
+        }
+        for depth, table in enumerate(tables, 1)
+        for key, group in group_answers(table, GROUP_KEYS[:depth]).items()
+    )
+
+
+def agreement_table(comparison: LabelerComparison) -> pd.DataFrame:
+    """Return agreement row a question and pair of raters: number of items, and the agreement with its interval.
+
+    Pairs with answers have the share of equal answers and kappa; a question without an automatic answer has the
+    agreement of the orders of methods in their place.
+    """
+    return pd.DataFrame(
+        {"question": name, "kind": kind, "first": agreement.first, "second": agreement.second, "items": agreement.n}
+        | {"outputs": agreement.outputs, "share_equal": agreement.equal}
+        | agreement.kappa.columns("kappa", "kappa_", ("low", "high"))
+        | agreement.decided.columns("kappa_decided", "kappa_decided_", ("low", "high"))
+        | agreement.spearman.columns("spearman", "spearman_", ("low", "high"))
+        | agreement.tau.columns("tau", "tau_", ("low", "high"))
+        | agreement.ordered.columns("ordered", "ordered_", ("low", "high"))
+        for name, asked in comparison.questions.items()
+        for kind, agreements in (
+            ("judge and labelers", [*asked.ranks, *asked.with_verdict]),
+            ("labelers", asked.between),
+            ("self", asked.selves),
+        )
+        for agreement in agreements
+    )
 
 
 def csv_text(table: pd.DataFrame) -> str:

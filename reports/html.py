@@ -20,7 +20,7 @@ from nrbench.runs.records import CellRecord, Run
 from nrbench.storage import write_text
 
 from .csv import csv_text, summary_table
-from .latex import bibliography, latex_text
+from .latex import bibliography, latex_text, list_patch_terms
 from .page import gallery
 from .page.environment import make_environment
 from .page.forest_plot import forest_axes
@@ -42,7 +42,6 @@ from .statistics.method_comparison import compare_methods
 from .statistics.summaries import (
     describe_scores,
     headline_columns,
-    list_patch_terms,
     other_score_rows,
     perils_points,
     sort_headlines_first,

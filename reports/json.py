@@ -85,7 +85,7 @@ def _content(run: Run, comparison: Comparison) -> dict[str, Any]:
         ],
         "baseline": comparison.baseline.label if comparison.baseline else None,
         "differences": [
-            {"method": one.method.label, "quality": vars(one.estimate), "p": one.p} for one in comparison.against
+            {"method": one.first.label, "quality": vars(one.estimate), "p": one.p} for one in comparison.against
         ],
         "tests": None
         if tests is None

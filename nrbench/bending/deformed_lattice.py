@@ -38,6 +38,8 @@ SWEEPS: Final = 20
 """Rounds in which every vertex is moved. The report gives no number; the amplitude no longer changes."""
 MOVES: Final = 9
 """Possible moves of a vertex along each axis."""
+LEAST_AREA: Final = 0.5
+"""Share of its area that content keeps at least where a drawn field presses it together."""
 _SHORTEST = 2.0
 """Shortest wave length of a field, in s: the tracker cannot follow shorter ones."""
 _LENGTHS = 24
@@ -247,20 +249,43 @@ class WaveSpectrum:
         return cls(lengths, powers[:-1])
 
     def draw(self, places: Points, rng: np.random.Generator) -> Points:
-        """Return displacements at places ``(n, 2)`` px: sums of plane waves of random length, direction and phase."""
+        """Return displacements at places ``(n, 2)`` px: sums of plane waves of random length, direction and phase.
+
+        A field may fold the plane, or press content to less than :data:`LEAST_AREA`. Its waves are then lengthened,
+        the shortest first, because these bend most and are known least. If that is not enough, the field is weakened.
+        """
         total = float(self.powers.sum())
         if not total:
             return np.zeros_like(places)
-        moved = np.zeros_like(places)
         ratio = self.lengths[1] / self.lengths[0]
-        for axis in (0, 1):
-            chosen = rng.choice(len(self.lengths), WAVES, p=self.powers / total)
-            number = 2 * math.pi / (self.lengths[chosen] * ratio ** (rng.random(WAVES) - 0.5))
-            angle, phase = 2 * math.pi * rng.random((2, WAVES))
-            waves = number * np.array([np.cos(angle), np.sin(angle)])
-            for wave, start in zip(waves.T, phase, strict=True):
-                moved[:, axis] += np.cos(places @ wave + start)
-        return moved * math.sqrt(2 * total / WAVES)
+        drawn = [
+            (
+                rng.choice(len(self.lengths), WAVES, p=self.powers / total),
+                ratio ** (rng.random(WAVES) - 0.5),
+                2 * math.pi * rng.random((2, WAVES)),
+            )
+            for _ in range(2)
+        ]
+        strength = math.sqrt(2 * total / WAVES)
+        for shortest in range(0, len(self.lengths), 3):
+            moved, slopes = np.zeros_like(places), np.zeros((len(places), 2, 2))
+            for axis, (chosen, factor, (angle, phase)) in enumerate(drawn):
+                number = 2 * math.pi / (self.lengths[np.maximum(chosen, shortest)] * factor)
+                waves = number * np.array([np.cos(angle), np.sin(angle)])
+                for wave, start in zip(waves.T, phase, strict=True):
+                    angles = places @ wave + start
+                    moved[:, axis] += np.cos(angles)
+                    slopes[:, axis] -= np.multiply.outer(np.sin(angles), wave)
+            if _least_area(strength * slopes) >= LEAST_AREA:
+                break
+        while _least_area(strength * slopes) < LEAST_AREA:
+            strength *= 0.95
+        return moved * strength
+
+
+def _least_area(slopes: Array) -> float:
+    """Return the least factor by which displacements of slopes ``(n, 2, 2)`` change an area; below 0 is a fold."""
+    return float(np.linalg.det(np.eye(2) + slopes).min())
 
 
 @dataclass(frozen=True, eq=False)

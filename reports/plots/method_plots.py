@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
-from ..statistics.estimates import Estimate, as_numbers, mean_of_known
+from ..statistics.estimates import Estimate, mean_of_known
 from ..statistics.expectations import ClaimResult
 from ..statistics.format import format_value
 from ..statistics.levels import BROKEN, LevelPanel
@@ -174,7 +174,9 @@ def plot_ranks(comparison: Comparison, width: float = 5.5) -> Figure:
     for place, mean in enumerate(means):
         if mean.ends is not None:
             axes.plot(mean.ends, (place, place), color=INK, lw=0.9)
-    axes.plot(as_numbers([one.value for one in means]), range(len(names)), "o", ms=4, color=INK, clip_on=False)
+    axes.plot(
+        np.array([one.value for one in means], np.float64), range(len(names)), "o", ms=4, color=INK, clip_on=False
+    )
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.grid(True, axis="y", color=FAINT, lw=0.5)
@@ -221,7 +223,7 @@ def plot_heat_map(comparison: Comparison) -> Figure:
 
 def hardest_first(comparison: Comparison) -> tuple[list[ComparisonRow], Floats]:
     """Return the textures from the lowest mean score, those without a score last, and the scores of all methods."""
-    scores = np.array([as_numbers([entry and entry.score for entry in row.entries]) for row in comparison.rows])
+    scores = np.array([[entry and entry.score for entry in row.entries] for row in comparison.rows], np.float64)
     order = np.argsort(mean_of_known(scores, 1), kind="stable")
     return [comparison.rows[i] for i in order], scores[order]
 

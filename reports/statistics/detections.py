@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +26,7 @@ ANSWER_COLUMNS = (
 KINDS = ("exact", "supercell", "subcell", "wrong", "none", "failed")
 """The kinds of answer on textures that have a lattice."""
 STOCHASTIC = "stochastic"
-_KEYS = ("detector", "family", "departure", "level")
+GROUP_KEYS = ("detector", "family", "departure", "level")
 BINS = 10
 """Number of bins of :func:`calibrate`."""
 
@@ -213,8 +212,8 @@ def compare_detectors(run: Run) -> DetectorComparison | None:
     names = list(dict.fromkeys(answers["detector"]))
     return DetectorComparison(
         summaries=[_summarize_detector(name, answers[answers["detector"] == name]) for name in names],
-        groups=_by_detector(_group_answers(answers, _KEYS[:3])),
-        levels=_by_detector(_group_answers(answers[answers["level"].notna()], _KEYS)),
+        groups=_by_detector(group_answers(answers, GROUP_KEYS[:3])),
+        levels=_by_detector(group_answers(answers[answers["level"].notna()], GROUP_KEYS)),
     )
 
 
@@ -236,8 +235,8 @@ def _summarize_detector(name: str, answers: pd.DataFrame) -> DetectorSummary:
     )
 
 
-def _group_answers(answers: pd.DataFrame, keys: Sequence[str]) -> dict[tuple[Any, ...], AnswerGroup]:
-    """Return the answers by the values of some columns."""
+def group_answers(answers: pd.DataFrame, keys: Sequence[str]) -> dict[tuple[Any, ...], AnswerGroup]:
+    """Return the answers by the values of some columns of :func:`tabulate_answers`, such as :data:`GROUP_KEYS`."""
     return {
         cast(tuple[Any, ...], group): AnswerGroup(
             n=len(part),
@@ -256,27 +255,6 @@ def _by_detector(groups: Mapping[tuple[Any, ...], AnswerGroup]) -> dict[tuple[An
     for (detector, *textures), group in groups.items():
         found.setdefault(tuple(textures), {})[detector] = group
     return found
-
-
-def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
-    """Return one row a detector and group of textures: shares of right answers, errors, seconds.
-
-    Parameters
-    ----------
-    answers
-        The table of :func:`tabulate_answers`.
-    """
-    tables = [answers[answers["departure"] != STOCHASTIC], answers, answers, answers[answers["level"].notna()]]
-    return pd.DataFrame(
-        {
-            **dict(itertools.zip_longest(_KEYS, key)),
-            **{"n": group.n, "right": round(group.n * (group.right.value or 0)), "found": group.found},
-            **group.right.columns("share_right", "share_right_", ("low", "high")),
-            **{"median_vector_error": group.vector_error, "median_seconds": group.seconds},
-        }
-        for depth, table in enumerate(tables, 1)
-        for key, group in _group_answers(table, _KEYS[:depth]).items()
-    )
 
 
 def median_of_known(values: Iterable[float | None]) -> float | None:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,10 +24,13 @@ LEVEL = 0.95
 RESAMPLES = 9999
 """Number of bootstrap resamples."""
 FEWEST = 6
-"""A test needs so many textures: with five no sign test of a pair can be significant at 5 %."""
+"""A test needs so many textures: with five no sign test of a pair can be significant at 5 %. An interval over draws
+needs so many that scatter."""
+FEWEST_DRAWS = 40
+"""An interval over draws needs so many draws, such as two of each of 20 textures. With fewer, a run of a method that
+refuses 6 % of all samples often holds no refusal, and its interval is too narrow (``benchmarks/table_errors.py``)."""
 FEWEST_DIFFERENT = 9
-"""An interval of a mean needs so many textures that scatter between draws, or over a population that differ: with fewer
-it holds the mean less often than it says (``benchmarks/table_errors.py``)."""
+"""An interval over a population needs so many textures that differ (``benchmarks/table_errors.py``)."""
 _BATCH = 256
 """Number of means whose resamples are in memory at the same time."""
 
@@ -65,16 +67,13 @@ class Estimate:
         return None if self.low is None or self.high is None else (self.low, self.high)
 
     def __neg__(self) -> Estimate:
-        low, high = (None, None) if self.ends is None else (-self.ends[1], -self.ends[0])
-        return replace(self, value=None if self.value is None else -self.value, low=low, high=high)
+        value, low, high = (None if end is None else -end for end in (self.value, self.high, self.low))
+        return replace(self, value=value, low=low, high=high)
 
     def within(self, limits: tuple[float, float]) -> Estimate:
         """Return the estimate with the ends of its interval inside the range of its score."""
-        return (
-            self
-            if self.ends is None
-            else replace(self, low=max(self.ends[0], limits[0]), high=min(self.ends[1], limits[1]))
-        )
+        low, high = (None, None) if self.ends is None else np.clip(self.ends, *limits).tolist()
+        return replace(self, low=low, high=high)
 
     def columns(
         self, name: str, prefix: str = "", parts: Sequence[str] = ("low", "high", "n", "of")
@@ -130,16 +129,11 @@ def estimate_means(
     counts = np.isfinite(values).sum(2)
     means = mean_of_known(values, 2)
     n, mean = (counts > 0).sum(1), mean_of_known(means, 1)
-    if population:
-        parts = [population_intervals(values[at : at + _BATCH]) for at in range(0, len(values), _BATCH)]
-        ends = np.concatenate(parts) if parts else np.empty((0, 2))
-    else:
-        ends = draw_intervals(values)
-    totals = [values.shape[1]] * len(values) if of is None else of
+    ends = population_intervals(values) if population else draw_intervals(values)
     known: list[list[float | None]] = [
         [None if math.isnan(x) else x for x in row] for row in np.column_stack([mean, ends]).tolist()
     ]
-    rows = zip(known, n.tolist(), totals, strict=True)
+    rows = zip(known, n.tolist(), of or [values.shape[1]] * len(values), strict=True)
     return [Estimate(value, low, high, count, total) for (value, low, high), count, total in rows]
 
 
@@ -148,8 +142,8 @@ def draw_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
     The variance of the mean is the sum of the variances of the textures' means. Its degrees of freedom are
     Satterthwaite's in the form of Welch (1947), which allows for the error of the variances themselves; two draws of
-    each texture suffice. There is no interval unless every texture has two draws and :data:`FEWEST_DIFFERENT` textures
-    have draws that differ: a few rare differences do not tell how often they occur.
+    each texture suffice. There is no interval unless every texture has two draws, :data:`FEWEST` textures have draws
+    that differ, and there are :data:`FEWEST_DRAWS` draws in all: few draws do not tell how often rare values occur.
 
     Parameters
     ----------
@@ -172,7 +166,7 @@ def draw_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
     parts = (away**2).sum(2) / np.maximum(counts * (counts - 1), 1)
     largest = np.abs(np.where(known, values, 0.0)).max(2, initial=0.0)
     parts[parts <= (1e-12 * largest) ** 2] = 0.0
-    carried = ((parts > 0).sum(1) >= FEWEST_DIFFERENT) & (counts != 1).all(1)
+    carried = ((parts > 0).sum(1) >= FEWEST) & (counts.sum(1) >= FEWEST_DRAWS) & (counts != 1).all(1)
     variance, n = parts.sum(1), np.maximum((counts > 0).sum(1), 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.maximum(variance**2 / (parts**2 / (counts + 1)).sum(1) - 2, 1.0)
@@ -205,8 +199,10 @@ def population_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     means = mean_of_known(values, 2)
     known, ends = np.isfinite(means), np.full((len(values), 2), np.nan)
-    if values.shape[1] < FEWEST_DIFFERENT:
+    if values.shape[1] < FEWEST_DIFFERENT or not len(values):
         return ends
+    if len(values) > _BATCH:
+        return np.concatenate([population_intervals(part) for part in (values[:_BATCH], values[_BATCH:])])
     filled = np.nan_to_num(np.where(np.isfinite(values), values, means[..., None]))
     weights = _resample_weights(*values.shape[1:])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -291,11 +287,6 @@ def success_rate(cells: pd.DataFrame, leave_refusals_out: bool = False) -> Estim
     verdicts = ["preserved", "lost", "failed"] if leave_refusals_out else ["preserved", "lost", "failed", "refused"]
     counted = applicable[applicable["verdict"].isin(verdicts)]
     return estimate_proportion(counted["verdict"].eq("preserved"), len(applicable))
-
-
-def as_numbers(values: Sequence[Any]) -> NDArray[np.float64]:
-    """Return scores as numbers: truth values as 0 and 1, None as NaN."""
-    return np.array([np.nan if value is None else float(value) for value in values], np.float64)
 
 
 def kappa(tables: ConfusionTables) -> NDArray[np.float64]:

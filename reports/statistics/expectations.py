@@ -219,35 +219,6 @@ def _outcome(expected: Expectation, difference: Estimate) -> str:
     return "held" if held else "failed" if failed else "undecided"
 
 
-def claims_table(results: Sequence[ClaimResult]) -> pd.DataFrame:
-    """Return one row a claim, series and level: the mean with its interval."""
-    rows = [
-        {
-            **{"claim": result.claim.name, "score": result.claim.score, "axis": result.claim.axis},
-            **{"series": series.name, "level": level, "method": method},
-            **estimate.columns("mean"),
-        }
-        for result in results
-        for series in result.series
-        for level, method, estimate in zip(series.levels, series.methods, series.estimates, strict=True)
-    ]
-    return pd.DataFrame(rows)
-
-
-def claim_tests_table(results: Sequence[ClaimResult]) -> pd.DataFrame:
-    """Return one row an expectation: the claim, its quote and outcome, the difference with its interval."""
-    rows = [
-        {
-            **{"claim": result.claim.name, "source": result.claim.source, "quote": result.claim.quote},
-            **{"claim_outcome": result.outcome, "expectation": test.words, "outcome": test.outcome},
-            **test.difference.columns("difference", parts=("low", "high", "n")),
-        }
-        for result in results
-        for test in result.expectations
-    ]
-    return pd.DataFrame(rows)
-
-
 @dataclass(frozen=True)
 class PublishedFigure:
     """One figure of the report (tables 2 and 3).
@@ -583,31 +554,3 @@ def _compare_cells(pairs: pd.DataFrame) -> tuple[Estimate, tuple[float, float] |
 def _one_hot(*verdicts: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
     """Return each array of verdicts with a last axis: 1 in the place of preserved or of lost."""
     return [np.stack([words, ~words], -1).astype(np.float64) for words in verdicts]
-
-
-def published_rates_table(published: PublishedComparison) -> pd.DataFrame:
-    """Return one row a group of figures and method: published and measured rates, and their difference."""
-    parts = ("published", "same", "measured", "difference")
-    rows = []
-    for rate in published.rates:
-        row = {"figures": rate.group, "method": rate.method.name, "lattice_source": rate.method.lattice_source}
-        for part in parts:
-            row |= getattr(rate, part).columns(part, f"{part}_", ("low", "high", "n"))
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def published_classes_table(published: PublishedComparison) -> pd.DataFrame:
-    """Return one row a class of textures: the agreement with its interval; kappa and its chance on the last row."""
-    rows = [
-        {"class": row.kind, "pairs": row.pairs, **row.agreement.columns("agreement", parts=("low", "high", "n"))}
-        for row in published.classes
-    ]
-    table = pd.DataFrame(rows).rename(columns={"n": "figures"})
-    chance = published.chance or (None, None)
-    for name, value in {
-        **published.kappa.columns("kappa", "kappa_", ("low", "high")),
-        **{"chance_mean": chance[0], "chance_95": chance[1]},
-    }.items():
-        table[name] = pd.Series([value], [len(table) - 1], dtype=object)
-    return table

@@ -287,27 +287,3 @@ def _list_disagreements(run: Run, verdicts: Answers, answers: Mapping[str, Answe
             opposite = verdict in DECIDED and not others.isdisjoint(DECIDED)
             disagreements.append(Disagreement(record, verdict, own, opposite))
     return sorted(disagreements, key=lambda found: not found.opposite)
-
-
-def agreement_table(comparison: LabelerComparison) -> pd.DataFrame:
-    """Return agreement row a question and pair of raters: number of items, and the agreement with its interval.
-
-    Pairs with answers have the share of equal answers and kappa; a question without an automatic answer has the
-    agreement of the orders of methods in their place.
-    """
-    return pd.DataFrame(
-        {"question": name, "kind": kind, "first": agreement.first, "second": agreement.second, "items": agreement.n}
-        | {"outputs": agreement.outputs, "share_equal": agreement.equal}
-        | agreement.kappa.columns("kappa", "kappa_", ("low", "high"))
-        | agreement.decided.columns("kappa_decided", "kappa_decided_", ("low", "high"))
-        | agreement.spearman.columns("spearman", "spearman_", ("low", "high"))
-        | agreement.tau.columns("tau", "tau_", ("low", "high"))
-        | agreement.ordered.columns("ordered", "ordered_", ("low", "high"))
-        for name, asked in comparison.questions.items()
-        for kind, agreements in (
-            ("judge and labelers", [*asked.ranks, *asked.with_verdict]),
-            ("labelers", asked.between),
-            ("self", asked.selves),
-        )
-        for agreement in agreements
-    )

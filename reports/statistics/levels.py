@@ -111,30 +111,3 @@ def _level_series(method: Method, names: dict[float, list[str]], cells: pd.DataF
     own = cells[cells["label"] == method.label]
     parts = (own[own["texture"].isin(textures)] for textures in names.values())
     return LevelSeries(method, list(names), [estimate_means(stack_draws(part, [RANKING]))[0] for part in parts])
-
-
-def levels_table(panels: Sequence[LevelPanel]) -> pd.DataFrame:
-    """Return one row a departure, level and method: the mean quality with its interval."""
-    return pd.DataFrame(
-        {
-            **{"departure": panel.departure, "level": level, "method": one.method.name},
-            **{"lattice_source": one.method.lattice_source, "reference": one.method.reference},
-            **estimate.columns("quality"),
-        }
-        for panel in panels
-        for one in panel.series
-        for level, estimate in zip(panel.levels, one.estimates, strict=True)
-    )
-
-
-def breaking_points_table(panels: Sequence[LevelPanel]) -> pd.DataFrame:
-    """Return one row a departure and method: the level at which it breaks, and the number of levels with a quality."""
-    return pd.DataFrame(
-        {
-            **{"departure": panel.departure, "method": one.method.name, "lattice_source": one.method.lattice_source},
-            **{"reference": one.method.reference, "breaks_at": one.breaks_at},
-            **{"levels_scored": len(one.scored), "levels": len(panel.levels)},
-        }
-        for panel in panels
-        for one in panel.series
-    )

@@ -19,7 +19,7 @@ from nrbench.errors import BadInput
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import CellRecord, Run
 
-from .estimates import FEWEST, FEWEST_DIFFERENT, Estimate, estimate_means, mean_of_known, stack_draws
+from .estimates import FEWEST, FEWEST_DIFFERENT, FEWEST_DRAWS, Estimate, estimate_means, mean_of_known, stack_draws
 from .format import pluralize
 from .pair_tests import ALPHA, PairTests, adjust_means, compare_pairs
 from .summaries import (
@@ -68,25 +68,6 @@ class PairedDifference:
     score: str
     first: Method
     second: Method
-    estimate: Estimate
-    p: float | None
-
-
-@dataclass(frozen=True)
-class BaselineDifference:
-    """A method beside the method that all are compared with.
-
-    Parameters
-    ----------
-    method
-        The method.
-    estimate
-        Mean over textures of its quality minus that of the other method.
-    p
-        p-value of the difference, as in :class:`PairedDifference`.
-    """
-
-    method: Method
     estimate: Estimate
     p: float | None
 
@@ -209,7 +190,7 @@ class Comparison:
     differences: Sequence[PairedDifference]
     counts: Mapping[str, int]
     baseline: Method | None = None
-    against: Sequence[BaselineDifference] = ()
+    against: Sequence[PairedDifference] = ()
     ranked: Sequence[Method] = ()
     tests: PairTests | None = None
     tested: bool = True
@@ -317,18 +298,17 @@ def _build_comparison(run: Run, tests: bool, baseline: str, population: bool) ->
 
 
 def _describe_estimand(textures: int, draws: int, population: bool) -> str:
+    mean, interval = f"this fixed list of {pluralize(textures, 'texture')}, over draws", "Intervals: 95 %, "
     if population:
-        return (
-            f"Estimated: the mean over a population of textures, of which these {textures} are a sample. Intervals: "
-            "95 %, by a hierarchical bootstrap over textures and draws, where "
-            f"{FEWEST_DIFFERENT} textures or more differ."
+        mean = f"a population of textures, of which these {textures} are a sample"
+        interval += (
+            f"by a hierarchical bootstrap over textures and draws, where {FEWEST_DIFFERENT} textures or more differ"
         )
-    intervals = (
-        f"Intervals: 95 %, over draws, where {FEWEST_DIFFERENT} textures or more scatter between them."
-        if draws > 1
-        else "One draw of each carries no interval of a mean."
-    )
-    return f"Estimated: the mean over this fixed list of {pluralize(textures, 'texture')}, over draws. {intervals}"
+    elif draws == 1:
+        interval = "One draw of each carries no interval of a mean"
+    else:
+        interval += f"over draws, where there are {FEWEST_DRAWS} of them and {FEWEST} textures scatter"
+    return f"Estimated: the mean over {mean}. {interval}."
 
 
 def rank_by_quality(
@@ -476,14 +456,13 @@ def choose_rows(run: Run, comparison: Comparison, names: Sequence[str]) -> Seque
     return [rows[name] for name in names]
 
 
-def compare_with(differences: Sequence[PairedDifference], other: Method) -> list[BaselineDifference]:
+def compare_with(differences: Sequence[PairedDifference], other: Method) -> list[PairedDifference]:
     """Return the difference of each method to ``other`` in quality, from those of all pairs."""
-    found = []
-    for one in differences:
-        if one.score == RANKING and one.estimate.n and other in (one.first, one.second):
-            gap, method = (-one.estimate, one.second) if one.first == other else (one.estimate, one.first)
-            found.append(BaselineDifference(method, gap, one.p))
-    return found
+    found = [one for one in differences if one.score == RANKING and one.estimate.n]
+    turned = [
+        replace(one, first=one.second, second=other, estimate=-one.estimate) for one in found if one.first == other
+    ]
+    return [*turned, *(one for one in found if one.second == other)]
 
 
 def _draws(cells: pd.DataFrame, score: str, methods: Sequence[Method]) -> Floats:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from nrbench.streams import stream
 
-from .estimates import FEWEST, RESAMPLES
+from .estimates import FEWEST, RESAMPLES, mean_of_known
 
 ALPHA = 0.05
 """The chance that any two equal methods of a table are called different."""
+POWER = 0.8
+"""The power with which a detectable loss is found."""
 Floats = NDArray[np.float64]
 
 
@@ -101,20 +105,54 @@ def p_values_by_flips(gaps: Floats, one_sided: bool = False) -> Floats:
     P. H. Westfall and S. S. Young, "Resampling-based multiple testing", 1993, algorithm 2.8.
     J. P. Romano and M. Wolf, "Exact and approximate stepdown methods for multiple hypothesis testing", JASA 100, 2005.
     """
-    known = np.isfinite(gaps)
-    enough = known.sum(0) >= FEWEST
-    clean = np.where(known & enough & (np.abs(gaps) > 1e-12), gaps, 0.0)
-    size = np.sqrt((clean**2).sum(0))
-    statistics = _sign_flips(len(gaps)) @ (clean / np.where(size > 0, size, 1.0))
-    statistics = np.concatenate([statistics, -statistics]) if one_sided else np.abs(statistics)
-    order = np.argsort(statistics[0], kind="stable")
-    largest = np.maximum.accumulate(statistics[:, order], axis=1)
-    p = (largest >= statistics[0, order] - 1e-9).mean(0)
+    statistics = _flipped_statistics(gaps, one_sided)
+    order = np.argsort(statistics[:, 0], kind="stable")
+    largest = np.maximum.accumulate(statistics[order], axis=0)
+    p = (largest >= statistics[order, :1] - 1e-9).mean(1)
     adjusted = np.empty(len(order))
     adjusted[order] = np.maximum.accumulate(p[::-1])[::-1]
-    return np.where(enough, adjusted, np.nan)
+    return np.where(np.isfinite(gaps).sum(0) >= FEWEST, adjusted, np.nan)
 
 
+def _flipped_statistics(gaps: Floats, one_sided: bool) -> Floats:
+    """Return the statistic of each column under each change of signs, ``(columns, flips)``, the observed ones first."""
+    known = np.isfinite(gaps)
+    clean = np.where(known & (known.sum(0) >= FEWEST) & (np.abs(gaps) > 1e-12), gaps, 0.0)
+    size = np.sqrt((clean**2).sum(0))
+    statistics = (clean / np.where(size > 0, size, 1.0)).T @ _sign_flips(len(gaps)).T
+    return np.concatenate([statistics, -statistics], 1) if one_sided else np.abs(statistics)
+
+
+def detectable_losses(gaps: Floats) -> Floats:
+    """Return the loss of each column that the one-sided test of all columns finds with a power of :data:`POWER`.
+
+    Parameters
+    ----------
+    gaps
+        ``(textures, columns)``; NaN is no value. Their scatter about their mean is that between draws.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``(columns,)``; NaN where the column does not scatter, or has too few textures for any loss to be found.
+
+    Notes
+    -----
+    Let c be the level that the largest statistic exceeds by chance in :data:`ALPHA` of all cases. As a value of
+    Student's t of n differences it is t = c ((n - 1) / (n - c^2))^(1/2). The mean difference must exceed t standard
+    errors by the normal quantile of the power times (1 + t^2 / (2 n - 2))^(1/2), the standard deviation of a t value.
+    """
+    level = np.quantile(_flipped_statistics(gaps, True).max(0), 1 - ALPHA)
+    n = np.isfinite(gaps).sum(0)
+    found = (n > level**2) & (n >= FEWEST)
+    n = np.where(found, n, level**2 + 2)
+    error = np.sqrt(mean_of_known((gaps - mean_of_known(gaps, 0)) ** 2, 0) / (n - 1))
+    t = level * np.sqrt((n - 1) / (n - level**2))
+    losses = error * (t + ndtri(POWER) * np.sqrt(1 + t**2 / (2 * n - 2)))
+    return np.where(found & (losses > 1e-9), losses, np.nan)
+
+
+@lru_cache(maxsize=4)
 def _sign_flips(textures: int) -> Floats:
     """Return signs, ``(flips, textures)``, the observed ones first: all up to a common sign, or a random selection."""
     if textures <= 12:

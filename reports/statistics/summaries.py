@@ -11,7 +11,7 @@ import pandas as pd
 
 from nrbench import plugins
 from nrbench.plugins.forms import Column
-from nrbench.runs.records import CellRecord, Run
+from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED
 
 from .estimates import NO_ESTIMATE, Estimate, estimate_means, estimate_proportion, stack_draws, success_rate
@@ -90,35 +90,6 @@ class Method:
     def label(self) -> str:
         """The name, with the lattice source in parentheses."""
         return method_label(self.name, self.lattice_source)
-
-
-def method_classes(cells: Iterable[CellRecord]) -> dict[str, type | None]:
-    """Return the class of each installed method of some cells by its name, in the order of the cells."""
-    names = dict.fromkeys(record.cell.method for record in cells)
-    installed = set(plugins.names("synthesizers"))
-    return {name: plugins.find("synthesizers", name).cls for name in names if name in installed}
-
-
-def list_patch_terms(run: Run) -> list[tuple[str, ...]]:
-    """Return the rows of table 1 of the report of 2004, as the methods that copy patches declare for their parameters.
-
-    Returns
-    -------
-    list of tuple
-        The method, what a patch is, how its place is chosen, and how it is joined to the others.
-    """
-    records = {record.method: record for record in run.cells if not record.cell.reference}
-    classes = method_classes(records.values())
-    found = {
-        name: plugins.describe_patches(cls, {**_defaults(cls), **record.parameters})
-        for name, record in records.items()
-        if (cls := classes.get(record.cell.method)) is not None
-    }
-    return [(name, *terms) for name, terms in found.items() if len(terms) == len(plugins.PATCH_TERMS)]
-
-
-def _defaults(cls: type) -> dict[str, Any]:
-    return {name: getattr(cls, name, "") for name in getattr(cls, "__dataclass_fields__", {})}
 
 
 @dataclass(frozen=True)
@@ -439,16 +410,3 @@ def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
         if STRUCTURE in one.means
     ]
     return [point for point in points if point.structure.value is not None]
-
-
-def perils_table(points: Sequence[PerilsPoint]) -> pd.DataFrame:
-    """Return one row a point, with intervals and the number of textures that each coordinate rests on."""
-    return pd.DataFrame(
-        {
-            **{"method": point.method.name, "lattice_source": point.method.lattice_source},
-            "reference": point.method.reference,
-            **point.structure.columns("structure_value", "structure_"),
-            **point.randomness.columns("randomness_value", "randomness_"),
-        }
-        for point in points
-    )

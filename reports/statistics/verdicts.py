@@ -20,8 +20,6 @@ from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from .estimates import as_numbers
-
 PRESERVED, SCORE = "regularity.preserved", "regularity.score"
 _VERDICTS = (
     ("preserved", "✓", "the lattice is preserved"),
@@ -133,9 +131,9 @@ def tabulate_cells(run: Run) -> pd.DataFrame:
         "status": [record.status for record in run.cells],
         "verdict": [verdict(record) for record in run.cells],
         "applicable": [_has_lattice(record) for record in run.cells],
-        "seconds": as_numbers([record.seconds if record.status == "ok" else None for record in run.cells]),
-        "peak_mib": as_numbers([record.peak_mib if record.status == "ok" else None for record in run.cells]),
-        **{name: as_numbers([record.values.get(name) for record in run.cells]) for name in run.columns},
+        "seconds": np.array([record.seconds if record.status == "ok" else None for record in run.cells], np.float64),
+        "peak_mib": np.array([record.peak_mib if record.status == "ok" else None for record in run.cells], np.float64),
+        **{name: np.array([record.values.get(name) for record in run.cells], np.float64) for name in run.columns},
     }
     table = pd.DataFrame(content)
     if SCORE in table:

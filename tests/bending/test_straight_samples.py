@@ -179,6 +179,19 @@ def test_a_drawn_field_has_the_amplitude_and_the_wave_length_of_the_sample() -> 
     assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(own, rel=0.1)
 
 
+def test_a_strong_field_does_not_fold_the_output() -> None:
+    """A field of displacements as large as its wave length leaves every cell at least about half of its area."""
+    lattice = Lattice((8, 0), (0, 8))
+    places = lattice.from_cell(np.stack(np.meshgrid(np.arange(40), np.arange(40)), -1))
+    spectrum = WaveSpectrum(np.array([30.0, 33.0]), np.array([400.0, 400.0]))
+    moved = spectrum.draw(places.reshape(-1, 2), np.random.default_rng(0))
+    corners = places + moved.reshape(places.shape)
+    along, down = np.diff(corners, axis=1)[:-1], np.diff(corners, axis=0)[:, :-1]
+    areas = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]
+    assert areas.min() > 0.4 * 64
+    assert np.abs(moved).max() > 1
+
+
 def test_a_sample_without_displacements_gives_none() -> None:
     """A regular sample has a spectrum without power and an output field of zeros."""
     still = replace(synthetic(), displacements=np.zeros_like(synthetic().displacements))

@@ -141,7 +141,7 @@ def test_other_draws_are_no_change_and_a_shift_of_them_is(tmp_path: Path) -> Non
 
 def test_equal_samples_are_paired(tmp_path: Path) -> None:
     """A loss of 0.02, far below the scatter between draws, is found where the samples are equal."""
-    values = np.random.default_rng(0).uniform(0.3, 0.9, (12, 2))
+    values = np.random.default_rng(0).uniform(0.3, 0.9, (20, 2))
     changes = compare_runs(
         _draws(tmp_path / "A", values, "a"), _draws(tmp_path / "B", values - np.array([0.03, 0.01]), "a"), ["quality"]
     )
@@ -170,7 +170,7 @@ def test_markdown_escapes_names(runs: Callable[..., tuple[Run, Run]]) -> None:
     lines = Changes().markdown(changes).splitlines()
     table = [line for line in lines if line.startswith("|")]
     assert "<img" not in "".join(lines).replace("\\<img", "")
-    assert {line.count("|") for line in table} == {8}
+    assert {line.count("|") for line in table} == {9}
     assert json.dumps(changes.as_dict())
 
 

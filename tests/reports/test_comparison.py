@@ -14,24 +14,21 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
-from nrbench.reports.csv import CsvTables
+from nrbench.reports.csv import CsvTables, breaking_points_table, levels_table
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.json import JsonSummary
-from nrbench.reports.latex import LatexTables
+from nrbench.reports.latex import LatexTables, list_patch_terms
 from nrbench.reports.markdown import MarkdownTables
 from nrbench.reports.plots.method_plots import caption_text
 from nrbench.reports.statistics import verdicts
 from nrbench.reports.statistics.levels import (
     LevelPanel,
     LevelSeries,
-    breaking_points_table,
     compare_levels,
-    levels_table,
 )
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.reports.statistics.summaries import (
     COSTS,
-    list_patch_terms,
     other_score_rows,
     perils_points,
     sort_headlines_first,
@@ -157,12 +154,12 @@ def test_a_refused_reference_is_not_zero(make_cell: Make, make_run: Make) -> Non
 
 def test_a_population_has_other_intervals(make_cell: Make, make_run: Make) -> None:
     """Over a population of textures the intervals are wide, one draw carries them, and the sentence says which."""
-    cells = [make_cell(f"t{i}", "m", replicate=j, perils=0.2 + 0.08 * i + 0.01 * j) for i in range(9) for j in (0, 1)]
+    cells = [make_cell(f"t{i}", "m", replicate=j, perils=0.2 + 0.04 * i + 0.005 * j) for i in range(20) for j in (0, 1)]
     run = make_run(cells)
     listed, drawn = compare_methods(run), compare_methods(run, population=True)
     widths = [np.ptp(one.summaries[0].means["quality"].ends) for one in (listed, drawn)]
     assert widths[1] > 5 * widths[0]
-    assert "fixed list of 9 textures, over draws" in TextTable().render(run)
+    assert "fixed list of 20 textures, over draws" in TextTable().render(run)
     assert "population of textures" in " ".join(TextTable(population=True).render(run).split())
 
 

@@ -59,6 +59,7 @@ def test_a_run_survives_its_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             steps.append(step)
             if step.done == 1:
                 made.start_worker("late")
+                made.wait_for_workers(2)
             if step.done >= 2 and "first" in made.processes and has_run("late"):
                 made.kill("first")
 

@@ -51,6 +51,13 @@ class Machines:
         words = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(self.folder / name))
         self._start(name, "-m", "distributed.cli.dask_worker", self.address, *words)
 
+    def wait_for_workers(self, number: int) -> None:
+        """Wait until the scheduler knows so many workers, however long they take to start."""
+        from distributed import Client  # of an optional package
+
+        with Client(self.address) as client:
+            client.wait_for_workers(number)
+
     def _start(self, name: str, *words: str) -> None:
         log = (self.folder / f"{name}.log").open("wb")
         environment = {**os.environ, "NRBENCH_TEST_PLACE": name}
