@@ -34,6 +34,7 @@ BENCHMARKS = {
     "validation.py ladder --textures brick-strong": "validation.py ladder",
     "validation.py baselines --textures brick-strong": "validation.py baselines",
     "validation.py bases --textures brick-strong": "validation.py bases",
+    "doses.py plot doses.svg": "the same",
     "sensitivity.py runs/default --textures brick-strong --limits JND": "sensitivity.py runs/default",
     "seeds.py --seeds 1 2 --textures brick-strong": "seeds.py",
     "table_errors.py --short --runs 50": "table_errors.py --runs 400",

@@ -219,7 +219,7 @@ def test_points_are_means_over_textures(comparison: Comparison, make_cell: Make,
     assert point.structure.value == pytest.approx(0.9)
     assert point.randomness.value == pytest.approx(0.69)
     assert point.structure.ends is None
-    cells = [make_cell(f"t{i}", "m", replicate=j, perils=0.5 + 0.01 * i + 0.02 * j) for i in range(9) for j in (0, 1)]
+    cells = [make_cell(f"t{i}", "m", replicate=j, perils=0.5 + 0.01 * i + 0.02 * j) for i in range(20) for j in (0, 1)]
     point = _point(compare_methods(make_run(cells)), "m")
     for one in (point.structure, point.randomness):
         assert one.low is not None and one.high is not None and one.value is not None
