@@ -285,7 +285,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
-    """Write arrays as a compressed ``.npz``, atomically. The least level compresses source maps five times as fast."""
+    """Write arrays as a compressed ``.npz``, atomically."""
 
     def write(aside: Path) -> None:
         with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
