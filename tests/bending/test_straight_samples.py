@@ -232,7 +232,16 @@ def test_a_method_gets_the_task_itself_where_nothing_departs() -> None:
     np.testing.assert_array_equal(plain.image, wrapped.image)
 
 
-BENDING = ("auto", "fftm-patch", "fftm-pixel", "regularized-patch", "representative-tile", "rsgf", "tile-set")
+BENDING = (
+    "auto",
+    "fftm-patch",
+    "fftm-pixel",
+    "regularized-patch",
+    "representative-tile",
+    "resample",
+    "rsgf",
+    "tile-set",
+)
 
 
 def test_every_method_that_uses_a_lattice_is_straightened() -> None:

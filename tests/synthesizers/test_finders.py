@@ -37,6 +37,7 @@ FINDERS = {
     "regularized-patch": "consensus",
     "representative-tile": "ssdn:primitive=false",
     "representative-tile:preset=paper": "ssdn:preset=paper",
+    "resample": "consensus",
     "rsgf": "consensus",
     "rsgf:preset=paper": "gncc:preset=paper",
     "shuffle": "gncc",

@@ -152,7 +152,9 @@ def test_sources_stay_on_the_lattice(spec: str, lattice: Lattice) -> None:
 
 
 @pytest.mark.parametrize("lattice", [Lattice((20, 5), (-4, 22)), FRACTIONAL, BOND])
-@pytest.mark.parametrize("spec", ["rsgf", "rsgf:seam=blend,subpixel=false,tolerance=3", "representative-tile"])
+@pytest.mark.parametrize(
+    "spec", ["rsgf", "rsgf:seam=blend,subpixel=false,tolerance=3", "representative-tile", "resample"]
+)
 def test_any_basis_of_the_lattice_gives_the_same_bytes(spec: str, lattice: Lattice) -> None:
     """Long, skewed generating vectors of the same lattice change nothing."""
     skewed = Lattice(lattice.t1, (3 * lattice.t1[0] + lattice.t2[0], 3 * lattice.t1[1] + lattice.t2[1]))
@@ -164,6 +166,7 @@ def test_any_basis_of_the_lattice_gives_the_same_bytes(spec: str, lattice: Latti
     "spec",
     [
         "representative-tile",
+        "resample",
         "texture-optimization",
         "gpnn",
         *(f"rsgf:block=8,border=2,match={m},seam={s}" for m in ("ncc", "color") for s in ("graphcut", "blend")),
@@ -185,6 +188,7 @@ CHANGES = {
     "patch-based": "patch=16 zone=5 epsilon=1",
     "quilting": "block=16 overlap=6 tolerance=0.5",
     "representative-tile": "continuity_weight=0 rated_share=1e-4 best_tiles=50 rescale=false",
+    "resample": "variation=0.5",
     "rsgf": "block=36 border=8 match=ncc search=everywhere search=stochastic tolerance=0 subpixel=false seam=blend "
     "candidate_fraction=0 candidate_fraction=1 prefer_unused=false",
     "texture-optimization": "neighborhood=16 levels=1 iterations=2 exponent=2",

@@ -1,0 +1,172 @@
+"""New elements that vary as the sample's do: their colors are drawn anew, their detail is copied."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import ClassVar, Final
+
+import numpy as np
+
+from nrbench.errors import require_ranges
+from nrbench.imaging.convert import Image
+from nrbench.imaging.mean_tile import Tile, fold
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
+from nrbench.plugins.registry import NamedDetector
+
+from .resampling.element_colors import ElementColors
+from .resampling.element_detail import ElementDetail
+from .resampling.element_map import map_grid, segment
+from .sampling.equal_places import require_two_periods
+from .tile_set import TileSet
+
+FEWEST: Final = 6
+"""Whole instances of each element that the sample must show; with fewer, the method copies tiles."""
+MOST_VARIATION: Final = 4.0
+"""Largest parameter ``variation``."""
+_EXPLAINED = 0.05
+"""Least share of the residual's variance that the colors of elements explain; with less, elements are whole cells."""
+_ROWS = 256
+"""Rows of the output that are composed at once."""
+
+
+@dataclass(frozen=True)
+class Resample:
+    """Draws new elements: bricks, threads and tiles with new colors, whose detail is copied from the sample's.
+
+    Methods that copy repeat what the sample happens to show. This one estimates how elements vary, and draws others:
+
+    1. The mean tile is subtracted. What is left, the residual, is color and detail.
+    2. The cell is cut into elements: regions whose color varies together from cell to cell, or whose border does not
+       stand out. Threads that run through several cells are recognized by their color.
+    3. The residual of a place is the color of its element, times the gain of this place of the cell, and a rest. Colors
+       and gains are fitted by least squares. A joint that has the same color everywhere has a gain near 0.
+    4. New colors are a Gaussian random field with the sample's correlations between elements, as far as they exceed
+       chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
+    5. The rest of each new element is that of a random element of the sample, at equal places. Where elements meet,
+       rests are mixed so that their variance stays.
+
+    The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
+    the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
+    tile; ``elements``, one color an element; ``attributes``, the estimated colors of the elements.
+
+    If the colors of elements explain less than a twentieth of the residual, elements are whole cells. If the sample
+    shows fewer than six whole instances of an element, the output is that of ``tile-set``. The note says so. Without a
+    lattice the sample is refused. Another output of the same sample in the same process reuses the model.
+
+    Parameters
+    ----------
+    variation
+        Factor of all departures from the mean tile, 0 to 4. 1: as the sample; 0: tiling with the mean tile; 2: twice as
+        strong.
+    geometry
+        How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
+        and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself.
+    """
+
+    variation: float = 1.0
+    geometry: Geometry = "bent"
+
+    reference: ClassVar[bool] = False
+    uses_lattice: ClassVar[bool] = True
+    finder: ClassVar[str] = "consensus"
+    version: ClassVar[str] = "1"
+
+    def __post_init__(self) -> None:
+        require_ranges(self, variation=(0, MOST_VARIATION))
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Return the synthesis; see :class:`Resample`.
+
+        Raises
+        ------
+        Refused
+            If no lattice is found, or the sample does not show two periods.
+        """
+        lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no elements to vary")
+        require_two_periods(lattice, task.sample.shape)
+        model = VariationModel.of(task.sample, lattice)
+        fewest = min(map(len, model.detail.whole))
+        if fewest < FEWEST:
+            copied = TileSet().synthesize(replace(task, lattice=lattice))
+            shown = f"the sample shows {fewest} whole instances of an element, fewer than {FEWEST}"
+            return replace(copied, detection_seconds=seconds, note=f"copied by tile-set: {shown}")
+        image = model.draw(task, self.variation)
+        note = "elements are whole cells: colors of smaller elements explain too little" if model.whole_cells else ""
+        return Synthesis(image, lattice, extras=model.pictures(), detection_seconds=seconds, note=note)
+
+
+@dataclass(frozen=True, eq=False)
+class VariationModel:
+    """The model of a texture: sample = mean tile + colors of elements + detail.
+
+    Parameters
+    ----------
+    mean
+        The mean tile.
+    colors
+        The colors of elements.
+    detail
+        The rest.
+    whole_cells
+        Whether the elements are whole cells, since no smaller ones were found.
+    """
+
+    mean: Tile
+    colors: ElementColors
+    detail: ElementDetail
+    whole_cells: bool
+
+    @classmethod
+    def of(cls, sample: Image, lattice: Lattice) -> VariationModel:
+        """Return the model of a sample with a lattice, in any basis. The latest models are kept."""
+        basis = lattice.canonical().matrix.round(9)  # without the last bits, in which bases of one lattice differ
+        return _fit_model(sample.tobytes(), sample.shape, Lattice.from_basis(basis, lattice.origin))
+
+    @classmethod
+    def fit(cls, sample: Image, lattice: Lattice) -> VariationModel:
+        """Return the model of a sample with a reduced lattice."""
+        height, width, _ = sample.shape
+        mean = fold(sample, lattice, grid=map_grid(lattice))
+        residual = sample - mean.unfold((height, width))
+        for whole_cells in (False, True):
+            elements = segment(sample, residual, lattice, whole_cells)
+            colors = ElementColors.fit(elements, residual)
+            rest = residual - colors.render(colors.of_sample((height, width)), (height, width))
+            if rest.var() < (1 - _EXPLAINED) * residual.var():
+                break
+        return cls(mean, colors, ElementDetail(elements, rest), whole_cells)
+
+    def draw(self, task: Task, variation: float) -> Image:
+        """Return a new texture of the task's shape, its departures from the mean tile times ``variation``."""
+        height, width = task.shape
+        colors, copied = self.colors.draw(task.shape, task.rng), self.detail.draw(task.shape, task.rng)
+        cells = self.detail.rest[..., 0].size / self.mean.lattice.area
+        strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
+        image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)
+        for top in range(0, height, _ROWS):
+            rows = slice(top, min(top + _ROWS, height))
+            part = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
+            part += variation * self.colors.render(colors, task.shape, rows)
+            part += strength * self.detail.render(copied, task.shape, rows)
+            image[rows] = np.clip(part, 0, 1)
+            task.progress(rows.stop / height)
+        return image
+
+    def pictures(self) -> dict[str, Image]:
+        """Return the mean tile, the elements and their colors as pictures of the sample's shape."""
+        height, width, _ = self.detail.rest.shape
+        shape = height, width
+        label, cell = self.detail.elements.instances(shape)
+        hue = (0.38 * label + cell @ (0.618, 0.267))[..., np.newaxis] + np.arange(3) / 3
+        color = self.colors.lay(self.colors.of_sample(shape), shape) + self.mean.values.mean((0, 1))
+        pictures = {"template": self.mean.unfold(shape), "elements": np.abs(2 * (hue % 1) - 1), "attributes": color}
+        return {name: np.clip(picture, 0, 1).astype(np.float32) for name, picture in pictures.items()}
+
+
+@lru_cache(maxsize=2)
+def _fit_model(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> VariationModel:
+    return VariationModel.fit(np.frombuffer(pixels, np.float32).reshape(shape), lattice)

@@ -1,0 +1,297 @@
+"""The colors of a sample's elements: a model of them, and new random colors that vary as they do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from nrbench.imaging.mean_tile import Values, fold
+from nrbench.plugins.forms import Shape
+
+from .element_map import ElementMap, ElementShares, InstanceColors, Lag, Numbers
+
+Table = NDArray[np.float64]
+"""``(E, I, J, C)``: the color of each element in a box of cells."""
+
+_SOFTNESS = 0.5
+"""px, standard deviation of the Gaussian that softens the borders between the colors of elements."""
+_CORE = 0.95
+"""Share from which a place is inside its element, where its color is measured."""
+_ROUNDS = 3
+"""Fits of colors, with a fit of gains between two of them."""
+_MOST_GAIN = 1.6
+_LINKED = 0.85
+"""Elements whose colors correlate this much at a lag are one thread."""
+_REACH = 2
+"""Largest lag, in cells, at which colors are correlated."""
+_CHANCE = 2.5
+"""Correlations of fewer standard errors count as 0."""
+_FEWEST = 6
+"""With fewer colors than this, new ones are Gaussian."""
+_BASES = 8
+"""Orthonormal bases along whose axes colors are moved."""
+_LEVELS = (np.arange(64) + 0.5) / 64
+"""The quantiles that are moved."""
+
+
+@dataclass(frozen=True)
+class ElementThread:
+    """What an element is a part of: the instances that have one color.
+
+    Parameters
+    ----------
+    first
+        The element whose colors the thread takes.
+    base
+        Cell of the instance that lies in thread (0, 0).
+    turn
+        Lag in cells after which the thread shows the same element again; (0, 0) if it never does.
+    """
+
+    first: int
+    base: Lag = (0, 0)
+    turn: Lag = (0, 0)
+
+    def number(self, cell: Numbers) -> Numbers:
+        """Return the two numbers of the thread that the instance of each cell is a part of, ``(..., 2)``."""
+        number = cell - np.array(self.base)
+        if self.turn == (0, 0):
+            return number
+        axis = int(np.argmax(np.abs(self.turn)))
+        turns = np.floor_divide(number[..., axis], self.turn[axis])
+        return np.asarray(number - turns[..., np.newaxis] * np.array(self.turn))
+
+
+def link_threads(colors: Sequence[InstanceColors]) -> list[ElementThread]:
+    """Return the thread of each element. Elements whose colors agree at a lag of one cell at most are linked.
+
+    The closest links come first. A thread that has a turn takes no further one.
+    """
+    near = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    links = [
+        (color.correlation(colors[b], lag)[0], a, b, lag)
+        for a, color in enumerate(colors)
+        for b in range(a, len(colors))
+        for lag in near
+        if b > a or lag > (0, 0)
+    ]
+    threads = [ElementThread(k) for k in range(len(colors))]
+    for correlation, a, b, lag in sorted(links, reverse=True):
+        if correlation < _LINKED:
+            break
+        one, other = threads[a], threads[b]
+        shift = (one.base[0] + lag[0] - other.base[0], one.base[1] + lag[1] - other.base[1])
+        if one.first == other.first:
+            turn = shift if one.turn == (0, 0) else one.turn
+            threads = [replace(t, turn=turn) if t.first == one.first else t for t in threads]
+        elif (0, 0) in (one.turn, other.turn):
+            turn = other.turn if one.turn == (0, 0) else one.turn
+            for k, thread in enumerate(threads):
+                if thread.first == other.first:
+                    base = (thread.base[0] + shift[0], thread.base[1] + shift[1])
+                    threads[k] = ElementThread(one.first, base, turn)
+                elif thread.first == one.first:
+                    threads[k] = replace(thread, turn=turn)
+    return threads
+
+
+@dataclass(frozen=True)
+class ElementColors:
+    """A model of a sample's residual, the sample without its mean tile.
+
+    residual(p) = gain(p) * sum over the elements k around p of share_k(p) * color_k + rest(p)
+
+    The gain says how much of its element's color a place of the cell takes: 1 in the middle of an element, 0 on a joint
+    that has one color everywhere.
+
+    Parameters
+    ----------
+    shares
+        The shares of elements in places.
+    gain
+        ``float32 (V, U, C)``, on the same grid.
+    threads
+        The thread of each element.
+    colors
+        The colors of the threads by their first element, in a box of numbers of threads from ``low`` on.
+    low
+        The first numbers of the box.
+    """
+
+    shares: ElementShares
+    gain: Values
+    threads: Sequence[ElementThread]
+    colors: Mapping[int, InstanceColors]
+    low: Numbers
+
+    @classmethod
+    def fit(cls, elements: ElementMap, residual: Values) -> ElementColors:
+        """Return the model of a residual: colors and gains are fitted in turn, by least squares.
+
+        A gain is drawn to 1 as far as noise hides it. Its mean inside elements is 1.
+        """
+        shape, grid = residual.shape[:2], elements.label.shape
+        shares = ElementShares.of(elements, _SOFTNESS)
+        threads = link_threads(elements.mean_colors(residual))
+        core = shares.share[0] > _CORE
+        row, column, _ = elements.places(shape)
+        label, instance = elements.instances(shape)
+        numbers = np.stack([thread.number(instance) for thread in threads])
+        number = np.take_along_axis(numbers, label[np.newaxis, ..., np.newaxis], 0)[0]
+        low = number.min((0, 1))
+        box = (len(threads), *(number.max((0, 1)) - low + 1).tolist())
+        first = np.array([thread.first for thread in threads])
+        index = np.ravel_multi_index((first[label], *np.moveaxis(number - low, -1, 0)), box).ravel()
+        whole = np.bincount(elements.label[core], minlength=len(threads)) / core.size * elements.lattice.area
+        inside = core[row, column]
+        shown = np.bincount(index, inside.ravel(), int(np.prod(box))).reshape(box) / np.maximum(whole, 1)[:, None, None]
+        gain = np.ones((*grid, residual.shape[2]), np.float32)
+        for turn in range(_ROUNDS):
+            weight = gain[row, column] * inside[..., np.newaxis]
+            values = _sums(weight * residual, index, box) / np.maximum(_sums(weight * weight, index, box), 1e-9)
+            colors = {k: InstanceColors(values[k], shown[k]) for k in sorted(set(first.tolist()))}
+            model = cls(shares, gain, threads, colors, low)
+            if turn == _ROUNDS - 1:
+                break
+            flat = model.lay(model.spread({k: c.values for k, c in colors.items()}, low, shape), shape)
+            noise = (residual - flat * gain[row, column]).var((0, 1))
+            product, power = (
+                fold(f.astype(np.float32), elements.lattice, grid=grid) for f in (flat * residual, flat**2)
+            )
+            count = power.counts[..., np.newaxis]
+            prior = noise + 1e-12
+            gain = (product.values * count + prior) / (power.values * count + prior)
+            gain = scipy.ndimage.gaussian_filter(gain, (0.7, 0.7, 0), mode="wrap")
+            gain = np.clip(gain / gain[core].mean(0), 0, _MOST_GAIN).astype(np.float32)
+        return model
+
+    def spread(self, colors: Mapping[int, Table], low: Numbers, shape: Shape) -> Table:
+        """Return the color of each instance in a picture, on the box of :meth:`ElementMap.cells`.
+
+        Parameters
+        ----------
+        colors
+            The colors of the threads by their first element, in a box of numbers from ``low`` on. Numbers outside take
+            the nearest color.
+        low
+            The first numbers.
+        shape
+            Shape of the picture.
+        """
+        cells = self.shares.elements.cells(shape)
+        table = []
+        for thread in self.threads:
+            values = colors[thread.first]
+            i, j = np.moveaxis(np.clip(thread.number(cells) - low, 0, np.array(values.shape[:2]) - 1), -1, 0)
+            table.append(values[i, j])
+        return np.stack(table)
+
+    def lay(self, table: Table, shape: Shape, rows: slice = slice(None)) -> Values:
+        """Return the color of the elements at each pixel of some rows of a picture, before the gain."""
+        top, bottom, _ = rows.indices(shape[0])
+        corner = self.shares.elements.cells(shape)[0, 0]
+        laid = np.zeros((bottom - top, shape[1], table.shape[-1]))
+        for at, share, label, cell in self.shares.within(laid.shape[:2], top):
+            i, j = (cell - corner).T
+            laid[at] += share[:, np.newaxis] * table[label, i, j]
+        return laid
+
+    def render(self, table: Table, shape: Shape, rows: slice = slice(None)) -> Values:
+        """Return the colors at each pixel of some rows of a picture, with the gain."""
+        laid = self.lay(table, shape, rows)
+        row, column, _ = self.shares.elements.places(laid.shape[:2], rows.indices(shape[0])[0])
+        return np.asarray(laid * self.gain[row, column])
+
+    def of_sample(self, shape: Shape) -> Table:
+        """Return the sample's own colors, for :meth:`lay` and :meth:`render`."""
+        return self.spread({k: c.values for k, c in self.colors.items()}, self.low, shape)
+
+    def draw(self, shape: Shape, rng: np.random.Generator) -> Table:
+        """Return new colors for a picture: a Gaussian field with the sample's correlations, and its distribution."""
+        cells = self.shares.elements.cells(shape)
+        numbers = np.concatenate([thread.number(cells).reshape(-1, 2) for thread in self.threads])
+        low = numbers.min(0)
+        extent = tuple((numbers.max(0) - low + 1 + 2 * _REACH).tolist())
+        field = draw_field(list(self.colors.values()), extent, rng)
+        drawn = {
+            name: match_distribution(field[:, :, k], color.values[color.known], rng)
+            for k, (name, color) in enumerate(self.colors.items())
+        }
+        return self.spread(drawn, low, shape)
+
+
+def _sums(values: Values, index: Numbers, box: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return the sum of the pixels of each index, ``(*box, C)``."""
+    size = int(np.prod(box))
+    sums = [np.bincount(index, plane.ravel(), size) for plane in np.moveaxis(values, -1, 0)]
+    return np.stack(sums, -1).reshape(*box, -1)
+
+
+def draw_field(colors: Sequence[InstanceColors], extent: tuple[int, int], rng: np.random.Generator) -> Table:
+    """Return standard Gaussian fields ``(*extent, E, C)``, periodic, correlated as the colors of E elements are.
+
+    A correlation r estimated from n pairs is shrunk by the factor 1 - (2.5 / (r sqrt(n)))^2, to 0 where it is less than
+    2.5 standard errors. The cross-spectra of the elements are made positive by cutting negative eigenvalues. Channels
+    are independent.
+    """
+    count, channels = len(colors), colors[0].values.shape[-1]
+    kernel = np.zeros((*extent, count, count))
+    kernel[0, 0] = np.eye(count)
+    lags = [(i, j) for i in range(-_REACH, _REACH + 1) for j in range(-_REACH, _REACH + 1)]
+    for a, b in np.ndindex(count, count):
+        for i, j in lags:
+            r, pairs = colors[a].correlation(colors[b], (i, j))
+            if (a, i, j) != (b, 0, 0) and pairs * r * r > _CHANCE**2:
+                kernel[i % extent[0], j % extent[1], a, b] = r - _CHANCE**2 / (pairs * r)
+    spectrum = np.fft.fft2(kernel, axes=(0, 1))
+    power, axes = np.linalg.eigh((spectrum + spectrum.conj().swapaxes(-1, -2)) / 2)
+    root = axes * np.sqrt(np.maximum(power, 0))[..., np.newaxis, :]
+    root /= np.sqrt((np.abs(root) ** 2).sum(-1).mean((0, 1)))[:, np.newaxis]
+    # axes^H makes the root Hermitian, so that opposite frequencies are conjugate and the field is real
+    root = root @ axes.conj().swapaxes(-1, -2)
+    white = np.fft.fft2(rng.standard_normal((*extent, count, channels)), axes=(0, 1))
+    return np.asarray(np.fft.ifft2(root @ white, axes=(0, 1)).real)
+
+
+def match_distribution(field: Table, sample: NDArray[np.float64], rng: np.random.Generator) -> Table:
+    """Return a standard Gaussian field with the distribution of some colors.
+
+    The colors are smoothed by a Gaussian of the shape of their covariance, the wider the fewer they are; the covariance
+    stays the same. Gaussian colors of this covariance are moved to them by sliced transport (Pitie, Kokaram and Dahyot
+    2007, section 3): along one direction after the other, quantiles go to quantiles.
+
+    Parameters
+    ----------
+    field
+        ``(..., C)``.
+    sample
+        ``(n, C)``.
+    rng
+        Draws the smoothed colors and the directions.
+    """
+    count, channels = sample.shape
+    if count < 2:
+        return np.zeros_like(field)
+    power, axes = np.linalg.eigh(np.atleast_2d(np.cov(sample.T)))
+    root = (axes * np.sqrt(np.maximum(power, 0))).T
+    colors = field.reshape(-1, channels) @ root
+    if count < _FEWEST:
+        return np.asarray(colors.reshape(field.shape))
+    width = 0.6 * count ** (-1 / 7)
+    size = (max(4096, 8 * count), channels)
+    target = (sample[rng.integers(count, size=size[0])] - sample.mean(0)) * np.sqrt(count / (count - 1))
+    target = (target + width * rng.standard_normal(size) @ root) / np.hypot(1, width)
+    source = rng.standard_normal(size) @ root
+    for turn in range(_BASES):
+        basis = np.linalg.qr(rng.standard_normal((channels, channels)))[0] if turn else axes
+        for axis in basis.T:
+            old, new = np.quantile(source @ axis, _LEVELS), np.quantile(target @ axis, _LEVELS)
+            for points in (source, colors):
+                along = points @ axis
+                moved = np.interp(along, old, new) + np.minimum(along - old[0], 0) + np.maximum(along - old[-1], 0)
+                points += (moved - along)[:, np.newaxis] * axis
+    return np.asarray(colors.reshape(field.shape))

@@ -1,0 +1,90 @@
+"""The detail of elements: what is left of a sample without its mean tile and the colors of its elements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from nrbench.imaging.mean_tile import Values
+from nrbench.plugins.forms import Shape
+
+from .element_map import ElementMap, ElementShares, Lag, Numbers
+
+_WHOLE = 0.97
+"""Share of an element that the sample shows if it shows the element whole."""
+_SOFTNESS = 1.0
+"""px, standard deviation of the Gaussian that softens the borders between the details of elements."""
+_AROUND: tuple[Lag, ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
+_REDRAWS = 20
+"""Times that copies beside an equal one are drawn again."""
+
+
+@dataclass(frozen=True)
+class ElementDetail:
+    """The detail of a sample, from which elements are copied whole.
+
+    Parameters
+    ----------
+    elements
+        The elements.
+    rest
+        ``(H, W, C)``: the sample without its mean tile and the colors of its elements.
+    """
+
+    elements: ElementMap
+    rest: Values
+
+    @cached_property
+    def whole(self) -> list[Numbers]:
+        """The cells in which the sample shows each element whole, ``(n, 2)`` each."""
+        corner = self.elements.cells(self.rest.shape[:2])[0, 0]
+        return [np.argwhere(c.shown >= _WHOLE) + corner for c in self.elements.mean_colors(self.rest)]
+
+    @cached_property
+    def _shares(self) -> ElementShares:
+        return ElementShares.of(self.elements, _SOFTNESS)
+
+    @cached_property
+    def _splines(self) -> list[NDArray[np.float64]]:
+        return [scipy.ndimage.spline_filter(plane, 5, mode="mirror") for plane in np.moveaxis(self.rest, -1, 0)]
+
+    def draw(self, shape: Shape, rng: np.random.Generator) -> Numbers:
+        """Return the cell of the sample from which each element of a picture is copied, ``(E, I, J, 2)``.
+
+        The box of cells is that of :meth:`ElementMap.cells`. Neighbors are copied from different cells if there are
+        enough.
+        """
+        box = self.elements.cells(shape).shape[:2]
+        return np.stack([cells[_draw_apart(len(cells), box, rng)] for cells in self.whole])
+
+    def render(self, drawn: Numbers, shape: Shape, rows: slice = slice(None)) -> Values:
+        """Return the copied detail at some rows of a picture.
+
+        Where elements meet, details a and b with the shares u and v give (u a + v b) / sqrt(u^2 + v^2), whose variance
+        is that of the details.
+        """
+        top, bottom, _ = rows.indices(shape[0])
+        corner = self.elements.cells(shape)[0, 0]
+        detail = np.zeros((bottom - top, shape[1], self.rest.shape[2]))
+        power = np.zeros(detail.shape[:2])
+        for at, share, label, cell in self._shares.within(detail.shape[:2], top):
+            i, j = (cell - corner).T
+            x, y = ((drawn[label, i, j] - cell) @ self.elements.lattice.matrix + np.argwhere(at)[:, ::-1] + (0, top)).T
+            for channel, plane in enumerate(self._splines):
+                read = scipy.ndimage.map_coordinates(plane, [y, x], order=5, mode="mirror", prefilter=False)
+                detail[at, channel] += share * read
+            power[at] += share**2
+        return np.asarray(detail / np.sqrt(power)[..., np.newaxis])
+
+
+def _draw_apart(count: int, box: tuple[int, int], rng: np.random.Generator) -> Numbers:
+    """Return random numbers below ``count``, redrawn a few times where they equal a neighbor's."""
+    drawn = rng.integers(count, size=box)
+    for _ in range(_REDRAWS):
+        equal = np.any([drawn == np.roll(drawn, lag, (0, 1)) for lag in _AROUND], 0)
+        drawn[equal] = rng.integers(count, size=int(equal.sum()))
+    return np.asarray(drawn)

@@ -1,0 +1,205 @@
+"""Claims about resample: which elements it finds, how it draws their colors and details, and when it falls back."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from synthesis_cases import noise, synthesize
+
+from nrbench.api import texture
+from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.mean_tile import cut_tiles, fold
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Refused, Texture
+from nrbench.synthesizers.resample import Resample, VariationModel
+from nrbench.synthesizers.resampling.element_colors import draw_field, match_distribution
+from nrbench.synthesizers.resampling.element_detail import ElementDetail
+from nrbench.synthesizers.resampling.element_map import InstanceColors
+from nrbench.synthesizers.tile_set import TileSet
+
+
+@cache
+def drawn(model: str, **parameters: float | str) -> Texture:
+    """Return a texture of 128 px, rounded to 8 bits."""
+    made = texture(model, (128, 128), 0, **parameters)
+    return Texture(quantize(made.image), made.lattice.reduced() if made.lattice else None)
+
+
+def lattice_of(made: Texture) -> Lattice:
+    """Return the lattice of a texture that has one."""
+    assert made.lattice is not None
+    return made.lattice
+
+
+def model_of(made: Texture) -> VariationModel:
+    """Return the model of a texture."""
+    return VariationModel.of(made.image, lattice_of(made))
+
+
+def explained(model: VariationModel, made: Texture) -> float:
+    """Return the share of the residual's variance that the colors of the elements explain."""
+    residual = made.image - model.mean.unfold((128, 128))
+    return 1 - float(model.detail.rest.var() / residual.var())
+
+
+@pytest.mark.parametrize(("name", "count"), [("brick", 1), ("hexagon", 1), ("weave", 2)])
+def test_elements_are_found(name: str, count: int) -> None:
+    """Bricks, tiles and threads of one color each are found: their colors explain 0.85 of what varies."""
+    made = drawn(name, color=0.3, noise=0)
+    model = model_of(made)
+    assert model.detail.elements.count == count and not model.whole_cells
+    assert explained(model, made) > 0.85
+
+
+def test_each_of_several_bricks_is_found() -> None:
+    """The cell of a Flemish bond holds a brick and a half brick; both are found."""
+    made = drawn("brick", color=0.3, noise=0, bond="flemish")
+    model = model_of(made)
+    assert model.detail.elements.count == 2 and explained(model, made) > 0.85
+
+
+def test_threads_are_linked() -> None:
+    """Warp and weft of a plain weave run on along the two diagonals of the cell; bricks run nowhere."""
+    weave, brick = (model_of(drawn(name, color=0.3)) for name in ("weave", "brick"))
+    assert sorted(thread.turn for thread in weave.colors.threads) == [(1, -1), (1, 1)]
+    assert [thread.turn for thread in brick.colors.threads] == [(0, 0)]
+
+
+def test_joints_take_no_color() -> None:
+    """The gain is 1 in the middle of bricks, and under a fifth on the mortar."""
+    model = model_of(drawn("brick", color=0.3))
+    mortar = model.mean.unfold((128, 128)).min(-1) > 0.64
+    row, column, _ = model.detail.elements.places((128, 128))
+    gain = model.colors.gain.mean(-1)[row, column]
+    assert mortar.mean() > 0.05 and np.median(gain[mortar]) < 0.2
+    assert np.median(gain[~mortar]) == pytest.approx(1, abs=0.1)
+
+
+def chain(count: int, length: int, along: float, between: float, seed: int) -> list[InstanceColors]:
+    """Return colors of two elements, correlated from row to row by ``along`` and with each other by ``between``."""
+    rng = np.random.default_rng(seed)
+    values = rng.standard_normal((2, count, length, 3))
+    values[1] = between * values[0] + np.sqrt(1 - between**2) * values[1]
+    for i in range(1, count):
+        values[:, i] = along * values[:, i - 1] + np.sqrt(1 - along**2) * values[:, i]
+    return [InstanceColors(one, np.ones((count, length))) for one in values]
+
+
+def test_the_drawn_field_has_the_covariance_of_the_sample() -> None:
+    """A field drawn from 400 correlated cells has their covariance at all lags, within the error of the estimate."""
+    sample = chain(20, 20, 0.6, 0.5, seed=1)
+    field = draw_field(sample, (64, 64), np.random.default_rng(2))
+    drawn_colors = [InstanceColors(field[:, :, k], np.ones((64, 64))) for k in (0, 1)]
+    for a, b, lag, known in ((0, 0, (1, 0), 0.6), (0, 0, (2, 0), 0.36), (0, 1, (0, 0), 0.5), (0, 0, (0, 1), 0.0)):
+        r, pairs = drawn_colors[a].correlation(drawn_colors[b], lag)
+        assert r == pytest.approx(known, abs=0.12) and pairs > 3000
+    assert field.std((0, 1)) == pytest.approx(1, abs=0.1)
+
+
+def test_chance_correlations_are_dropped() -> None:
+    """A field drawn from 25 independent cells is not correlated."""
+    field = draw_field(chain(5, 5, 0.0, 0.0, seed=3), (40, 40), np.random.default_rng(4))
+    one, other = (InstanceColors(field[:, :, k], np.ones((40, 40))) for k in (0, 1))
+    assert max(abs(one.correlation(other, (i, j))[0]) for i in (0, 1) for j in (0, 1)) < 0.1
+
+
+def test_the_colors_are_distributed_as_the_samples() -> None:
+    """Colors of two clusters, one rare, keep mean, covariance and the share of the rare ones; a few are not copied."""
+    rng = np.random.default_rng(5)
+    sample = rng.normal(0, 0.05, (60, 3))
+    sample[:12] += (0.6, 0.1, -0.3)
+    made = match_distribution(rng.standard_normal((50, 60, 3)), sample, rng).reshape(-1, 3)
+    expected = sample - sample.mean(0)
+    np.testing.assert_allclose(made.mean(0), 0, atol=0.03)
+    np.testing.assert_allclose(np.cov(made.T), np.cov(expected.T), atol=0.012)
+    assert np.mean(made[:, 0] > 0.25) == pytest.approx(0.2, abs=0.04)
+    assert np.linalg.norm(made[:, np.newaxis] - expected, axis=-1).min(1).mean() > 0.01
+
+
+def test_without_variation_the_output_is_the_mean_tile() -> None:
+    """With ``variation=0`` the output is tiled with the mean tile of the model, to the last bit."""
+    made = drawn("hexagon", color=0.3, noise=0.05)
+    tiled = np.clip(model_of(made).mean.unfold((150, 170)), 0, 1)
+    output = synthesize(Resample(variation=0), made.image, (150, 170), lattice_of(made))
+    np.testing.assert_array_equal(output.image, tiled)
+
+
+def test_variation_is_the_strength_of_departures() -> None:
+    """The departures from the mean tile are the sample's in energy, and twice as strong with ``variation=2``."""
+    made = drawn("hexagon", color=0.15, noise=0.02)
+    tile = fold(made.image, lattice_of(made))
+    own = float(np.square(made.image - tile.unfold((128, 128))).mean())
+    for variation in (1.0, 2.0):
+        output = synthesize(Resample(variation=variation), made.image, (256, 256), lattice_of(made))
+        energy = float(np.square(output.image - tile.unfold((256, 256))).mean())
+        assert energy == pytest.approx(variation**2 * own, rel=0.3)
+
+
+def nearest_colors(output: Image, made: Texture) -> NDArray[np.float32]:
+    """Return the distance between the middle of each brick of an output and the most similar one of the sample."""
+    lattice = lattice_of(made)
+    bricks, own = (
+        cut_tiles(image, lattice, lattice.points(image.shape[:2]), (15, 15))[0][:, 6:9, 6:9].mean((1, 2))
+        for image in (output, made.image)
+    )
+    return np.asarray(np.linalg.norm(bricks[:, np.newaxis] - own, axis=-1).min(1))
+
+
+def test_the_output_copies_no_brick() -> None:
+    """The bricks of the output have other colors than those of the sample; the bricks of a tile set have the same."""
+    made = drawn("brick", color=0.3, noise=0)
+    outputs = [synthesize(m, made.image, (200, 200), lattice_of(made)).image for m in (Resample(), TileSet())]
+    new, copied = (nearest_colors(output, made) for output in outputs)
+    assert np.median(new) > 0.01 and np.quantile(copied, 0.9) < 0.005
+
+
+def test_a_seed_decides_the_output_and_the_model_is_kept() -> None:
+    """Equal seeds give equal bytes, other seeds others; all outputs of a sample share its model."""
+    made = drawn("weave", color=0.3)
+    one, again, other = (
+        synthesize(Resample(), made.image, (90, 90), lattice_of(made), seed=s).image for s in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(one, again)
+    assert np.abs(one - other).mean() > 0.01
+    assert model_of(made) is model_of(made)
+
+
+def test_large_outputs_are_composed_of_strips_without_seams() -> None:
+    """An output higher than a strip continues the tiling of the mean tile and its colors below."""
+    made = drawn("hexagon", color=0.3)
+    image = synthesize(Resample(), made.image, (300, 64), lattice_of(made)).image
+    steps = np.square(np.diff(image, axis=0)).mean((1, 2))
+    assert steps[255] <= steps[200:300].max() and steps[255] < 3 * np.median(steps)
+
+
+def test_a_texture_without_elements_keeps_cells_whole() -> None:
+    """Where only grain varies, elements are whole cells, and the note says so."""
+    made = drawn("hexagon", color=0, intensity=0, noise=0.08)
+    output = synthesize(Resample(), made.image, (128, 128), lattice_of(made))
+    assert "elements are whole cells" in output.note
+    assert model_of(made).detail.elements.count == 1
+
+
+def test_few_cells_are_copied() -> None:
+    """With fewer than six whole elements the output is that of the tile set, and the note says so."""
+    sample = drawn("hexagon", color=0.3).image[:62, :62]
+    lattice = lattice_of(drawn("hexagon", color=0.3))
+    output = synthesize(Resample(), sample, (100, 100), lattice)
+    assert "copied by tile-set: the sample shows" in output.note
+    np.testing.assert_array_equal(output.image, synthesize(TileSet(), sample, (100, 100), lattice).image)
+
+
+def test_a_sample_without_a_lattice_is_refused() -> None:
+    """The refusal says that no lattice was found."""
+    with pytest.raises(Refused, match="no lattice found"):
+        synthesize(Resample(), noise(96, 96), (96, 96), None)
+
+
+def test_details_are_copied_from_other_cells_than_the_neighbors() -> None:
+    """With a dozen whole tiles, no two neighbors are copied from one cell."""
+    model = model_of(drawn("hexagon", color=0.3))
+    cells = ElementDetail(model.detail.elements, model.detail.rest).draw((256, 256), np.random.default_rng(0))[0]
+    for lag in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        same = (cells == np.roll(cells, lag, (0, 1))).all(-1)
+        assert not same[2:-2, 2:-2].any()
