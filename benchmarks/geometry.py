@@ -8,8 +8,8 @@ Samples have 192 x 192 px, outputs 256 x 256 px; the lattice is given. Subjects:
     Amplitude and correlation length of the displacements in outputs of regularized-patch, over those in equally large
     parts of the sample, by the metric ``deformation``, for each way to make the field; and the share of folded cells.
 ``quality``
-    How many outputs of some methods (``--methods``) keep and lose their regularity, how many are undecided, and the mean
-    ``quality.score``. The method ``fresh`` is another draw of the model.
+    How many outputs of some methods (``--methods``) keep and lose their regularity, how many are undecided, and the
+    mean ``quality.score``. The method ``fresh`` is another draw of the model.
 ``regular``
     Which undisturbed, displaced and bent draws are straightened, over all models.
 """
@@ -88,7 +88,7 @@ def spread(values: list[float]) -> str:
 
 
 def show_quality(options: argparse.Namespace) -> None:
-    """Print how many outputs keep their regularity, lose it, and cannot be judged, and the mean quality of the first two.
+    """Print how many outputs keep their regularity, lose it, and are undecided, and their mean quality.
 
     The method ``fresh`` is another draw of the model, as large as the output.
     """
