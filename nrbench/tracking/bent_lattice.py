@@ -24,8 +24,9 @@ LEAST_AMPLITUDE: Final = 0.04
 """Amplitude, in s, below which displacements are taken for errors of the tracker."""
 LEAST_SMOOTHNESS: Final = 7.0
 """Evidence, in nats, below which elements move on their own: jitter, not deformation. In 12 draws of each model, of 96
-px, seeds 301 to 312, jitter of strength 0.3 reached 6, but for 2 of 12 of ``card``, which straightening gains nothing; jitter of
-0.5 exceeded it in 4 of 312 draws. Waves 5 s long of brick, weave and hexagon exceeded it in 35 of 36."""
+px, seeds 301 to 312, jitter of strength 0.3 reached 6, but for 2 of 12 of ``card``, which straightening does not make
+more regular. Jitter of 0.5 exceeded it in 4 of 312 draws, and waves 5 s long of brick, weave and hexagon in 35 of 36.
+"""
 HOMOGRAPHY_REST: Final = 0.35
 """Root mean square distance of the places from a homography, over that from an affine map, up to which they are that
 homography."""
