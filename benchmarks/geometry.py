@@ -8,7 +8,8 @@ Samples have 192 x 192 px, outputs 256 x 256 px; the lattice is given. Subjects:
     Amplitude and correlation length of the displacements in outputs of regularized-patch, over those in equally large
     parts of the sample, by the metric ``deformation``, for each way to make the field; and the share of folded cells.
 ``quality``
-    How many outputs of some methods (``--methods``) keep their regularity, of how many, and the mean ``quality.score``.
+    How many outputs of some methods (``--methods``) keep and lose their regularity, how many are undecided, and the
+    mean ``quality.score``. The method ``fresh`` is another draw of the model.
 ``regular``
     Which undisturbed, displaced and bent draws are straightened, over all models.
 """
@@ -16,6 +17,7 @@ Samples have 192 x 192 px, outputs 256 x 256 px; the lattice is given. Subjects:
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -86,32 +88,53 @@ def spread(values: list[float]) -> str:
 
 
 def show_quality(options: argparse.Namespace) -> None:
-    """Print how many outputs keep their regularity, of how many can be judged, and their mean quality."""
+    """Print how many outputs keep their regularity, lose it, and are undecided, and their mean quality.
+
+    The method ``fresh`` is another draw of the model, as large as the output.
+    """
     regularity, quality = (plugins.build("metrics", name) for name in ("regularity", "quality"))
     for spec in options.methods:
-        method, kept = plugins.build("synthesizers", *parse_spec(spec)), []
+        total = Counter[str]()
         for model in options.models:
             for bend in options.bends:
-                verdicts, scores, odd = [], [], []
+                verdicts, scores, odd = Counter[str](), [], []
                 for seed in options.seeds:
                     texture, built = draw(model, seed, bend=bend)
                     try:
-                        made = synthesize_in_geometry(method, task_of(texture, seed))
+                        made = make(spec, texture, built, seed)
                     except Refused as refused:
-                        odd.append(f"{seed} refused: {refused.reason}")
+                        verdicts["refused"] += 1
+                        odd.append(f"{seed} {refused.reason}")
                         continue
                     seen = observe(texture, built, made)
                     found = regularity.score(seen)
-                    if found.values["preserved"] is None:
+                    kept = found.values["preserved"]
+                    verdicts["undecided" if kept is None else "kept" if kept else "lost"] += 1
+                    if kept is None:
                         odd.append(f"{seed} {found.reasons['preserved']}")
                         continue
-                    verdicts.append(found.values["preserved"])
-                    scores.append(float(quality.score(seen).values["score"] or 0))
-                    odd += [] if verdicts[-1] and "straightened" in made.note else [f"{seed} {made.note}"]
-                kept += verdicts
-                print(f"  {spec:20} {model:8} bend {bend:<5}kept {sum(verdicts)} of {len(verdicts)}", end="")
-                print(f"  quality {np.mean(scores or [0]):.2f}  {odd or ''}", flush=True)
-        print(f"  {spec:20} all kept {sum(kept)} of {len(kept)}", flush=True)
+                    score = quality.score(seen).values["score"]
+                    scores += [] if score is None else [float(score)]
+                    if not kept or (spec != "fresh" and "straightened" not in made.note):
+                        odd.append(f"{seed} {found.values['score']:.2f} {made.note}")
+                total += verdicts
+                show_verdicts(f"{spec:20} {model:8} bend {bend:<5}", verdicts)
+                print(f"  quality {f'{np.mean(scores):.2f}' if scores else '-'}  {odd or ''}", flush=True)
+        show_verdicts(f"{spec:20} all", total)
+        print(flush=True)
+
+
+def make(spec: str, texture: Texture, model: object, seed: int) -> Synthesis:
+    """Return the output of a method, or a fresh draw."""
+    if spec == "fresh":
+        drawn: Texture = model.again(texture, OUTPUT, stream("fresh", "geometry", seed))  # type: ignore[attr-defined]
+        return Synthesis(quantize(drawn.image), lattice=texture.lattice)
+    return synthesize_in_geometry(plugins.build("synthesizers", *parse_spec(spec)), task_of(texture, seed))
+
+
+def show_verdicts(head: str, verdicts: Counter[str]) -> None:
+    """Print the number of each verdict."""
+    print(f"  {head}", *(f" {name} {verdicts[name]}" for name in ("kept", "lost", "undecided", "refused")), end="")
 
 
 def show_rule(options: argparse.Namespace) -> None:

@@ -32,7 +32,7 @@ _COMPONENTS, _ARRANGED_COMPONENTS = 12, 3
 _MOST_TILES = 400
 """Largest number of tiles of which all pairs are compared; the first ones if there are more."""
 _LEAST_TILES = 4
-_SAME = (limits.JND / 3) ** 2
+_SAME = (limits.VARIES * limits.JND) ** 2
 """Mean squared difference below which nobody tells two windows apart."""
 
 
@@ -136,7 +136,7 @@ class Population:
     @property
     def varies(self) -> bool:
         """Whether an eye sees that the tiles differ."""
-        return self.energy > (limits.VARIES * limits.JND) ** 2
+        return self.energy > _SAME
 
     @cached_property
     def _axes(self) -> NDArray[np.float64]:
@@ -168,8 +168,7 @@ class Population:
 
     def rate_energy(self, features: Features) -> float:
         """Return the logarithm of the energy of tiles over that of the references, with the least visible one added."""
-        unseen = (limits.VARIES * limits.JND) ** 2
-        return math.log((float(features.var(0, ddof=1).mean()) + unseen) / (self.energy + unseen))
+        return math.log((float(features.var(0, ddof=1).mean()) + _SAME) / (self.energy + _SAME))
 
     def allow_energy(self, count: int) -> float:
         """Return the largest difference of the logarithm of the energy that chance explains for ``count`` tiles.
@@ -229,15 +228,17 @@ class Population:
 
     @cached_property
     def arrangement(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Mean of the correlations over the references, and the variance of each component's, mean over the lags."""
+        """Mean of the correlations over the references, and the variance of each component's, mean over the lags.
+
+        The mean is NaN at the lags that a reference lacks.
+        """
         found = np.array([self.arrange(tiles) for tiles in self.tiles])
         chance = 1 / max(float(np.mean([len(tiles.features) for tiles in self.tiles])), 1.0)
-        mean = np.where(np.isfinite(found).all(0), np.nan_to_num(found).mean(0), np.nan)
-        if len(found) == 1:
+        mean = found.mean(0)
+        known = np.isfinite(mean).all(1)
+        if len(found) == 1 or not known.any():
             return mean, np.full(mean.shape[1], 2 * chance)
-        spread = (
-            np.nanmean(np.where(np.isfinite(mean), (found - mean) ** 2, np.nan), (0, 1)) * len(found) / (len(found) - 1)
-        )
+        spread = found[:, known].var(0, ddof=1).mean(0)
         return mean, np.maximum(spread, chance) * (1 + 1 / len(found))
 
 
@@ -283,7 +284,7 @@ class Randomness:
     unless most windows of the output look the same where those of the references differ: that is 0.
     """
 
-    version: ClassVar[str] = "8"
+    version: ClassVar[str] = "9"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column("The worst of the parts: 1 as a fresh draw, 0 one tile repeated.", better="higher"),
@@ -330,7 +331,8 @@ def _score(observation: Observation) -> Score:
         parts["distance"] = 1 - max(distance - population.distance_limit, 0.0) / (1 - population.distance_limit)
         parts["distance"] = max(1 - limits.DISTANCE_SLOPE * (1 - parts["distance"]), 0.0)
         change = values["arrangement"] = _rate_arrangement(tiles, population)
-        parts["arrangement"] = max(1 - change, 0.0)
+        if change is not None:
+            parts["arrangement"] = max(1 - change, 0.0)
         values["copied"] = _find_copies(examination, tiles, population)
     bending = _rate_bending(examination)
     if bending is not None:
@@ -338,8 +340,11 @@ def _score(observation: Observation) -> Score:
     values["survival"] = _rate_survival(examination)
     values["score"] = min(parts.values())
     unseen = "not applicable: the texture does not visibly vary from tile to tile"
-    rare = "not scored: the references show no odd cell"
-    reasons = {name: rare if name == "survival" else unseen for name, value in values.items() if value is None}
+    why = {"survival": "not scored: the references show no odd cell"}
+    if population.varies:
+        why["arrangement"] = f"undecided: fewer than {_LEAST_PAIRS} pairs of tiles at each lag"
+        why["copied"] = "undecided: the sample shows too few whole tiles"
+    reasons = {name: why.get(name, unseen) for name, value in values.items() if value is None}
     return Score(values, reasons, records={"parts": parts, "sources": population.sources})
 
 
@@ -378,10 +383,12 @@ def _rate_repetition(tiles: Tiles, population: Population) -> tuple[float, float
     )
 
 
-def _rate_arrangement(tiles: Tiles, population: Population) -> float:
-    """Return the largest change of a correlation at a lag, beyond what chance explains."""
+def _rate_arrangement(tiles: Tiles, population: Population) -> float | None:
+    """Return the largest change of a correlation at a lag, beyond what chance explains; None if no lag has pairs."""
     usual, variance = population.arrangement
     gap = np.abs(population.arrange(tiles) - usual)
+    if not np.isfinite(gap).any():
+        return None
     variance = np.maximum(variance, 1 / len(tiles.features))
     allowed = np.maximum(limits.ARRANGED, limits.ARRANGED_DEVIATIONS * np.sqrt(variance))
     change = np.maximum(gap - allowed, 0) / np.maximum(1 - allowed, 0.3)

@@ -14,12 +14,13 @@ from nrbench.labelling.labels import labels_table
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
+from .plots.perils_points import PerilsPoint, perils_points
 from .statistics.detections import GROUP_KEYS, STOCHASTIC, group_answers, tabulate_answers
 from .statistics.expectations import ClaimResult, PublishedComparison, compare_with_published, evaluate_claims
 from .statistics.labelers import LabelerComparison, compare_labelers
 from .statistics.levels import LevelPanel, compare_levels
 from .statistics.method_comparison import Comparison, compare_methods
-from .statistics.summaries import PerilsPoint, describe_scores, perils_points
+from .statistics.summaries import describe_scores
 from .statistics.verdicts import QUALITY, is_valid_baseline
 
 OWN_COLUMNS: Mapping[str, str] = {
@@ -337,7 +338,7 @@ def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
 
 
 def agreement_table(comparison: LabelerComparison) -> pd.DataFrame:
-    """Return agreement row a question and pair of raters: number of items, and the agreement with its interval.
+    """Return one row a question and pair of raters: the number of items, and the agreement with its interval.
 
     Pairs with answers have the share of equal answers and kappa; a question without an automatic answer has the
     agreement of the orders of methods in their place.

@@ -20,10 +20,11 @@ from nrbench.runs.records import CellRecord, Run
 from nrbench.storage import write_text
 
 from .csv import csv_text, summary_table
-from .latex import bibliography, latex_text, list_patch_terms
+from .latex import bibliography, latex_text
 from .page import gallery
 from .page.environment import make_environment
 from .page.forest_plot import forest_axes
+from .page.method_terms import list_patch_terms
 from .page.pictures import CROP, PictureStore
 from .plots.method_plots import (
     plot_claim,
@@ -34,6 +35,7 @@ from .plots.method_plots import (
     plot_ranks,
     timed_methods,
 )
+from .plots.perils_points import perils_points
 from .statistics.detections import compare_detectors
 from .statistics.expectations import compare_with_published, evaluate_claims
 from .statistics.labelers import compare_labelers
@@ -43,7 +45,6 @@ from .statistics.summaries import (
     describe_scores,
     headline_columns,
     other_score_rows,
-    perils_points,
     sort_headlines_first,
 )
 from .statistics.verdicts import SCORE

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from nrbench import plugins
 from nrbench.errors import BadInput, strip_control
-from nrbench.runs.records import CellRecord, Run
+from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
 from .page.environment import make_environment
+from .page.method_terms import list_patch_terms, method_classes
 from .statistics.expectations import compare_with_published
 from .statistics.method_comparison import Comparison, choose_rows, compare_methods
 from .statistics.summaries import SummaryRow
@@ -135,32 +135,3 @@ def _column_title(line: SummaryRow) -> str:
     """Return the title of a column with its unit."""
     unit = "%" if line.rate else line.column.unit
     return line.title.replace("_", " ") + (f", {unit}" if unit else "")
-
-
-def method_classes(cells: Iterable[CellRecord]) -> dict[str, type | None]:
-    """Return the class of each installed method of some cells by its name, in the order of the cells."""
-    names = dict.fromkeys(record.cell.method for record in cells)
-    installed = set(plugins.names("synthesizers"))
-    return {name: plugins.find("synthesizers", name).cls for name in names if name in installed}
-
-
-def list_patch_terms(run: Run) -> list[tuple[str, ...]]:
-    """Return the rows of table 1 of the report of 2004, as the methods that copy patches declare for their parameters.
-
-    Returns
-    -------
-    list of tuple
-        The method, what a patch is, how its place is chosen, and how it is joined to the others.
-    """
-    records = {record.method: record for record in run.cells if not record.cell.reference}
-    classes = method_classes(records.values())
-    found = {
-        name: plugins.describe_patches(cls, {**_defaults(cls), **record.parameters})
-        for name, record in records.items()
-        if (cls := classes.get(record.cell.method)) is not None
-    }
-    return [(name, *terms) for name, terms in found.items() if len(terms) == len(plugins.PATCH_TERMS)]
-
-
-def _defaults(cls: type) -> dict[str, Any]:
-    return {name: getattr(cls, name, "") for name in getattr(cls, "__dataclass_fields__", {})}

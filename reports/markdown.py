@@ -11,8 +11,8 @@ from nrbench.errors import strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
-from .latex import list_patch_terms
 from .page.environment import make_environment
+from .page.method_terms import list_patch_terms
 from .statistics.expectations import compare_with_published
 from .statistics.method_comparison import compare_methods
 from .statistics.verdicts import count_reasons

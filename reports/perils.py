@@ -11,9 +11,9 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_bytes
 
 from .plots.method_plots import plot_cost, plot_heat_map, plot_levels, plot_perils_plane, plot_ranks, timed_methods
+from .plots.perils_points import perils_points
 from .statistics.levels import compare_levels
 from .statistics.method_comparison import compare_methods
-from .statistics.summaries import perils_points
 
 
 @dataclass(frozen=True)

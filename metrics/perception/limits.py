@@ -115,7 +115,11 @@ FEW_CELLS = _limit("FEW_CELLS", 100.0, "cells", "with fewer cells, covariances o
 # Randomness
 
 VARIES = _limit(
-    "VARIES", 0.5, "JND", "root mean square departure of tiles from their mean below which nobody sees them vary"
+    "VARIES",
+    0.5,
+    "JND",
+    "convention: half of what is just noticed; a smaller root mean square departure of tiles from their mean, or "
+    "difference of two windows, is not seen",
 )
 TWINS = _limit("TWINS", 0.1, "", "pairs of the references below the limit of twins, over those of an ideal copier")
 RETURNING = _limit("RETURNING", 6.0, "pairs", "lags with fewer pairs are ignored: half of them can be twins by chance")

@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import uuid
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -44,6 +45,8 @@ SCORER_ROOM = 256.0
 """MiB that the scorer may hold between two cells, beyond what the worker holds. Above it, a new one takes its place."""
 PATIENCE = 0.02
 """Seconds that a worker waits for the next request before it tidies up after the last one."""
+LATE = 5.0
+"""Seconds that the last messages of an ended interpreter may take to arrive, because a thread reads them."""
 GRACE = 10.0
 """Seconds that a fresh interpreter may take to start."""
 MESSAGES = 3
@@ -261,12 +264,17 @@ class FreshChild:
 
     def receive(self, seconds: float) -> list[Message] | None:
         """Wait for a message, see :class:`~nrbench.running.guard.Child`."""
-        try:
-            line = self._lines.get(timeout=seconds)
-        except queue.Empty:
-            return []
-        message = guard.parse_message(line or "")
-        return [message] if message else [] if line else None
+        end = time.monotonic() + (LATE if self.has_ended() else seconds)
+        while (left := end - time.monotonic()) > 0:
+            try:
+                line = self._lines.get(timeout=left)
+            except queue.Empty:
+                break
+            if line is None:
+                return None
+            if message := guard.parse_message(line):
+                return [message]
+        return []
 
     def has_ended(self) -> bool:
         """Return whether the process has ended."""

@@ -19,9 +19,10 @@ from ..statistics.expectations import ClaimResult
 from ..statistics.format import format_value
 from ..statistics.levels import BROKEN, LevelPanel
 from ..statistics.method_comparison import Comparison, ComparisonRow
-from ..statistics.summaries import Method, MethodSummary, PerilsPoint
+from ..statistics.summaries import Method, MethodSummary
 from ..statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, RANKING, SHARES_LEGEND
 from .figure_file import COLORS, FAINT, GRAY, INK, SIGNS, SMALL, add_axes, make_figure, open_frame, returns_file
+from .perils_points import PerilsPoint
 
 Floats = NDArray[np.float64]
 _SIZE = 6.4

@@ -31,8 +31,6 @@ FEWEST_DRAWS = 40
 refuses 6 % of all samples often holds no refusal, and its interval is too narrow (``benchmarks/table_errors.py``)."""
 FEWEST_DIFFERENT = 9
 """An interval over a population needs so many textures that differ (``benchmarks/table_errors.py``)."""
-_BATCH = 256
-"""Number of means whose resamples are in memory at the same time."""
 
 ConfusionTables = NDArray[np.float64]
 """``(..., k, k)``: how often the first rater gave answer i and the second gave answer j."""
@@ -201,8 +199,6 @@ def population_intervals(values: NDArray[np.float64]) -> NDArray[np.float64]:
     known, ends = np.isfinite(means), np.full((len(values), 2), np.nan)
     if values.shape[1] < FEWEST_DIFFERENT or not len(values):
         return ends
-    if len(values) > _BATCH:
-        return np.concatenate([population_intervals(part) for part in (values[:_BATCH], values[_BATCH:])])
     filled = np.nan_to_num(np.where(np.isfinite(values), values, means[..., None]))
     weights = _resample_weights(*values.shape[1:])
     with np.errstate(invalid="ignore", divide="ignore"):

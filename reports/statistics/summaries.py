@@ -19,7 +19,6 @@ from .format import (
     describe_column,
     format_count,
     format_interval,
-    format_number,
     format_successes,
     format_value,
     round_small,
@@ -31,7 +30,6 @@ from .verdicts import (
     PERILS,
     PRESERVED,
     QUALITY,
-    RANDOMNESS,
     RANKING,
     SCORE,
     STRUCTURE,
@@ -204,50 +202,6 @@ class SummaryRow:
         return [text(estimate) if estimate else "" for estimate in self.estimates]
 
 
-@dataclass(frozen=True)
-class PerilsPoint:
-    """One method with its lattice source in the perils plane.
-
-    Parameters
-    ----------
-    method
-        The method.
-    structure
-        Mean over textures of the smallest of ``quality.regularity``, ``quality.integrity`` and
-        ``quality.appearance``: the horizontal coordinate.
-    randomness
-        Mean of ``quality.randomness`` over textures: the vertical coordinate. It rests only on the textures on which
-        randomness is scored. It is not scored where the lattice is lost.
-    validity
-        On how many of the textures with a quality a baseline is valid.
-    """
-
-    method: Method
-    structure: Estimate
-    randomness: Estimate
-    validity: BaselineValidity
-
-    @property
-    def has_height(self) -> bool:
-        """Whether the randomness is scored on any texture."""
-        return self.randomness.value is not None
-
-    @property
-    def rests_on(self) -> str:
-        """``" [k of n]"`` if randomness is scored on k of the n textures with a quality; empty if on all."""
-        fewer = self.has_height and self.randomness.n < self.structure.n
-        return f" [{self.randomness.n} of {self.structure.n}]" if fewer else ""
-
-    @property
-    def words(self) -> str:
-        """The point in one sentence."""
-        randomness = f"{format_number(self.randomness.value)} {format_interval(self.randomness)}"
-        height = f"{randomness} (on {self.randomness.n} of {self.structure.n})" if self.has_height else "not scored"
-        across = f"{format_number(self.structure.value)} {format_interval(self.structure)}"
-        valid = f"; {self.validity.words}" if self.validity.n else ""
-        return f"{self.method.label}: in place, whole and alike {across}, randomness {height}{valid}"
-
-
 def list_methods(run: Run) -> list[Method]:
     """Return the methods in the order of the suite, reference methods last."""
     methods: dict[tuple[str, str], Method] = {}
@@ -400,13 +354,3 @@ def sort_headlines_first(names: Iterable[str]) -> list[str]:
     """Return ``metric.name`` sorted so that the metrics of the headlines come first; otherwise in the given order."""
     order = {metric: i for i, metric in enumerate(HEADLINE_METRICS)}
     return sorted(names, key=lambda name: order.get(name.partition(".")[0], len(order)))
-
-
-def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
-    """Return the point of every method that has a quality, in the order of the summaries."""
-    points = [
-        PerilsPoint(one.method, one.means[STRUCTURE], one.means[RANDOMNESS], one.validity_scored)
-        for one in summaries
-        if STRUCTURE in one.means
-    ]
-    return [point for point in points if point.structure.value is not None]

@@ -20,6 +20,7 @@ from nrbench.synthesizers.supertile import Supertile
 from nrbench.synthesizers.tiling import Tiling
 
 from .conftest import Case, case, scored
+from .edits import compress
 
 randomness = partial(scored, Randomness)
 
@@ -62,13 +63,21 @@ def test_one_tile_repeated_has_no_randomness(own: Case, model: bool) -> None:
 
 
 def test_wallpaper_is_seen_beside_a_sample_of_few_tiles() -> None:
-    """Where the sample shows fewer than four whole tiles, one tile repeated has 0, and a draw has no score."""
-    own = Case.of(Hexagon(color=0.3, period=32.0))
+    """Where the sample shows fewer than four whole tiles, one tile repeated, as JPEG, has 0; a draw has no score."""
+    own = Case.of(Hexagon(color=0.3, period=32.0, noise=0.1))
     task = Task(own.texture.image, (128, 128), own.lattice, np.random.default_rng(0))
-    wallpaper = randomness(own.observe(quantize(Tiling().synthesize(task).image), False)).values
+    wallpaper = randomness(own.observe(compress(quantize(Tiling().synthesize(task).image), 85), False)).values
     fresh = randomness(own.observe(own.fresh(128), False))
     assert wallpaper["score"] == 0 < wallpaper["repetition"] and wallpaper["variation"] is None
     assert fresh.values["score"] is None and "fewer than 4 whole tiles" in fresh.reasons["score"]
+
+
+def test_arrangement_is_unknown_where_no_lag_has_pairs() -> None:
+    """Beside draws whose bent tiles are whole here and there only, the arrangement is None, with its reason."""
+    own = Case.of(Hexagon(bend=1.0), seed=1, side=80)
+    found = randomness(own.observe(own.fresh()))
+    assert found.values["arrangement"] is None and "pairs of tiles" in found.reasons["arrangement"]
+    assert found.values["score"] is not None
 
 
 def test_a_crop_repeated_is_worse_than_the_best_copier(own: Case) -> None:

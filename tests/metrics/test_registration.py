@@ -10,6 +10,7 @@ import skimage.color
 from scipy.ndimage import gaussian_filter
 
 from nrbench.datasets_procedural.weave import Weave
+from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error
 from nrbench.metrics.judgment.examination import examine
@@ -81,6 +82,16 @@ def test_a_primitive_lattice_is_left(own: Case) -> None:
     """The lattice of one tile is not divided."""
     lattice = canonical_lattice(own.lattice)
     assert split_supercell(own.texture.image, lattice) == lattice
+
+
+def test_rough_bricks_of_two_tones_are_not_split() -> None:
+    """Two bricks in turn of different tones, under strong grain, are one cell, whatever parts of it look alike."""
+    y, x = np.indices((96, 96))
+    tone = np.where((x % 16 < 3) | (y % 16 < 3), 0.4, np.where(x % 32 < 16, 0.4, 0.6))
+    for seed in (1, 3):
+        grain = gaussian_filter(np.random.default_rng(seed).standard_normal((96, 96)), 3)
+        wall = (tone + 0.15 * grain / grain.std()).clip(0, 1).astype(np.float32)[..., np.newaxis].repeat(3, 2)
+        assert split_supercell(quantize(wall), Lattice((32.0, 0.0), (0.0, 16.0))).area == pytest.approx(512)
 
 
 @pytest.mark.parametrize("numbers", [*BASES, *SUPERCELLS])

@@ -17,9 +17,11 @@ from nrbench.plugins.forms import Column
 from nrbench.reports.csv import CsvTables, breaking_points_table, levels_table
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.json import JsonSummary
-from nrbench.reports.latex import LatexTables, list_patch_terms
+from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
+from nrbench.reports.page.method_terms import list_patch_terms
 from nrbench.reports.plots.method_plots import caption_text
+from nrbench.reports.plots.perils_points import perils_points
 from nrbench.reports.statistics import verdicts
 from nrbench.reports.statistics.levels import (
     LevelPanel,
@@ -30,7 +32,6 @@ from nrbench.reports.statistics.method_comparison import Comparison, compare_met
 from nrbench.reports.statistics.summaries import (
     COSTS,
     other_score_rows,
-    perils_points,
     sort_headlines_first,
 )
 from nrbench.reports.statistics.verdicts import (

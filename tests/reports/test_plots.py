@@ -32,8 +32,8 @@ from nrbench.reports.plots.method_plots import (
     spread,
     timed_methods,
 )
+from nrbench.reports.plots.perils_points import PerilsPoint, perils_points
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
-from nrbench.reports.statistics.summaries import PerilsPoint, perils_points
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]

@@ -29,12 +29,12 @@ from suites import wall_suite, write_sleepers
 from nrbench import plugins
 from nrbench.api import run
 from nrbench.imaging.files import read_image, write_image
-from nrbench.running import guard, phases, runner
+from nrbench.running import guard, phases, runner, worker
 from nrbench.running.pace import Step
 from nrbench.running.plugin_children import write_guarded
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
-from nrbench.running.worker import Request, _is_own
+from nrbench.running.worker import FreshChild, Request, _is_own
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.suite import Suite
 
@@ -495,3 +495,22 @@ def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor],
     assert not psutil.wait_procs([server, keeper, *children], timeout=5)[1]
     assert no_orphan(folder)
     assert supervisor.run(request).scored == ("cost",)
+
+
+def test_the_last_message_is_read_behind_forged_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message that an interpreter sends just before its end counts, whatever stands before it."""
+    program = 'import sys; sys.stdin.readline(); print("[1]\\n{\\n" + \'{"scored": "cost"}\')'
+
+    def start(_: Any, **options: Any) -> subprocess.Popen[str]:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "start_new_session": True}
+        return subprocess.Popen([sys.executable, "-c", program], **pipes, **options)
+
+    monkeypatch.setattr(worker, "start_worker", start)
+    log = tmp_path / "log.txt"
+    child = FreshChild(log, (), str(tmp_path))
+    child._process.stdin.write("\n")
+    child._process.stdin.close()
+    child._process.wait()  # it has ended before its messages are taken
+    watch = guard.Watch(child, guard.Limits(60, 4096), 0, log)
+    assert watch.watch() is None
+    assert watch.messages == [{"scored": "cost"}]

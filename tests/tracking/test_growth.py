@@ -105,7 +105,7 @@ def test_a_straight_image_is_not_bent(jitter: float) -> None:
     drawn = Hexagon(jitter=jitter, period=21.3).render((SIDE, SIDE), np.random.default_rng(4))
     assert drawn.lattice is not None
     found = deformation(quantize(drawn.image), drawn.lattice)
-    assert not found.bent and found.homography is None and found.smoothness < 0.37
+    assert not found.bent and found.homography is None and found.smoothness < 0
     assert found.straighten()[0] is found.image
 
 
@@ -211,7 +211,7 @@ def test_a_bent_lattice_with_a_longer_vector_counts_as_bent() -> None:
     assert drawn.lattice is not None
     assert np.hypot(*drawn.lattice.reduced().t2) > 1.25 * drawn.lattice.s
     found = deformation(quantize(drawn.image), drawn.lattice)
-    assert found.bent and found.smoothness > 0.45
+    assert found.bent and found.smoothness > 15
 
 
 @given(st.floats(-1e-3, 1e-3), st.floats(-1e-3, 1e-3), st.floats(0.5, 2.0), st.floats(-30, 30))
