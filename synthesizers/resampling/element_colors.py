@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -58,7 +59,7 @@ class ElementThread:
 
     def number(self, cell: Numbers) -> Numbers:
         """Return the two numbers of the thread that the instance of each cell is a part of, ``(..., 2)``."""
-        number = cell - np.array(self.base)
+        number: Numbers = cell - np.array(self.base)
         if self.turn == (0, 0):
             return number
         axis = int(np.argmax(np.abs(self.turn)))
@@ -190,7 +191,7 @@ class ElementColors:
             table.append(values[i, j])
         return np.stack(table)
 
-    def lay(self, table: Table, shape: Shape, rows: slice = slice(None)) -> Values:
+    def lay(self, table: Table, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
         """Return the color of the elements at each pixel of some rows of a picture, before the gain."""
         top, bottom, _ = rows.indices(shape[0])
         corner = self.shares.elements.cells(shape)[0, 0]
@@ -200,7 +201,7 @@ class ElementColors:
             laid[at] += share[:, np.newaxis] * table[label, i, j]
         return laid
 
-    def render(self, table: Table, shape: Shape, rows: slice = slice(None)) -> Values:
+    def render(self, table: Table, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
         """Return the colors at each pixel of some rows of a picture, with the gain."""
         laid = self.lay(table, shape, rows)
         row, column, _ = self.shares.elements.places(laid.shape[:2], rows.indices(shape[0])[0])
@@ -224,11 +225,11 @@ class ElementColors:
         return self.spread(drawn, low, shape)
 
 
-def _sums(values: Values, index: Numbers, box: tuple[int, ...]) -> NDArray[np.float64]:
+def _sums(values: NDArray[np.floating[Any]], index: Numbers, box: tuple[int, ...]) -> NDArray[np.float64]:
     """Return the sum of the pixels of each index, ``(*box, C)``."""
     size = int(np.prod(box))
-    sums = [np.bincount(index, plane.ravel(), size) for plane in np.moveaxis(values, -1, 0)]
-    return np.stack(sums, -1).reshape(*box, -1)
+    sums = np.stack([np.bincount(index, plane.ravel(), size) for plane in np.moveaxis(values, -1, 0)], -1)
+    return np.asarray(sums, np.float64).reshape(*box, -1)
 
 
 def draw_field(colors: Sequence[InstanceColors], extent: tuple[int, int], rng: np.random.Generator) -> Table:

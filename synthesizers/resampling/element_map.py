@@ -218,7 +218,8 @@ def _watersheds(sample: Values, lattice: Lattice) -> tuple[ElementMap, NDArray[n
     markers = np.zeros((3 * v, 3 * u), np.int64)
     for j, i in np.ndindex(3, 3):
         markers[minima[:, 0] + j * v, minima[:, 1] + i * u] = np.arange(len(minima)) * 9 + 3 * j + i + 1
-    basin = watershed(np.tile(relief, (3, 3)), markers)[v : 2 * v, u : 2 * u].astype(np.int64) - 1
+    basins: Numbers = watershed(np.tile(relief, (3, 3)), markers)  # type: ignore[no-untyped-call]
+    basin = basins[v : 2 * v, u : 2 * u].astype(np.int64) - 1
     offset = np.stack([basin % 3 - 1, basin // 3 % 3 - 1], -1)
     return ElementMap(lattice, _renumbered(basin // 9), offset), relief
 
