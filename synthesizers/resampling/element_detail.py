@@ -9,7 +9,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.mean_tile import Values
 from nrbench.plugins.forms import Shape
 
 from .element_map import ElementMap, ElementShares, Lag, Numbers
@@ -36,7 +35,7 @@ class ElementDetail:
     """
 
     elements: ElementMap
-    rest: Values
+    rest: NDArray[np.float64]
 
     @cached_property
     def whole(self) -> list[Numbers]:
@@ -61,7 +60,7 @@ class ElementDetail:
         box = self.elements.cells(shape).shape[:2]
         return np.stack([cells[_draw_apart(len(cells), box, rng)] for cells in self.whole])
 
-    def render(self, drawn: Numbers, shape: Shape, rows: slice = slice(None)) -> Values:
+    def render(self, drawn: Numbers, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
         """Return the copied detail at some rows of a picture.
 
         Where elements meet, details a and b with the shares u and v give (u a + v b) / sqrt(u^2 + v^2), whose variance

@@ -131,7 +131,7 @@ class ElementMap:
         low, high = np.floor(corners.min(0)).astype(int) - reach, np.ceil(corners.max(0)).astype(int) + reach
         return np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), -1)
 
-    def mean_colors(self, residual: Values) -> list[InstanceColors]:
+    def mean_colors(self, residual: NDArray[np.floating[Any]]) -> list[InstanceColors]:
         """Return the mean residual colors of each region's instances, on the box of :meth:`cells`."""
         label, instance = self.instances(residual.shape[:2])
         cells = self.cells(residual.shape[:2])
@@ -208,7 +208,7 @@ def segment(sample: Values, residual: Values, lattice: Lattice, whole_cells: boo
 def _watersheds(sample: Values, lattice: Lattice) -> tuple[ElementMap, NDArray[np.float64]]:
     """Return the watersheds of the relief, and the relief."""
     steps = [scipy.ndimage.gaussian_filter(sample, (0.8, 0.8, 0), order=order) for order in ((1, 0, 0), (0, 1, 0))]
-    power = sum(step.astype(np.float64) ** 2 for step in steps).sum(-1, keepdims=True)
+    power = np.square(steps, dtype=np.float64).sum(0).sum(-1, keepdims=True)
     v, u = map_grid(lattice)
     uv = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1)
     relief = np.sqrt(sample_tile(fold(power.astype(np.float32), lattice).values, uv)[..., 0].astype(np.float64))
