@@ -8,7 +8,15 @@ project = "nrbench"
 author = copyright = "The nrbench developers"
 version = release = installed_version("nrbench")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "numpydoc", "sphinx_copybutton"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.extlinks",
+    "sphinx.ext.viewcode",
+    "numpydoc",
+    "sphinx_copybutton",
+]
+extlinks = {"DOI": ("https://doi.org/%s", "doi:%s")}
 exclude_patterns = ["_build"]
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 3
@@ -23,6 +31,12 @@ numpydoc_validation_exclude = {r"\.__", r"\.Lattice\.", r"\.Deformation\.", r"\.
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"nrbench {version}"
-html_theme_options = {"show_toc_level": 2, "navigation_with_keys": True, "secondary_sidebar_items": ["page-toc"]}
+html_theme_options = {
+    "show_toc_level": 2,
+    "navigation_with_keys": True,
+    "secondary_sidebar_items": ["page-toc"],
+    "header_links_before_dropdown": 5,
+}
 html_show_sourcelink = False
-html_sidebars = {"**": []}  # all pages stand in the bar at the top
+html_static_path = ["static"]
+html_css_files = ["gallery.css"]
