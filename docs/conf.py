@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from importlib.metadata import version as installed_version
+from pathlib import Path
+
+from sphinx.application import Sphinx
 
 project = "nrbench"
 author = copyright = "The nrbench developers"
@@ -40,3 +43,14 @@ html_theme_options = {
 html_show_sourcelink = False
 html_static_path = ["static"]
 html_css_files = ["gallery.css"]
+
+
+def leave_out_missing_pages(app: Sphinx, page: str, text: list[str]) -> None:
+    """Leave out the lists of the gallery's pages where ``docs/make_gallery.py`` has not written them."""
+    if page == "gallery" and not Path(app.srcdir, "gallery").exists():
+        text[0] = text[0].partition("```{toctree}")[0]
+
+
+def setup(app: Sphinx) -> None:
+    """Connect to Sphinx."""
+    app.connect("source-read", leave_out_missing_pages)
