@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from nrbench.jit import Int16x1, Int16x2, Int32x1, Int32x2, Int64x1, Int64x2, UInt8x1, UInt8x2, kernel
+from nrbench.jit import Int16x1, Int16x2, Int32x1, Int32x2, Int64x1, Int64x2, UInt8x1, UInt8x2, kernel, step_kernel
 
 UNBOUNDED = np.int64(2**63 - 1)
 """A key larger than that of any point."""
@@ -125,7 +125,7 @@ def build_tree(points: Int16x2, order: Int64x1, bounds: Int64x1, roots: Int64x1,
     return nodes[:count].copy()
 
 
-@kernel
+@step_kernel
 def squared_distance(one: Int16x1, other: Int16x1) -> np.int32:
     """Return the squared distance of two points."""
     total = np.int32(0)
@@ -135,7 +135,7 @@ def squared_distance(one: Int16x1, other: Int16x1) -> np.int32:
     return total
 
 
-@kernel
+@step_kernel
 def key_of(query: Int16x1, points: Int16x2, ranks: Int64x1, place: int, leading: int) -> np.int64:
     """Return the key of a point for a query: squared distance times 2^32 plus rank, so that ranks break ties.
 
