@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from importlib.metadata import version as installed_version
+from pathlib import Path
+
+from sphinx.application import Sphinx
 
 project = "nrbench"
 author = copyright = "The nrbench developers"
 version = release = installed_version("nrbench")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "numpydoc", "sphinx_copybutton"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.extlinks",
+    "sphinx.ext.viewcode",
+    "numpydoc",
+    "sphinx_copybutton",
+]
+extlinks = {"DOI": ("https://doi.org/%s", "doi:%s")}
 exclude_patterns = ["_build"]
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 3
@@ -23,6 +34,23 @@ numpydoc_validation_exclude = {r"\.__", r"\.Lattice\.", r"\.Deformation\.", r"\.
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"nrbench {version}"
-html_theme_options = {"show_toc_level": 2, "navigation_with_keys": True, "secondary_sidebar_items": ["page-toc"]}
+html_theme_options = {
+    "show_toc_level": 2,
+    "navigation_with_keys": True,
+    "secondary_sidebar_items": ["page-toc"],
+    "header_links_before_dropdown": 5,
+}
 html_show_sourcelink = False
-html_sidebars = {"**": []}  # all pages stand in the bar at the top
+html_static_path = ["static"]
+html_css_files = ["gallery.css"]
+
+
+def leave_out_missing_pages(app: Sphinx, page: str, text: list[str]) -> None:
+    """Leave out the lists of the gallery's pages where ``docs/make_gallery.py`` has not written them."""
+    if page == "gallery" and not Path(app.srcdir, "gallery").exists():
+        text[0] = text[0].partition("```{toctree}")[0]
+
+
+def setup(app: Sphinx) -> None:
+    """Connect to Sphinx."""
+    app.connect("source-read", leave_out_missing_pages)
