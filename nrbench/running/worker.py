@@ -142,8 +142,9 @@ class Request:
     @classmethod
     def from_json(cls, line: str) -> Request:
         """Read a request from :meth:`to_json`."""
-        content = json.loads(line)
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in content.items()})
+        content: dict[str, Any] = json.loads(line)
+        tuples: dict[str, Any] = {name: tuple(value) for name, value in content.items() if isinstance(value, list)}
+        return cls(**{**content, **tuples})
 
 
 def perform(request: Request, send: Callable[[Message], None]) -> None:
