@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import gc
 import importlib
 import io
 import itertools
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import click
@@ -33,6 +36,9 @@ VERBS: Mapping[str, tuple[str, str]] = {
 }
 """Each verb, the module of :mod:`nrbench.cli` that holds its function ``VERB_command``, and what it does."""
 
+COORDINATING = ("run", "plan", "report", "status", "label", "compare", "list", "show")
+"""Verbs whose process imports no plugins of others. The other verbs run one plugin, in their own process."""
+
 
 class Verbs(click.Group):
     """A group that imports the module of a verb only when the verb is used."""
@@ -46,8 +52,9 @@ class Verbs(click.Group):
         if cmd_name not in VERBS:
             return None
         module = importlib.import_module(f"nrbench.cli.{VERBS[cmd_name][0]}")
-        command: click.Command = getattr(module, f"{cmd_name}_command")
-        return command
+        command = copy.copy(getattr(module, f"{cmd_name}_command"))
+        command.callback = partial(_run_verb, cmd_name, command.callback)
+        return command  # type: ignore[no-any-return]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write what each verb does, without an import of its module."""
@@ -71,17 +78,30 @@ class Verbs(click.Group):
 @click.option(
     "--plugin", "plugin_files", multiple=True, metavar="FILE.py", help="Load plugins from FILE.py; repeatable."
 )
-def nrbench(debug: bool, plugin_files: tuple[str, ...]) -> None:
+@click.pass_context
+def nrbench(context: click.Context, debug: bool, plugin_files: tuple[str, ...]) -> None:
     """Compare methods of near-regular texture synthesis.
 
     nrbench draws textures whose lattices are known, runs methods on them, and scores the regularity, the randomness
     and the cost of the outputs.
     """
-    if plugin_files:
-        from nrbench import plugins
+    context.obj = plugin_files
 
-        for file in plugin_files:
-            plugins.add_file(file)
+
+def _run_verb(verb: str, callback: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    """Call the function of a verb, with the plugins of files; coordinators import no plugins of others."""
+    files = click.get_current_context().obj
+    with contextlib.ExitStack() as stack:
+        if verb in COORDINATING:
+            from nrbench.running.plugin_children import guarded_plugins
+
+            stack.enter_context(guarded_plugins())
+        if files:
+            from nrbench import plugins
+
+            for file in files:
+                plugins.add_file(file)
+        return callback(*arguments, **options)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -65,7 +65,7 @@ def send_error(error: BaseException, send: Send) -> None:
     elif isinstance(error, InvalidOutput):
         send({"status": "invalid", "message": str(error)})
     elif isinstance(error, MemoryError):
-        send({"status": "memory", "message": "ran out of the memory it may use"})
+        send({"status": "memory", "message": "the system has not so much memory, whatever --memory allows"})
     else:
         with contextlib.suppress(OSError):  # the log may lie on the disk that is full
             traceback.print_exception(error)
@@ -206,11 +206,26 @@ def _write(where: CellFolder, synthesis: Synthesis) -> None:
     write_image(where.output, synthesis.image)
 
 
+def describe(folder: Path, send: Send) -> None:
+    """Import the plugin about which ``cell.json`` asks, and send what is known of it."""
+    from nrbench.plugins import answers
+
+    try:
+        facts = answers.answer(read_json(CellFolder(folder).cell_file) or {})
+    except BadInput as error:
+        send({"status": "refused", "message": str(error)})
+    else:
+        send(cast("Message", {"status": "ok", "message": "", "facts": facts}))
+
+
 def report(folder: Path, send: Send) -> None:
-    """Write the report of a run that ``cell.json`` names, and send the paths of its files."""
+    """Write the report of a run that ``cell.json`` names, and send the paths of its files, or its text."""
     wanted = read_json(CellFolder(folder).cell_file) or {}
     run = Run(Path(wanted["run"]))
     plugin = plugins.build("reports", wanted["report"], wanted["parameters"])
+    if wanted["folder"] is None:
+        send(cast("Message", {"status": "ok", "message": "", "text": str(plugin.render(run))}))
+        return
     folder = run.root / wanted["folder"]
     folder.mkdir(parents=True, exist_ok=True)
     send({"status": "ok", "message": "", "written": [str(path) for path in plugin.write(run, folder)]})

@@ -319,7 +319,7 @@ class RunDirectory:
             "created": known.get("created", datetime.now(UTC).isoformat(timespec="seconds")),
             "suite": {**shown, "seed": suite.seed, "content": suite.model_dump(mode="json")},
             **_provenance(argv),
-            "plugin_files": plugins.files(),
+            "plugin_files": list(plugins.files()),
             "metrics": {metric: metric_key(metric) for metric in metrics},
             "cells": [cell.as_dict() for cell, _ in plan.cells],
         }
@@ -381,7 +381,7 @@ def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
         "argv": list(argv),
         "results_version": RESULTS_VERSION,
         "versions": {"python": platform.python_version(), **dict(sorted(installed.items()))},
-        "plugins": [_plugin(plugin) for kind in plugins.FORMS for plugin in plugins.inventory(kind)],
+        "plugins": [_plugin(plugin) for kind in plugins.FORMS for plugin in plugins.installed(kind)],
         "machine": {
             "system": platform.platform(),
             "processor": _processor(),

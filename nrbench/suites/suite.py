@@ -8,10 +8,11 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from functools import cache
-from importlib.metadata import entry_points
+from functools import cache, partial
+from importlib.metadata import EntryPoint, entry_points
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -277,9 +278,19 @@ def _first(error: ValidationError) -> str:
 @cache
 def builtin() -> dict[str, Traversable]:
     """Return the installed suites by name."""
-    packages = [files(point.value) for point in entry_points(group="nrbench.suites")]
-    found = {item.name.removesuffix(".toml"): item for package in packages for item in package.iterdir()}
+    packages = [_suite_folder(point) for point in entry_points(group="nrbench.suites")]
+    found = {item.name.removesuffix(".toml"): item for package in packages if package for item in package.iterdir()}
     return {name: item for name, item in sorted(found.items()) if item.name.endswith(".toml")}
+
+
+def _suite_folder(point: EntryPoint) -> Traversable | None:
+    """Return the folder of suites that an entry point names. No package of others is imported, only found."""
+    if point.dist is not None and point.dist.name == "nrbench":
+        return files(point.value)
+    top, *inner = point.value.split(".")
+    spec = find_spec(top)
+    places = [Path(place, *inner) for place in (spec.submodule_search_locations if spec else None) or ()]
+    return next((place for place in places if place.is_dir()), None)
 
 
 def load_suite(what: str | Path) -> Suite:
@@ -317,7 +328,7 @@ def _read(file: Path | Traversable, where: str) -> Suite:
 
 def directory_suite(directory: Path) -> Suite:
     """Return a suite of all pictures in a directory. A dataset plugin with ``directory_rows`` lists them."""
-    for plugin in plugins.inventory("datasets"):
+    for plugin in map(partial(plugins.find, "datasets"), plugins.names("datasets")):  # those of nrbench come first
         lister = getattr(plugin.cls, "directory_rows", None)
         if lister is not None:
             rows = [{"dataset": plugin.name, **row} for row in lister(directory)]

@@ -362,16 +362,13 @@ class Tenant:
 
     def synthesize(self, task: Task) -> Synthesis:
         """Look around, leave things, and repeat the sample."""
-        import resource
-
-        place, limit = Path(tempfile.gettempdir()), resource.getrlimit(resource.RLIMIT_DATA)[0]
+        place = Path(tempfile.gettempdir())
         seen = {
             "pid": os.getpid(),
             "leads": os.getsid(0) == os.getpgid(0) == os.getpid(),
             "place": str(place),
             "folder": str(Path.cwd()),
             "found": sorted(str(path.relative_to(place)) for path in place.rglob("*")),
-            "limited": 0 < limit < 1 << 34,
         }
         if self.leaves:
             for folder in (place, Path.cwd()):

@@ -186,7 +186,7 @@ def test_metrics(way: Any, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("faulty")
 def test_datasets(supervisors: list[Supervisor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A texture whose dataset fails is a failed cell with its cause and log; one whose dataset litters is drawn."""
-    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda **_: nullcontext(supervisors[0]))
     fine = ("flood", "seed", "folder", "fine")  # the textures are drawn again for the scores, in this process
     rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*DATASETS, *fine)]
     options = Options(jobs=0, timeout=SECONDS, memory=300)
