@@ -13,7 +13,7 @@ from nrbench.imaging.mean_tile import cut_tiles, fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Texture
 from nrbench.synthesizers.resample import Resample, VariationModel
-from nrbench.synthesizers.resampling.element_colors import draw_field, match_distribution
+from nrbench.synthesizers.resampling.element_colors import draw_field, link_threads, match_distribution
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import InstanceColors
 from nrbench.synthesizers.tile_set import TileSet
@@ -84,6 +84,15 @@ def chain(count: int, length: int, along: float, between: float, seed: int) -> l
     for i in range(1, count):
         values[:, i] = along * values[:, i - 1] + np.sqrt(1 - along**2) * values[:, i]
     return [InstanceColors(one, np.ones((count, length))) for one in values]
+
+
+def test_threads_are_linked_under_detail() -> None:
+    """Instances that share 0.8 of their variance at all lags are a thread; a stain, whose 0.6 fade, is none."""
+    rng = np.random.default_rng(6)
+    shared, own = rng.standard_normal((12, 1, 3)), rng.standard_normal((12, 12, 3))
+    thread = InstanceColors(np.sqrt(0.8) * shared + np.sqrt(0.2) * own, np.ones((12, 12)))
+    (stain, _) = chain(12, 12, 0.6, 0.0, seed=7)
+    assert [found.turn for found in link_threads([thread, stain])] == [(0, 1), (0, 0)]
 
 
 def test_the_drawn_field_has_the_covariance_of_the_sample() -> None:
