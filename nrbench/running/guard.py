@@ -272,8 +272,8 @@ def descendants(pid: int, spared: Collection[int] = ()) -> list[int]:
 def shared_bytes(pids: Iterable[int], files: dict[str, tuple[int, int]]) -> tuple[int, int]:
     """Return the bytes of the files in memory that processes have open, or had when this was called before (Linux).
 
-    Such files (``memfd_create``, ``/dev/shm``) take memory whether or not a process maps them. The second number is what
-    the processes together have mapped of them, which :func:`held_bytes` has counted.
+    Such files (``memfd_create``, ``/dev/shm``) take memory whether or not a process maps them. The second number is
+    what the processes together have mapped of them, which :func:`held_bytes` has counted.
 
     Parameters
     ----------
@@ -302,7 +302,8 @@ def shared_bytes(pids: Iterable[int], files: dict[str, tuple[int, int]]) -> tupl
 def proportional_bytes(pids: Iterable[int], files: int) -> int:
     """Return the bytes that processes hold, a page that several processes share counted by each in part.
 
-    This takes milliseconds. Forked processes share the memory of their parent, which :func:`held_bytes` counts for each.
+    This takes milliseconds. Forked processes share the memory of their parent, which :func:`held_bytes` counts for each
+    of them.
 
     Parameters
     ----------
