@@ -248,6 +248,7 @@ def synthesize(
     """
     from nrbench.bending.straightening import synthesize_in_geometry
     from nrbench.running.output_checks import checked_synthesis
+    from nrbench.running.preparing import briefly_prepared
 
     plugin = _plugin("synthesizers", method, parameters)
     sample = quantize(_image(image))
@@ -255,7 +256,8 @@ def synthesize(
     task = Task(sample, _checked_shape(shape), as_lattice(lattice), rng, progress or (lambda fraction: None))
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
-    synthesis = checked_synthesis(synthesize_in_geometry(plugin, task), sample, task.shape)
+    with briefly_prepared(plugin, task, seed) as ready:
+        synthesis = checked_synthesis(synthesize_in_geometry(plugin, ready), sample, task.shape)
     given = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, given))
 

@@ -25,7 +25,7 @@ _CORE = 0.95
 _ROUNDS = 3
 """Fits of colors, with a fit of gains between two of them."""
 _MOST_GAIN = 1.6
-_LINKED = 0.7
+_LINKED = 0.6
 """Instances of an element whose colors correlate this much at a lag and at twice the lag are one thread."""
 _LINKED_ELEMENTS = 0.85
 """Different elements whose colors correlate this much at a lag are one thread."""
