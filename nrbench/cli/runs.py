@@ -26,19 +26,13 @@ F = TypeVar("F", bound=Callable[..., Any])
 _PATH = click.Path(path_type=Path)
 
 
-class _Seed(click.ParamType):
-    """A whole number from 0 on, or the word ``fresh``."""
-
-    name = "seed"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | str:
-        """Return the number or the word."""
-        if value == "fresh":
-            return "fresh"
-        try:
-            return int(click.IntRange(0).convert(value, param, ctx))
-        except click.BadParameter:
-            self.fail(f"{value!r} is neither a whole number from 0 on nor `fresh`", param, ctx)
+def _read_seed(context: click.Context, option: click.Parameter, text: str | None) -> int | str | None:
+    """Return a seed of the command line: a whole number from 0 on, or the word ``fresh``."""
+    if text is None or text == "fresh":
+        return text
+    if not text.isascii() or not text.isdigit():
+        raise click.BadParameter(f"{text!r} is neither a whole number from 0 on nor `fresh`", context, option)
+    return int(text)
 
 
 def _plan_options(command: F) -> F:
@@ -60,7 +54,7 @@ def _plan_options(command: F) -> F:
             click.option("--size", metavar="WxH", help="Size of the outputs."),
             click.option(
                 "--seed",
-                type=_Seed(),
+                callback=_read_seed,
                 metavar="NUMBER|fresh",
                 help="Seed of the suite, or `fresh` for one that the system draws.",
             ),
