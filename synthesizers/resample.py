@@ -10,11 +10,12 @@ import numpy as np
 
 from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
-from nrbench.imaging.mean_tile import Tile, fold
+from nrbench.imaging.mean_tile import Tile, Values, fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
 from .resampling.element_colors import ElementColors
 from .resampling.element_detail import ElementDetail
 from .resampling.element_map import map_grid, segment
@@ -27,6 +28,8 @@ MOST_VARIATION: Final = 4.0
 """Largest parameter ``variation``."""
 _EXPLAINED = 0.05
 """Least share of the residual's variance that the colors of elements explain; with less, elements are whole cells."""
+_CONTINUOUS = 0.7
+"""Coarse residuals are drawn as one field if they step less than this share of what independent elements would."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
 
@@ -73,7 +76,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "4"
 
     def __post_init__(self) -> None:
         require_ranges(self, variation=(0, MOST_VARIATION))
@@ -110,15 +113,21 @@ class VariationModel:
     colors
         The colors of elements.
     detail
-        The rest.
+        The rest, without the field.
     whole_cells
         Whether the elements are whole cells, since no smaller ones were found.
+    field
+        What runs on across the borders of elements; None if nothing does.
+    colored
+        Whether the colors of elements are drawn. If not, the field holds them.
     """
 
     mean: Tile
     colors: ElementColors
     detail: ElementDetail
     whole_cells: bool
+    field: CellField | None = None
+    colored: bool = True
 
     @classmethod
     def of(cls, sample: Image, lattice: Lattice) -> VariationModel:
@@ -138,19 +147,39 @@ class VariationModel:
             rest = residual - colors.render(colors.of_sample((height, width)), (height, width))
             if rest.var() < (1 - _EXPLAINED) * residual.var():
                 break
-        return cls(mean, colors, ElementDetail(elements, rest), whole_cells)
+        return cls(mean, colors, ElementDetail(elements, rest), whole_cells)._join(residual)
+
+    def _join(self, residual: Values) -> VariationModel:
+        """Return the model with a field, if the residual, or the detail, runs on across the borders of elements."""
+        elements, shape = self.detail.elements, residual.shape[:2]
+        if min(map(len, self.detail.whole)) < FEWEST:
+            return self
+        rng, twice = np.random.default_rng(0), (2 * shape[0], 2 * shape[1])
+        detail = self.detail.render(self.detail.draw(twice, rng), twice)
+        colors = self.colors.render(self.colors.draw(twice, rng), twice)
+        for own, drawn, colored in ((residual, colors + detail, False), (self.detail.rest, detail, True)):
+            if measure_steps(own, elements) < _CONTINUOUS * measure_steps(drawn, elements):
+                rest = ElementDetail(elements, own - smooth_coarsely(own, elements))
+                return replace(self, detail=rest, field=CellField.fit(elements, own), colored=colored)
+        return self
 
     def draw(self, task: Task, variation: float) -> Image:
         """Return a new texture of the task's shape, its departures from the mean tile times ``variation``."""
         height, width = task.shape
-        colors, copied = self.colors.draw(task.shape, task.rng), self.detail.draw(task.shape, task.rng)
+        colors = self.colors.draw(task.shape, task.rng)
+        own = self.colors.of_sample(self.detail.rest.shape[:2])
+        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None)
+        field = None if self.field is None else self.field.draw(task.shape, task.rng)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
         image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)
         for top in range(0, height, _ROWS):
             rows = slice(top, min(top + _ROWS, height))
             part = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
-            part += variation * self.colors.render(colors, task.shape, rows)
+            if self.colored:
+                part += variation * self.colors.render(colors, task.shape, rows)
+            if self.field is not None and field is not None:
+                part += variation * self.field.render(field, task.shape, rows)
             part += strength * self.detail.render(copied, task.shape, rows)
             image[rows] = np.clip(part, 0, 1)
             task.progress(rows.stop / height)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import gc
 import importlib
 import io
 import itertools
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import click
@@ -22,6 +25,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "status": ("runs", "Print the number of cells of RUN with each status."),
     "label": ("runs", "Write a page on which people label the outputs of RUN."),
     "compare": ("comparing", "Compare RUN_B with RUN_A: which scores moved by more than noise."),
+    "audit": ("auditing", "Tell whether METHOD is better at the published seed of SUITE than at a fresh one."),
     "list": ("listing", "List plugins and suites."),
     "show": ("listing", "Show a plugin or a suite."),
     "synth": ("single_images", "Synthesize a texture of any size from IMAGE."),
@@ -32,6 +36,9 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "new": ("authoring", "Write a package with a plugin called NAME to start from."),
 }
 """Each verb, the module of :mod:`nrbench.cli` that holds its function ``VERB_command``, and what it does."""
+
+COORDINATING = ("run", "plan", "report", "status", "label", "compare", "list", "show")
+"""Verbs whose process imports no plugins of others. The other verbs run one plugin, in their own process."""
 
 
 class Verbs(click.Group):
@@ -46,8 +53,9 @@ class Verbs(click.Group):
         if cmd_name not in VERBS:
             return None
         module = importlib.import_module(f"nrbench.cli.{VERBS[cmd_name][0]}")
-        command: click.Command = getattr(module, f"{cmd_name}_command")
-        return command
+        command = copy.copy(getattr(module, f"{cmd_name}_command"))
+        command.callback = partial(_run_verb, cmd_name, command.callback)
+        return command  # type: ignore[no-any-return]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write what each verb does, without an import of its module."""
@@ -71,17 +79,30 @@ class Verbs(click.Group):
 @click.option(
     "--plugin", "plugin_files", multiple=True, metavar="FILE.py", help="Load plugins from FILE.py; repeatable."
 )
-def nrbench(debug: bool, plugin_files: tuple[str, ...]) -> None:
+@click.pass_context
+def nrbench(context: click.Context, debug: bool, plugin_files: tuple[str, ...]) -> None:
     """Compare methods of near-regular texture synthesis.
 
     nrbench draws textures whose lattices are known, runs methods on them, and scores the regularity, the randomness
     and the cost of the outputs.
     """
-    if plugin_files:
-        from nrbench import plugins
+    context.obj = plugin_files
 
-        for file in plugin_files:
-            plugins.add_file(file)
+
+def _run_verb(verb: str, callback: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    """Call the function of a verb, with the plugins of files; coordinators import no plugins of others."""
+    files = click.get_current_context().obj
+    with contextlib.ExitStack() as stack:
+        if verb in COORDINATING:
+            from nrbench.running.plugin_children import guarded_plugins
+
+            stack.enter_context(guarded_plugins())
+        if files:
+            from nrbench import plugins
+
+            for file in files:
+                plugins.add_file(file)
+        return callback(*arguments, **options)
 
 
 def main(arguments: list[str] | None = None) -> None:

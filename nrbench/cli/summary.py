@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nrbench import plugins
-from nrbench.errors import BadInput, describe_error
+from nrbench.errors import BadInput, describe_error, strip_control
 from nrbench.plugins.parameters import nearest, parse_spec, size_text
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED, RUN_FILE, RunDirectory
@@ -109,6 +109,7 @@ def write_reports(
         Whether any report failed.
     """
     from nrbench.running.plugin_children import LIMITS, write_guarded
+    from nrbench.running.runner import working_plugins
 
     made_by = run.info.get("results_version")
     if made_by != RESULTS_VERSION:
@@ -118,7 +119,7 @@ def write_reports(
             file=sys.stderr,
         )
     if formats is None:
-        formats = {plugin.name: {} for plugin in plugins.inventory("reports") if plugin.cls is not None}
+        formats = {name: {} for name in working_plugins("reports")}
     reports = {name: _build_report(name, shared or {}, given) for name, given in formats.items()}
     wanted = {name: report for name, report in reports.items() if not tables_only or _folder(report) == "tables"}
     written: list[Path] = []
@@ -184,29 +185,42 @@ def print_summary(run: Run, written: list[Path], as_json: bool, columns: Sequenc
 
     ``columns`` are the scores of the table; empty for the headlines.
     """
+    broken = False
     if as_json:
         print(json.dumps(_summary(run, written), indent=1))
     else:
-        _print_terminal_reports(run, columns)
+        broken = _print_terminal_reports(run, columns)
         page = next((path for path in written if path.suffix == ".html"), None)
         print(f"report: {page.resolve()}" if page else f"tables: {(run.root / 'tables').resolve()}")
     failed = failures(run.cells) + unfinished(run)
     for line in failed:
         print(f"nrbench: {line}", file=sys.stderr)
-    return bool(failed)
+    return bool(failed or broken)
 
 
-def _print_terminal_reports(run: Run, columns: Sequence[str]) -> None:
+def _print_terminal_reports(run: Run, columns: Sequence[str]) -> bool:
     """Print each report whose class variable ``terminal`` is true; its method ``render`` returns the text.
 
-    Such a report has the parameter ``width``, and may have ``columns``.
+    Such a report has the parameter ``width``, and may have ``columns``. Return whether one failed.
     """
+    from nrbench.running.plugin_children import write_guarded
+
     shared: dict[str, Any] = {"width": max(40, shutil.get_terminal_size((120, 40)).columns)}
     if columns:
         shared["columns"] = tuple(columns)
+    broken = False
     for plugin in plugins.inventory("reports"):
         if getattr(plugin.cls, "terminal", False):
-            print(_build_report(plugin.name, shared, {}).render(run), end="")
+            try:
+                report = _build_report(plugin.name, shared, {})
+                text = (
+                    report.render(run) if plugin.own else strip_control(write_guarded(run, plugin.name, report, None))
+                )
+                print(text, end="")
+            except (BadInput, RuntimeError) as error:
+                broken = True
+                print(f"nrbench: report {plugin.name} failed: {error}", file=sys.stderr)
+    return broken
 
 
 def _summary(run: Run, written: list[Path]) -> dict[str, Any]:

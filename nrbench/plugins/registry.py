@@ -1,4 +1,8 @@
-"""The plugin registry: plugins from entry points and from plain files, checked at registration."""
+"""The plugin registry: plugins from entry points and from plain files, checked at registration.
+
+The plugins of nrbench are imported where they are needed. Those of others are imported by the process that runs them; a
+process that coordinates a run asks its children what they are (:func:`asking`), and gets stand-ins of plain values.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,10 @@ import json
 import math
 import re
 import sys
+import threading
 import traceback
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
@@ -97,6 +103,11 @@ class Plugin:
         return self.distribution == "nrbench"
 
     @property
+    def shared(self) -> bool:
+        """Whether a worker may import it for all cells; a plugin whose ``isolation`` is "cell" is imported in each."""
+        return bool(getattr(self.cls, "isolation", "worker") != "cell")
+
+    @property
     def full_version(self) -> str:
         """The version in the keys of cells and scores: the plugin's own, and those of the detectors that it calls.
 
@@ -108,13 +119,44 @@ class Plugin:
         return "".join([self.version, *called])
 
 
+Ask = Callable[[Mapping[str, Any]], Any]
+"""Answers a question about plugins of others, see :func:`nrbench.plugins.answers.answer`; raises BadInput."""
 _files: dict[Path, list[Plugin]] = {}
+_loaded: dict[tuple[str, EntryPoint, bool, bool], Plugin] = {}
+_asks: list[Ask | None] = []
 
 
-def add_file(path: str | Path) -> None:
+@contextlib.contextmanager
+def asking(ask: Ask | None) -> Iterator[None]:
+    """Let other processes import the plugins of others for a while; None: import them in this process.
+
+    Parameters
+    ----------
+    ask
+        Sends a question to a child process, and returns its answer.
+    """
+    _asks.append(ask)  # several threads may do so at the same time
+    try:
+        yield
+    finally:
+        _asks.remove(ask)
+
+
+def _asked() -> Ask | None:
+    return _asks[-1] if _asks else None
+
+
+def add_file(path: str | Path, later: Iterable[Sequence[str]] | None = None) -> None:
     """Register the plugins that a plain Python file defines (``--plugin mine.py``).
 
     A plugin's name is its class variable ``name``, else the class's name in lower case.
+
+    Parameters
+    ----------
+    path
+        The file.
+    later
+        Kind and name of its plugins, if they are known; it is then read when one of them is needed.
 
     Raises
     ------
@@ -124,7 +166,10 @@ def add_file(path: str | Path) -> None:
     file = Path(path).resolve()
     if file in _files:
         return
-    found = _file_plugins(file, _import_file(file))
+    if later is not None:
+        _files[file] = [Plugin(kind, name, None, str(file), "") for kind, name in later]
+        return
+    found = _plugins_of(file)
     if not found:
         raise BadInput(f"plugin {path}: defines no plugin; write a frozen dataclass with one of: {_methods_wanted()}")
     for plugin in found:
@@ -135,14 +180,67 @@ def add_file(path: str | Path) -> None:
     _files[file] = found
 
 
-def files() -> list[str]:
-    """Return the paths of the plain files registered so far (for worker processes)."""
-    return [str(path) for path in _files]
+def _plugins_of(file: Path) -> list[Plugin]:
+    """Return the plugins of a file: imported, or stand-ins of those that another process imports."""
+    if not file.is_file():
+        raise BadInput(f"plugin {file}: there is no such file")
+    ask = _asked()
+    if ask is None:
+        return _file_plugins(file, _import_file(file))
+    return _described(ask({"file": str(file)}), str(file))
+
+
+def _described(facts: Any, distribution: str) -> list[Plugin]:
+    """Return the plugins that another process has described, with stand-ins for their classes."""
+    from nrbench.plugins import stand_ins
+
+    found = []
+    for each in stand_ins.checked_facts(facts):
+        if each.threads and each.variables.isolation != "cell":
+            warnings.warn(
+                f"{FORMS[each.kind].noun} {each.name!r} starts threads when it is imported, so each cell imports it "
+                'anew, in a process of its own; `isolation: ClassVar[str] = "cell"` says that this is meant',
+                stacklevel=2,
+            )
+        found.append(Plugin(each.kind, each.name, stand_ins.make_class(each), distribution, each.version))
+    return found
+
+
+def files(shared: bool = False) -> dict[str, list[tuple[str, str]]]:
+    """Return kind and name of the plugins of each plain file registered so far, by its path (for other processes).
+
+    Parameters
+    ----------
+    shared
+        Whether they are those that a worker may import for all cells: all, or none if a plugin of one is not to be.
+    """
+    apart = shared and not all(plugin.shared for each in _files.values() for plugin in each)
+    known = {} if apart else _files
+    return {str(path): [(plugin.kind, plugin.name) for plugin in found] for path, found in known.items()}
+
+
+def shared_plugins() -> list[tuple[str, str]]:
+    """Return kind and name of the installed plugins of others that this process knows and workers may import."""
+    known = (plugin for plugin in _loaded.values() if plugin.cls is not None and not plugin.own and plugin.shared)
+    return sorted({(plugin.kind, plugin.name) for plugin in known})
 
 
 def names(kind: str) -> list[str]:
     """Return the names of all plugins of a kind, without loading them."""
-    return list(dict.fromkeys([*entry_points_of(kind), *(plugin.name for plugin in from_files(kind))]))
+    in_files = (plugin.name for found in _files.values() for plugin in found if plugin.kind == kind)
+    return list(dict.fromkeys([*entry_points_of(kind), *in_files]))
+
+
+def installed(kind: str) -> list[Plugin]:
+    """Return all plugins of a kind without loading those of others, whose version is that of their distribution."""
+    found = []
+    for points in entry_points_of(kind).values():
+        for later, point in enumerate(points):
+            distribution, version = distribution_of(point)
+            loads = later > 0 or distribution == "nrbench" or (kind, point, False, _asked() is None) in _loaded
+            unread = Plugin(kind, point.name, None, distribution, version)
+            found.append(load_plugin(kind, point, later > 0) if loads else unread)
+    return [*found, *from_files(kind)]
 
 
 def name_of(kind: str, cls: type[Any]) -> str:
@@ -167,11 +265,11 @@ def find(kind: str, name: str) -> Plugin:
     BadInput
         When there is no such plugin (the message names the nearest), or it is broken.
     """
-    for plugin in from_files(kind):
-        if plugin.name == name:
-            return plugin
     points = entry_points_of(kind).get(name)
     if not points:
+        for plugin in from_files(kind, name):
+            if plugin.name == name:
+                return plugin
         raise BadInput(
             f"{FORMS[kind].noun} {name!r} is not known{nearest(name, names(kind))}; see `nrbench list {kind}`"
         )
@@ -195,6 +293,16 @@ def build(kind: str, name: str, parameters: Mapping[str, Any] | None = None) -> 
     """
     cls = find(kind, name).cls
     assert cls is not None
+    ask = _asked()
+    if ask is not None and is_stand_in(cls):
+        from nrbench.plugins import stand_ins
+
+        given = {key: _plain(value) for key, value in (parameters or {}).items()}
+        try:
+            return stand_ins.make_instance(cls, ask({"kind": kind, "name": name, "parameters": given}))
+        except BadInput as error:
+            where = f"{FORMS[kind].noun} {name}"
+            raise BadInput(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
     return validated(cls, parameters or {}, f"{FORMS[kind].noun} {name}")
 
 
@@ -240,6 +348,21 @@ class NamedDetector:
         return found
 
 
+def read_fingerprint(plugin: Any, where: str) -> str | int | float | None:
+    """Return a hash of the files that a plugin reads, from its own ``fingerprint()``; None if it has none.
+
+    Raises
+    ------
+    BadInput
+        When it is no text and no finite number, whose text would be the same in each process.
+    """
+    function = getattr(plugin, "fingerprint", None)
+    value: Any = None if function is None else function()
+    if value is not None and not is_stable(value):
+        raise BadInput(f"{where}: fingerprint() returned {value!r:.60}; it must return text or a finite number")
+    return value  # type: ignore[no-any-return]
+
+
 def parameters_of(plugin: Any) -> dict[str, Any]:
     """Return all parameters of a plugin instance, including defaults, as values that JSON can hold."""
     return {field.name: _plain(getattr(plugin, field.name)) for field in dataclasses.fields(plugin)}
@@ -261,9 +384,33 @@ def entry_points_of(kind: str) -> dict[str, list[EntryPoint]]:
     return grouped
 
 
-def from_files(kind: str) -> Iterator[Plugin]:
-    """Return the plugins of a kind that plain files define."""
-    return (plugin for plugins in _files.values() for plugin in plugins if plugin.kind == kind)
+def from_files(kind: str, name: str = "") -> Iterator[Plugin]:
+    """Return the plugins of a kind that plain files define; files that were registered for later are read.
+
+    Parameters
+    ----------
+    kind
+        The kind.
+    name
+        Only files with a plugin of this name are read; empty: all.
+    """
+    for file, found in _files.items():
+        wanted = not name or any((plugin.kind, plugin.name) == (kind, name) for plugin in found)
+        if wanted and not (found and all(plugin.cls and (_asked() or not is_stand_in(plugin.cls)) for plugin in found)):
+            _files[file] = _plugins_of(file)
+    return (plugin for found in _files.values() for plugin in found if plugin.kind == kind)
+
+
+def count_threads() -> int:
+    """Return the number of threads of this process: also those that Python does not know, on Linux."""
+    with contextlib.suppress(OSError):
+        return len(list(Path("/proc/self/task").iterdir()))
+    return threading.active_count()
+
+
+def is_stand_in(cls: Any) -> bool:
+    """Return whether a class stands for one that another process has imported, see :mod:`nrbench.plugins.stand_ins`."""
+    return hasattr(cls, "stand_in")
 
 
 def distribution_of(point: EntryPoint) -> tuple[str, str]:
@@ -276,24 +423,46 @@ def _name_and_version(distribution: Distribution) -> tuple[str, str]:
     return distribution.name, distribution.version
 
 
-@cache
 def load_plugin(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
-    """Import the plugin of an entry point and check it; a duplicate is reported without an import.
+    """Import the plugin of an entry point and check it, or let another process do so; see :func:`asking`.
 
-    The plugins of nrbench are checked by its tests, not each time they are loaded.
+    A duplicate is reported without an import. The plugins of nrbench are checked by its tests, not each time they are
+    loaded.
     """
+    key = (kind, point, duplicate, _asked() is None)
+    if key not in _loaded:
+        _loaded[key] = _load(kind, point, duplicate)
+    return _loaded[key]
+
+
+def _load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
     distribution, version = distribution_of(point)
     if duplicate:
         error = f"duplicate: the name {point.name!r} was registered before; this one ({point.value}) is not used"
         return Plugin(kind, point.name, None, distribution, version, error)
+    own = distribution == "nrbench"
     try:
-        own = distribution == "nrbench"
-        with contextlib.nullcontext() if own else outside_user_folder():
+        ask = None if own else _asked()
+        if ask is not None:
+            (found,) = _described(ask({"kind": kind, "name": point.name}), distribution)
+            return dataclasses.replace(found, kind=kind, name=point.name)
+        with contextlib.nullcontext() if own else _importing():
             cls = point.load()
         error = "" if own else fault(kind, cls)
-    except (Exception, SystemExit):
+    except BadInput as told:
+        return Plugin(kind, point.name, None, distribution, version, str(told))
+    except KeyboardInterrupt:
+        raise
+    except BaseException:
         return Plugin(kind, point.name, None, distribution, version, traceback.format_exc())
     return Plugin(kind, point.name, None if error else cls, distribution, str(getattr(cls, "version", version)), error)
+
+
+@contextlib.contextmanager
+def _importing() -> Iterator[None]:
+    """Import a plugin of others: outside of the user's folder, and without a word on standard output."""
+    with outside_user_folder(), contextlib.redirect_stdout(sys.stderr):
+        yield
 
 
 def fault(kind: str, cls: Any) -> str:
@@ -425,18 +594,18 @@ def _patch_fault(kind: str, cls: Any) -> str:
 
 
 def _import_file(file: Path) -> Any:
-    if not file.is_file():
-        raise BadInput(f"plugin {file}: there is no such file")
     path_hash = hashlib.blake2b(str(file).encode(), digest_size=4).hexdigest()
     spec = importlib.util.spec_from_file_location(f"nrbench_plugin_{file.stem}_{path_hash}", file)
     if spec is None or spec.loader is None:
         raise BadInput(f"plugin {file}: is no Python file; its name must end in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[module.__name__] = module
-    with outside_user_folder():
+    with _importing():
         try:
             spec.loader.exec_module(module)
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise BadInput(f"plugin {file}: does not import: {type(error).__name__}: {error}") from error
     return module
 

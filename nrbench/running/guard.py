@@ -19,9 +19,9 @@ import psutil
 from nrbench.runs.store import Result
 
 TICK = 0.02
-"""Seconds between two checks of the clock."""
+"""Seconds between two checks of the clock and of the memory of the child. Above half of its limit there are more."""
 MEMORY_TICK = 0.1
-"""Seconds between two checks of the memory of the child and its own children."""
+"""Seconds between two checks of the memory of all that the child started, and of what they share."""
 MIB = 1 << 20
 LONG_LOG, SHORT_LOG = 16 << 20, 1 << 20
 """Bytes of a log above which it is cut, and bytes that are kept of it."""
@@ -166,28 +166,32 @@ class Watch:
         The messages that have arrived.
     finished
         Whether the child has said that its request is finished. It may still be running.
+    spared
+        Process ids of other children of the calling process, whose memory is not the child's.
     started
-        Most bytes that all processes which the child started held at any check.
+        Most bytes that all processes which the child started held at any check, and the memory that they share.
     """
 
     child: Child
     limits: Limits
     base: int
     log: Path
+    spared: Collection[int] = ()
     messages: list[Message] = field(default_factory=list)
     finished: bool = False
     started: int = 0
     _open: bool = True
+    _files: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def watch(self) -> tuple[str, str] | None:
         """Wait for the child. Return None when it finishes or ends, or (status, message) when it exceeds a limit."""
         limits, left, most = self.limits, set(self.limits.parts), self.limits.mib + self.limits.start_mib
         deadline = time.monotonic() + limits.start_seconds + limits.seconds
         starting = limits.start_seconds > 0
-        memory_check = time.monotonic() + MEMORY_TICK
+        memory_check, started, close, exact_check = time.monotonic() + MEMORY_TICK, 0, False, 0.0
         while True:
             ended = self.child.has_ended()  # asked first: its last message may arrive just before its end
-            messages = self._receive()
+            messages = self._receive(TICK / 4 if close else TICK)
             self.messages += [message for message in messages if "finished" not in message]
             self.finished = any("finished" in message for message in messages)
             if self.finished or (ended and not messages):
@@ -202,17 +206,24 @@ class Watch:
                 self.base, most = held_bytes(self.child.pid), limits.mib
             if now > deadline:
                 return "timeout", f"took longer than {limits.seconds:g} s; raise --timeout if it may"
-            if now > memory_check:
+            own = held_bytes(self.child.pid)
+            close = own + started - self.base > most / 2 * MIB
+            if now > memory_check or close:
                 memory_check = now + MEMORY_TICK
-                own, started = held_by_family(self.child.pid)
+                family = [each for each in descendants(os.getpid(), self.spared) if each != self.child.pid]
+                files, mapped = shared_bytes([self.child.pid, *family], self._files)
+                started = sum(map(held_bytes, family)) + files - mapped
                 self.started = max(self.started, started)
-                if own + started - self.base > most * MIB:
-                    return "memory", f"used more than {limits.mib:g} MiB; raise --memory if it may"
                 shorten(self.log)
+            if own + started - self.base > most * MIB and now > exact_check:
+                exact_check, count = now + MEMORY_TICK, 1 + len(family)
+                known = self.base * count / (count + 1 + len(self.spared))  # the part of what the worker holds
+                if proportional_bytes([self.child.pid, *family], files) - known > most * MIB:
+                    return "memory", f"used more than {limits.mib:g} MiB; raise --memory if it may"
 
-    def _receive(self) -> list[Message]:
+    def _receive(self, seconds: float) -> list[Message]:
         if self._open:
-            messages = self.child.receive(TICK)
+            messages = self.child.receive(seconds)
             self._open = messages is not None
             return list(messages or ())
         time.sleep(TICK / 20)
@@ -252,11 +263,75 @@ def parse_message(line: str | bytes) -> Message | None:
     return cast("Message", message)
 
 
-def held_by_family(pid: int) -> tuple[int, int]:
-    """Return the bytes that a process holds, and those that all its descendants hold; 0 for one that has ended."""
-    with contextlib.suppress(psutil.Error):
-        return held_bytes(pid), sum(held_bytes(child.pid) for child in psutil.Process(pid).children(recursive=True))
-    return 0, 0
+def descendants(pid: int, spared: Collection[int] = ()) -> list[int]:
+    """Return all processes that a process has started and that live, without some of its children and theirs."""
+    children = [each for each in _children(pid) if each not in spared]
+    return children + [each for child in children for each in descendants(child)]
+
+
+def shared_bytes(pids: Iterable[int], files: dict[str, tuple[int, int]]) -> tuple[int, int]:
+    """Return the bytes of the files in memory that processes have open, or had when this was called before (Linux).
+
+    Such files (``memfd_create``, ``/dev/shm``) take memory whether or not a process maps them. The second number is
+    what the processes together have mapped of them, which :func:`held_bytes` has counted.
+
+    Parameters
+    ----------
+    pids
+        The processes.
+    files
+        The files in ``/dev/shm`` that were open, with their devices and inodes; this call adds to it.
+    """
+    sizes: dict[tuple[int, int], int] = {}
+    mapped = 0
+    for pid in pids:
+        own: dict[tuple[int, int], int] = {}
+        with contextlib.suppress(OSError):
+            for handle in os.listdir(f"/proc/{pid}/fd"):  # noqa: PTH208
+                _measure(f"/proc/{pid}/fd/{handle}", own, files)
+        sizes |= own
+        mapped += min(sum(own.values()), _status_bytes(pid, "RssShmem:")) if own else 0
+    for path, inode in files.items():
+        with contextlib.suppress(OSError):
+            found = os.lstat(path)
+            if (found.st_dev, found.st_ino) == inode:
+                sizes[inode] = found.st_blocks * 512
+    return sum(sizes.values()), mapped
+
+
+def proportional_bytes(pids: Iterable[int], files: int) -> int:
+    """Return the bytes that processes hold, a page that several processes share counted by each in part.
+
+    This takes milliseconds. Forked processes share the memory of their parent, which :func:`held_bytes` counts for each
+    of them.
+
+    Parameters
+    ----------
+    pids
+        The processes.
+    files
+        Bytes of the files in memory, of which they may have mapped any part.
+    """
+    anonymous = mapped = 0
+    for pid in pids:
+        with contextlib.suppress(OSError):
+            parts = {"Pss_Anon:": held_bytes(pid), "Pss_Shmem:": 0}  # where the system does not tell them
+            with open(f"/proc/{pid}/smaps_rollup", encoding="ascii") as rollup:  # noqa: PTH123
+                parts |= {name: int(words[0]) * 1024 for name, *words in map(str.split, rollup) if name in parts}
+            anonymous, mapped = anonymous + parts["Pss_Anon:"], mapped + parts["Pss_Shmem:"]
+    return anonymous + max(mapped, files)
+
+
+def _measure(handle: str, sizes: dict[tuple[int, int], int], files: dict[str, tuple[int, int]]) -> None:
+    """Add the size of an open file in memory to ``sizes``, and its path, if it has one, to ``files``."""
+    with contextlib.suppress(OSError):
+        path = os.readlink(handle)  # noqa: PTH115
+        if path.startswith(("/memfd:", "/dev/shm/")):
+            found = os.stat(handle)  # noqa: PTH116
+            inode = found.st_dev, found.st_ino
+            sizes[inode] = found.st_blocks * 512
+            if found.st_nlink and path.startswith("/dev"):
+                files[path] = inode
 
 
 def held_bytes(pid: int) -> int:
@@ -268,10 +343,13 @@ def held_bytes(pid: int) -> int:
     with contextlib.suppress(OSError, psutil.Error):
         if not sys.platform.startswith("linux"):
             return int(psutil.Process(pid).memory_info().rss)
-        with open(f"/proc/{pid}/status", encoding="ascii", errors="replace") as status:  # noqa: PTH123
-            kept = [line.split() for line in status if line.startswith(("RssAnon:", "RssShmem:"))]
-        return sum(int(words[1]) * 1024 for words in kept)
+        return _status_bytes(pid, "RssAnon:", "RssShmem:")
     return 0
+
+
+def _status_bytes(pid: int, *entries: str) -> int:
+    with open(f"/proc/{pid}/status", encoding="ascii", errors="replace") as status:  # noqa: PTH123
+        return sum(int(line.split()[1]) * 1024 for line in status if line.startswith(entries))
 
 
 def kill_children(pid: int, spared: Collection[int] = ()) -> None:
@@ -288,7 +366,7 @@ def kill_children(pid: int, spared: Collection[int] = ()) -> None:
         Process ids of children that stay.
     """
     for _ in range(1000):
-        children = [each for each in _children(pid) if each not in spared]
+        children = descendants(pid, spared)
         if not children:
             return
         for each in children:
@@ -302,12 +380,12 @@ def kill_children(pid: int, spared: Collection[int] = ()) -> None:
 
 
 def _children(pid: int) -> list[int]:
-    """Return the children of a process; where they do not adopt orphans, also all that these have started."""
-    try:
-        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()]
-    except OSError:
-        with contextlib.suppress(psutil.Error):
-            return [child.pid for child in psutil.Process(pid).children(recursive=True)]
+    """Return the children of a process, whichever of its threads has started them."""
+    with contextlib.suppress(OSError):
+        threads = list(Path(f"/proc/{pid}/task").iterdir())
+        return [int(child) for thread in threads for child in (thread / "children").read_text("ascii").split()]
+    with contextlib.suppress(psutil.Error):
+        return [child.pid for child in psutil.Process(pid).children()]
     return []
 
 
@@ -329,6 +407,9 @@ def go_on_in_child(leash: int) -> None:
     """
     if not sys.platform.startswith("linux"):
         return
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     adopt_orphans()
     ended, held = os.pipe()
     if os.fork() == 0:
@@ -358,28 +439,6 @@ def explain_exit(code: int) -> str:
             return f"died by {signal.Signals(-code).name}"
         return f"died by signal {-code}"
     return f"exited with code {code} without a result"
-
-
-def confine(limits: Limits) -> None:
-    """Let the calling process, and what it starts, allocate no more than its limit above what it holds now.
-
-    A huge allocation then fails at once, inside the process; :class:`Watch` finds slow growth. On a system without
-    such a limit, :class:`Watch` is the only check.
-    """
-    if not sys.platform.startswith("linux"):
-        return
-    import resource
-
-    held = _data_bytes()
-    bound = held + int(limits.mib * MIB)
-    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
-    resource.setrlimit(resource.RLIMIT_DATA, (bound if hard < 0 else min(bound, hard), hard))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-def _data_bytes() -> int:
-    with open("/proc/self/status", encoding="ascii") as status:  # noqa: PTH123
-        return next(int(line.split()[1]) * 1024 for line in status if line.startswith("VmData:"))
 
 
 def die_with_parent() -> None:

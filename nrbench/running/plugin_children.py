@@ -1,10 +1,11 @@
-"""Work for a whole run that plugins do: textures are drawn before its cells run, and reports written after.
+"""Work for a whole run that plugins do: they say what they are, draw its textures, and write its reports.
 
 Plugins that are not part of nrbench do it in guarded child processes.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -16,7 +17,7 @@ from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Shape, Texture
 from nrbench.running.guard import Limits
 from nrbench.runs.records import Run
-from nrbench.runs.store import CellFolder
+from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import temporary_folder, write_json
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import Draw, Plan, make_plan
@@ -24,10 +25,55 @@ from nrbench.suites.suite import Suite
 
 # The processes are imported by the functions that start one: plans of the datasets of nrbench need none.
 if TYPE_CHECKING:
-    from nrbench.running.supervisor import RequestRunner
+    from nrbench.running.supervisor import RequestRunner, Supervisor
 
 LIMITS = Limits(120.0, 4096.0)
 """The limits of the drawing of one texture, where no others are given."""
+IMPORT = Limits(60.0, 4096.0)
+"""The limits of the import of a plugin that is asked what it is."""
+
+
+@contextmanager
+def guarded_plugins() -> Iterator[None]:
+    """Let child processes import the plugins of others while the context lasts; see :func:`nrbench.plugins.asking`."""
+    with ExitStack() as stack:
+        started: list[Supervisor] = []
+        turn = threading.Lock()
+
+        def ask(question: Mapping[str, Any]) -> Any:
+            from nrbench.running.supervisor import Supervisor
+
+            with turn:
+                if not started:
+                    started.append(stack.enter_context(Supervisor(warm=False)))
+                return _answer(started[0], question)
+
+        with plugins.asking(ask):
+            yield
+
+
+def _answer(runner: RequestRunner, question: Mapping[str, Any]) -> Any:
+    """Return what a child process answers to a question about a plugin.
+
+    Raises
+    ------
+    BadInput
+        When it does not answer, with the cause.
+    """
+    result: Any = _run(runner, "describe", question, IMPORT)
+    if result["status"] == "ok" and "facts" in result:
+        return result["facts"]
+    why = result["message"].partition("; raise")[0] or "ended without an answer"
+    told = result["status"] == "refused" or "file" not in question
+    raise BadInput(why if told else f"plugin {question['file']}: {why}")
+
+
+def _run(runner: RequestRunner, phase: str, content: Mapping[str, Any], limits: Limits) -> Result:
+    """Run a phase in a child process; ``cell.json`` of its folder has a content. Return how it ended."""
+    from nrbench.running.worker import Request
+
+    with _folder_of(content) as folder:
+        return runner.run(Request(phase, str(folder), limits.seconds, limits.mib, plugins=plugins.files())).result
 
 
 def plan_run(suite: Suite, textures: Sequence[str] = (), limits: Limits = LIMITS) -> Plan:
@@ -50,14 +96,14 @@ def plan_run(suite: Suite, textures: Sequence[str] = (), limits: Limits = LIMITS
             if not started:
                 from nrbench.running.supervisor import Supervisor
 
-                started.append(guarded_draw(stack.enter_context(Supervisor()), limits))
+                started.append(guarded_draw(stack.enter_context(Supervisor(warm=False)), limits))
             return started[0](recipe, shape)
 
         return make_plan(suite, textures, draw)
 
 
-def write_guarded(run: Run, name: str, report: Any, folder: str, limits: Limits = LIMITS) -> list[str]:
-    """Let a report plugin write its files in a child process; return their paths.
+def write_guarded(run: Run, name: str, report: Any, folder: str | None, limits: Limits = LIMITS) -> Any:
+    """Let a report plugin write its files in a child process, or return its text for a terminal.
 
     Parameters
     ----------
@@ -66,9 +112,14 @@ def write_guarded(run: Run, name: str, report: Any, folder: str, limits: Limits 
     name, report
         The name of the plugin, and an instance with its parameters.
     folder
-        The folder of its files, below the run directory.
+        The folder of its files, below the run directory; None: it writes none and returns a text.
     limits
         The limits of the process.
+
+    Returns
+    -------
+    list of str, or str
+        The paths of its files, or the text.
 
     Raises
     ------
@@ -76,15 +127,14 @@ def write_guarded(run: Run, name: str, report: Any, folder: str, limits: Limits 
         When the plugin fails or kills its process; with the cause.
     """
     from nrbench.running.supervisor import Supervisor
-    from nrbench.running.worker import Request
 
-    parameters = plugins.parameters_of(report)
+    parameters, entry = plugins.parameters_of(report), "text" if folder is None else "written"
     wanted = {"run": str(run.root.resolve()), "report": name, "parameters": parameters, "folder": folder}
-    with Supervisor() as supervisor, _folder_of(wanted) as where:
-        result = supervisor.run(Request("report", str(where), limits.seconds, limits.mib)).result
-        if result["status"] != "ok" or "written" not in result:
-            raise RuntimeError(result["message"] or "ended without an answer")
-        return result["written"]
+    with Supervisor(warm=False) as supervisor:
+        result: Any = _run(supervisor, "report", wanted, limits)
+    if result["status"] != "ok" or entry not in result:
+        raise RuntimeError(result["message"] or "ended without an answer")
+    return result[entry]
 
 
 def guarded_draw(runner: RequestRunner, limits: Limits) -> Draw:
@@ -97,7 +147,9 @@ def guarded_draw(runner: RequestRunner, limits: Limits) -> Draw:
 
     def draw(recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
         with _folder_of({"recipe": recipe.as_dict(), "shape": list(shape)}) as folder:
-            result = runner.run(Request("render", str(folder), limits.seconds, limits.mib)).result
+            result = runner.run(
+                Request("render", str(folder), limits.seconds, limits.mib, plugins=plugins.files())
+            ).result
             if result["status"] != "ok" or "texture" not in result:
                 cause = result["message"] or "ended without an answer"
                 error = BadInput(cause if result["status"] == "invalid" else f"dataset {recipe.dataset}: {cause}")

@@ -25,7 +25,7 @@ from nrbench.running.supervisor import print_notice
 from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
-from nrbench.storage import write_json
+from nrbench.storage import remove_folder, write_json
 from nrbench.suites.cell import Cell, reader_of
 from nrbench.suites.plan import Plan, PlannedSample
 
@@ -94,12 +94,25 @@ def is_cached(directory: RunDirectory, cell: Cell, metrics: Iterable[str], retry
     return not (where.missing_scores(metrics) or (retry_failed and where.failed_scores(metrics)))
 
 
-def working_metrics() -> list[str]:
-    """Return the names of all metrics that load."""
-    return [plugin.name for plugin in plugins.inventory("metrics") if plugin.cls is not None]
+def working_plugins(kind: str, tell: Callable[[str], None] = print_notice) -> list[str]:
+    """Return the names of all plugins of a kind that load.
+
+    Parameters
+    ----------
+    kind
+        The kind.
+    tell
+        Called with a sentence about each plugin of others that does not load.
+    """
+    listed = plugins.inventory(kind)
+    for plugin in listed:
+        if plugin.cls is None and not (plugin.own or plugin.error.startswith("duplicate")):
+            why = plugin.error.strip().splitlines()[-1]
+            tell(f"{plugins.FORMS[kind].noun} {plugin.name!r} of {plugin.distribution} is left out: {why}")
+    return [plugin.name for plugin in listed if plugin.cls is not None]
 
 
-def find_metrics(names: Iterable[str]) -> list[str]:
+def find_metrics(names: Iterable[str], tell: Callable[[str], None] = lambda text: None) -> list[str]:
     """Return the names of metrics, each once; if none is named, of all that load.
 
     Raises
@@ -107,7 +120,7 @@ def find_metrics(names: Iterable[str]) -> list[str]:
     BadInput
         When a metric is not known or does not load.
     """
-    return [plugins.find("metrics", name).name for name in dict.fromkeys(names)] or working_metrics()
+    return [plugins.find("metrics", name).name for name in dict.fromkeys(names)] or working_plugins("metrics", tell)
 
 
 def execute(plan: Plan, root: Path, options: Options | None = None, progress: Progress = lambda step: None) -> Run:
@@ -133,13 +146,16 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     KeyboardInterrupt
         When ``options.stop`` was set before every cell had ended, after the cells that were running have.
     """
-    options, metrics = options or Options(), find_metrics(plan.suite.metrics)
+    options = options or Options()
+    metrics = find_metrics(plan.suite.metrics, options.tell)
     directory = RunDirectory(root)
     if options.reuse is not None:
         RunDirectory(options.reuse).info()
     directory.claim()
     with directory.locked():
         directory.write_info(plan, options.argv, metrics)
+        for unfinished in (root / "prepared").glob(".*"):  # a preparation was killed
+            remove_folder(unfinished)
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
         with executor(options.jobs, options.scheduler, options.worker_wait, options.tell) as pool:
@@ -218,7 +234,8 @@ class _Runner:
             options.timeout,
             options.memory,
             metrics=tuple(self.metrics),
-            plugins=tuple(plugins.files()),
+            plugins=plugins.files(),
+            imports=tuple(plugins.shared_plugins()),
             side_by_side=float(options.jobs > 1 or options.scheduler is not None),
             group=group,
         )

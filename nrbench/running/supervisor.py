@@ -169,13 +169,16 @@ class Supervisor:
     ----------
     tell
         Called with a sentence when the start of the worker takes minutes, because kernels are compiled.
+    warm
+        Whether the worker imports plugins before it forks the children. One that does not is ready at once, and its
+        children begin with a plugin's import; this is best for a few requests.
     forks
         Whether requests run in forked children where that is safe; otherwise each one runs in a fresh interpreter.
     """
 
-    def __init__(self, tell: Callable[[str], None] = print_notice, *, forks: bool = True) -> None:
-        self._tell, self._forks = tell, forks
-        self._plugins: list[str] = []
+    def __init__(self, tell: Callable[[str], None] = print_notice, *, warm: bool = True, forks: bool = True) -> None:
+        self._tell, self._warm, self._forks = tell, warm, forks
+        self._imports: dict[str, Any] = {}
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
@@ -189,7 +192,7 @@ class Supervisor:
         The reply reports how the request ended, whatever the plugin does. Raises :class:`Closed` after :meth:`end`.
         """
         self._check_open()
-        if self._worker is not None and self._plugins != plugins.files():
+        if self._worker is not None and self._warm and self._imports != _known_imports():
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
         if self._worker is None:
             self._start()
@@ -201,7 +204,7 @@ class Supervisor:
             self._worker.stdin.flush()
         except OSError:
             return self._crash("the worker process had ended")
-        line = self._line(request.seconds * max(1, len(request.metrics)) + 2 * GRACE)
+        line = self._line(request.seconds * max(2, len(request.metrics)) + 2 * GRACE)
         self._check_open()
         return Reply.from_json(line or "") or self._crash("the worker process died")
 
@@ -215,22 +218,24 @@ class Supervisor:
             self.close()
             raise Closed
 
-    def _start(self) -> None:
-        """Start the worker, and wait until it is ready. If plugins keep it from that, start one that imports none."""
-        self._plugins = plugins.files()
+    def _start(self, *, bare: bool = False) -> None:
+        """Start the worker, and wait until it is ready. If plugins of others keep it from that, start a bare one."""
+        self._imports = _known_imports()
         self._folder = self._stack.enter_context(temporary_folder())
-        content = {"once": False, "fresh": not self._forks, "files": self._plugins}
-        content["folder"] = str(self._folder / "imports")
+        content = {"once": False, "warm": self._warm, "fresh": not self._forks, "folder": str(self._folder / "imports")}
+        content |= {"files": {}, "imports": []} if bare else self._imports
         self._worker = start_worker(content, stderr=subprocess.DEVNULL, env=worker_environment())
         self._lines, self._reader = read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
         if first.get("compiling"):
             self._tell(COMPILING)
             first = guard.parse_message(self._line(START) or "") or {}
-        if not first.get("ready") and self._forks and not self._ended:  # a plugin ended it when it was imported
-            self._forks = False
+        if not first.get("ready") and not bare and not self._ended:
+            how = "starts threads in" if first.get("threads") else "ends"
+            if any(self._imports.values()):
+                self._tell(f"a plugin {how} the process that imports it, so each cell imports its plugins anew")
             self.close()
-            self._start()
+            self._start(bare=True)
 
     def _line(self, seconds: float) -> str | None:
         with contextlib.suppress(queue.Empty):
@@ -268,13 +273,18 @@ class Supervisor:
         self.close()
 
 
+def _known_imports() -> dict[str, Any]:
+    """Return the plugins of others that a worker imports before it forks."""
+    return {"files": plugins.files(shared=True), "imports": plugins.shared_plugins()}
+
+
 class InProcessRunner:
     """The twin of :class:`Supervisor` for the debugger: runs each request in this process, without limits."""
 
     def run(self, request: Request) -> Reply:
         """Run one request here."""
         messages: list[Message] = []
-        with np.errstate():  # so that no plugin changes it for the next one
+        with np.errstate(), plugins.asking(None):  # so that no plugin changes it for the next one
             perform(request, messages.append)
         return Reply.of(messages)
 

@@ -24,7 +24,7 @@ import threading
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -34,6 +34,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
 from nrbench.plugins.parameters import prepare_conversion
+from nrbench.plugins.registry import count_threads
 from nrbench.running import guard, phases
 from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import Send
@@ -76,7 +77,9 @@ class Request:
     metrics
         The metrics that score the cell.
     plugins
-        Files of plugins that a worker of a cluster loads.
+        Kind and name of the plugins of files, by the path of each file, which is read when one of them is needed.
+    imports
+        Kind and name of the installed plugins of others that a worker of a cluster imports before it forks.
     side_by_side
         1 if other cells run at the same time, else 0; it is recorded beside the costs.
     group
@@ -94,7 +97,8 @@ class Request:
     seconds: float
     mib: float
     metrics: tuple[str, ...] = ()
-    plugins: tuple[str, ...] = ()
+    plugins: Mapping[str, Sequence[Sequence[str]]] = dataclasses.field(default_factory=dict)
+    imports: tuple[tuple[str, str], ...] = ()
     side_by_side: float = 0.0
     group: str = ""
     user_folder: str = dataclasses.field(default_factory=working_folder)
@@ -106,11 +110,14 @@ class Request:
         return Path(self.folder) / "log.txt"
 
     def settle(self) -> None:
-        """Give the calling process the temporary files and the working directory of the phase."""
+        """Give the calling process the temporary files, the plugins and the working directory of the phase."""
         temporary = Path(self.temporary)
         temporary.mkdir(mode=0o700, parents=True, exist_ok=True)  # a system may have cleaned its temporary files
         os.environ["TMPDIR"] = tempfile.tempdir = self.temporary
-        leave_user_folder(Path(self.user_folder), temporary / "work")
+        for file, named in self.plugins.items():
+            plugins.add_file(file, named)
+        if self.phase != "describe":  # parameters that are paths start from the user's folder
+            leave_user_folder(Path(self.user_folder), temporary / "work")
 
     def tidy(self) -> None:
         """Remove what the phase left among its temporary files.
@@ -135,8 +142,9 @@ class Request:
     @classmethod
     def from_json(cls, line: str) -> Request:
         """Read a request from :meth:`to_json`."""
-        content = json.loads(line)
-        return cls(**{**content, "metrics": tuple(content["metrics"]), "plugins": tuple(content["plugins"])})
+        content: dict[str, Any] = json.loads(line)
+        tuples: dict[str, Any] = {name: tuple(value) for name, value in content.items() if isinstance(value, list)}
+        return cls(**{**content, **tuples})
 
 
 def perform(request: Request, send: Callable[[Message], None]) -> None:
@@ -157,19 +165,25 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
         phases.send_error(error, send_with_memory)
 
 
-def warm(compiling: Callable[[], None]) -> None:
-    """Import every plugin and all that they use, and load every compiled kernel, before children are forked.
+def warm(compiling: Callable[[], None], imports: Iterable[tuple[str, str]] = ()) -> None:
+    """Import plugins and all that they use, and load every compiled kernel, before children are forked.
+
+    The plugins are those of nrbench, those of files, and the given ones.
 
     Parameters
     ----------
     compiling
         Called if kernels have to be compiled, which takes minutes, before that begins.
+    imports
+        Kind and name of installed plugins of others.
     """
     for name in DEFERRED:
         importlib.import_module(name)
     for kind in ("datasets", "detectors", "synthesizers", "metrics"):
-        for plugin in plugins.inventory(kind):
+        for plugin in plugins.installed(kind):
             prepare_conversion(plugin.cls)
+    for kind, name in imports:
+        prepare_conversion(plugins.find(kind, name).cls)
     for read in (Cell, Recipe):
         reader_of(read)
     load_kernels(compiling)
@@ -182,7 +196,7 @@ def may_fork() -> bool:
     """Return whether forking is safe here: a system that forks, and a single thread."""
     if not sys.platform.startswith("linux") or os.environ.get("NRBENCH_FORK") == "no":
         return False
-    return threading.active_count() == 1 and len(list(Path("/proc/self/task").iterdir())) == 1
+    return count_threads() == 1
 
 
 class ForkedChild:
@@ -243,15 +257,13 @@ class FreshChild:
     ----------
     log
         The file that it writes its messages to.
-    files
-        Files of plugins.
     folder
         Its working directory at the start, from which relative paths to modules start.
     """
 
-    def __init__(self, log: Path, files: Iterable[str], folder: str) -> None:
+    def __init__(self, log: Path, folder: str) -> None:
         with log.open("ab") as opened:
-            self._process = start_worker({"once": True, "files": list(files)}, stderr=opened, cwd=folder)
+            self._process = start_worker({"once": True}, stderr=opened, cwd=folder)
         self.pid = self._process.pid
         self._lines, _ = read_lines(self._process)
 
@@ -338,14 +350,12 @@ class ChildServer:
     ----------
     forks
         Whether children are forked.
-    files
-        Files of plugins, for children that are fresh interpreters.
     folder
-        The working directory of such children at the start.
+        The working directory at the start of children that are fresh interpreters.
     """
 
-    def __init__(self, forks: bool, files: Iterable[str] = (), folder: str = "") -> None:
-        self._forks, self._files, self._folder = forks, files, folder
+    def __init__(self, forks: bool, folder: str = "") -> None:
+        self._forks, self._folder = forks, folder
         self._scorer: ForkedChild | None = None
         self._next: ForkedChild | None = None
         self._last: tuple[ForkedChild | FreshChild, Request] | None = None
@@ -356,14 +366,15 @@ class ChildServer:
         if not shared:
             self.recover()
         child = self._take_child(request, shared)
-        limits = guard.Limits(request.seconds, request.mib, request.metrics)
+        limits = guard.Limits(request.seconds, request.mib, request.metrics or (phases.PREPARED,))
         if not self._forks:
             limits = dataclasses.replace(limits, start_seconds=GRACE, start_mib=512)
         base = guard.held_bytes(child.pid) if self._forks else 0
         child.send(request)
         if shared:
             self.recover({child.pid})
-        watch = guard.Watch(child, limits, base, request.log)
+        others = [each.pid for each in (self._scorer, self._next) if each is not None]
+        watch = guard.Watch(child, limits, base, request.log, others)
         broken = watch.watch()
         if watch.finished and shared:
             self._scorer = cast("ForkedChild", child)
@@ -377,7 +388,7 @@ class ChildServer:
     def _take_child(self, request: Request, shared: bool) -> ForkedChild | FreshChild:
         """Return a child that waits for a request."""
         if not self._forks:
-            return FreshChild(request.log, self._files, self._folder)
+            return FreshChild(request.log, self._folder)
         waiting = self._scorer if shared else self._next
         if shared:
             self._scorer = None
@@ -479,7 +490,6 @@ def _run_request(request: Request, settle: Callable[[], None]) -> None:
     """Run one request in the calling process, which is a child; raise nothing that could be sent as a message."""
     try:
         _redirect(request.log)
-        guard.confine(guard.Limits(request.seconds, request.mib))
         settle()
         perform(request, _send)
     except BaseException as error:
@@ -516,11 +526,13 @@ def run_worker() -> None:
 
     - ``once``: whether a single request is run in this process.
     - ``fresh``: whether no child is forked.
-    - ``files``: files of plugins.
-    - ``folder``: the working directory in which they are imported; for a single request its own one.
+    - ``warm``: whether it imports plugins and loads kernels before it forks.
+    - ``files``, ``imports``: the plugins that it imports then: those of files, by their paths, and kind and name of
+      installed plugins of others.
+    - ``folder``: the working directory in which they are imported.
 
-    The first line of output is ``{"ready": true}``. Where kernels have to be compiled, the line
-    ``{"compiling": true}`` comes before it.
+    The first line of output is ``{"ready": true}``, or ``{"threads": true}`` if an import started a thread: then this
+    process cannot fork. Where kernels have to be compiled, the line ``{"compiling": true}`` comes before it.
     """
     options: Mapping[str, Any] = json.loads(sys.argv[1])
     out = os.fdopen(os.dup(1), "w", buffering=1)
@@ -530,15 +542,18 @@ def run_worker() -> None:
         out.write(json.dumps(content) + "\n")
 
     if options["once"]:
-        _run_fresh(options["files"], cast("Send", write))
+        _run_fresh(cast("Send", write))
     guard.go_on_in_child(sys.stdin.fileno())
     home, forks = working_folder(), may_fork() and not options["fresh"]
-    if forks:
+    if forks and options["warm"]:
         leave_user_folder(Path(home), Path(options["folder"]))
-        _add_files(options["files"])
-        warm(lambda: write({"compiling": True}))
-        forks = may_fork()  # again, because a plugin may have started a thread
-    server = ChildServer(forks, options["files"], home)
+        for file, named in options["files"].items():
+            plugins.add_file(file, named)
+        warm(lambda: write({"compiling": True}), options["imports"])
+        if not may_fork():
+            write({"threads": True})
+            return
+    server = ChildServer(forks, home)
     write({"ready": True})
     server.prepare()
     for line in sys.stdin:
@@ -548,14 +563,12 @@ def run_worker() -> None:
             server.recover()
 
 
-def _run_fresh(files: Iterable[str], send: Send) -> None:
+def _run_fresh(send: Send) -> None:
     """Run the request on standard input in this process, and leave."""
     request = Request.from_json(sys.stdin.readline())
     try:
         request.settle()
-        _add_files(files)
         _import_plugins(request)
-        guard.confine(guard.Limits(request.seconds, request.mib))
         send(cast("Message", {"held": guard.held_bytes(os.getpid())}))
         perform(request, send)
     except BaseException as error:
@@ -577,8 +590,3 @@ def _import_plugins(request: Request) -> None:
         if isinstance(name, str):
             with contextlib.suppress(BadInput):  # its phase says why it does not load
                 plugins.find(kind, name)
-
-
-def _add_files(files: Iterable[str]) -> None:
-    for file in files:
-        plugins.add_file(file)

@@ -51,6 +51,8 @@ class Result(TypedDict, total=False):
     seconds, cpu_seconds, detection_seconds
         Wall and processor seconds of the synthesis, and wall seconds in which the method detected the lattice. For a
         detection, ``seconds`` are its wall seconds.
+    prepare_seconds
+        Wall seconds in which the method prepared for the sample, if it does.
     peak_mib
         Peak memory in addition to that of an idle worker, MiB.
     side_by_side
@@ -78,6 +80,7 @@ class Result(TypedDict, total=False):
     seconds: float
     cpu_seconds: float
     detection_seconds: float
+    prepare_seconds: float
     peak_mib: float
     side_by_side: float
     lattice_used: dict[str, Any] | None
@@ -319,7 +322,7 @@ class RunDirectory:
             "created": known.get("created", datetime.now(UTC).isoformat(timespec="seconds")),
             "suite": {**shown, "seed": suite.seed, "content": suite.model_dump(mode="json")},
             **_provenance(argv),
-            "plugin_files": plugins.files(),
+            "plugin_files": list(plugins.files()),
             "metrics": {metric: metric_key(metric) for metric in metrics},
             "cells": [cell.as_dict() for cell, _ in plan.cells],
         }
@@ -381,7 +384,7 @@ def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
         "argv": list(argv),
         "results_version": RESULTS_VERSION,
         "versions": {"python": platform.python_version(), **dict(sorted(installed.items()))},
-        "plugins": [_plugin(plugin) for kind in plugins.FORMS for plugin in plugins.inventory(kind)],
+        "plugins": [_plugin(plugin) for kind in plugins.FORMS for plugin in plugins.installed(kind)],
         "machine": {
             "system": platform.platform(),
             "processor": _processor(),

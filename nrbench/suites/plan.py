@@ -19,7 +19,7 @@ from nrbench.imaging.convert import Image, as_image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape, Texture
 from nrbench.plugins.parameters import label, parse_spec
-from nrbench.plugins.registry import is_stable
+from nrbench.plugins.registry import read_fingerprint
 from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Cell, DetectorIdentity, Recipe
 from nrbench.suites.suite import Suite, TextureRow
@@ -73,10 +73,10 @@ class PlannedMethod:
         instance = plugins.build("synthesizers", name, given)
         plugin = plugins.find("synthesizers", name)
         parameters = plugins.parameters_of(instance)
-        finder = getattr(instance, "finder", "")
+        finder, fingerprint = getattr(instance, "finder", ""), read_fingerprint(instance, f"method {name}")
         return cls(
             name,
-            f"{plugin.full_version}{_fingerprint(name, instance)}",
+            plugin.full_version if fingerprint is None else f"{plugin.full_version}+{fingerprint}",
             parameters,
             getattr(instance, "label", "")
             or label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_shown", ())),
@@ -90,17 +90,6 @@ class PlannedMethod:
         """Return the detector that the method may call itself, where its lattice comes from a source."""
         finds_itself = source.name == "own" or (source.detector and not self.needs_lattice)
         return self.finder if finds_itself else None
-
-
-def _fingerprint(name: str, method: Any) -> str:
-    """Return a hash of the files that a method reads, from its own ``fingerprint()``; empty if it has none."""
-    function = getattr(method, "fingerprint", None)
-    if function is None:
-        return ""
-    value = function()
-    if not is_stable(value):
-        raise BadInput(f"method {name}: fingerprint() returned {value!r:.60}; it must return text or a finite number")
-    return f"+{value}"
 
 
 def _defaults(cls: Any) -> dict[str, Any]:

@@ -8,10 +8,11 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from functools import cache
-from importlib.metadata import entry_points
+from functools import cache, partial
+from importlib.metadata import EntryPoint, entry_points
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -134,6 +135,8 @@ class Suite(BaseModel):
     ----------
     seed
         The seed of all random streams.
+    fresh_seed
+        Whether nrbench drew the seed from the system for one run, so that no method can have seen the samples before.
     sample, size
         Shapes (height, width) of sample and output. Those of a texture's row take precedence.
     lattice
@@ -159,6 +162,7 @@ class Suite(BaseModel):
     version: int = 1
     description: str = ""
     seed: int = Field(default=0, ge=0)
+    fresh_seed: bool = False
     replicates: int = Field(default=1, ge=1, le=100000)
     sample: Size = (128, 128)
     size: Size = (256, 256)
@@ -184,7 +188,7 @@ class Suite(BaseModel):
         }
         return {
             "texture": rows,
-            **{key: True for key in ("metrics", "references_once", "claim") if not getattr(self, key)},
+            **{key: True for key in ("fresh_seed", "metrics", "references_once", "claim") if not getattr(self, key)},
         }
 
     @property
@@ -277,9 +281,19 @@ def _first(error: ValidationError) -> str:
 @cache
 def builtin() -> dict[str, Traversable]:
     """Return the installed suites by name."""
-    packages = [files(point.value) for point in entry_points(group="nrbench.suites")]
-    found = {item.name.removesuffix(".toml"): item for package in packages for item in package.iterdir()}
+    packages = [_suite_folder(point) for point in entry_points(group="nrbench.suites")]
+    found = {item.name.removesuffix(".toml"): item for package in packages if package for item in package.iterdir()}
     return {name: item for name, item in sorted(found.items()) if item.name.endswith(".toml")}
+
+
+def _suite_folder(point: EntryPoint) -> Traversable | None:
+    """Return the folder of suites that an entry point names. No package of others is imported, only found."""
+    if point.dist is not None and point.dist.name == "nrbench":
+        return files(point.value)
+    top, *inner = point.value.split(".")
+    spec = find_spec(top)
+    places = [Path(place, *inner) for place in (spec.submodule_search_locations if spec else None) or ()]
+    return next((place for place in places if place.is_dir()), None)
 
 
 def load_suite(what: str | Path) -> Suite:
@@ -317,7 +331,7 @@ def _read(file: Path | Traversable, where: str) -> Suite:
 
 def directory_suite(directory: Path) -> Suite:
     """Return a suite of all pictures in a directory. A dataset plugin with ``directory_rows`` lists them."""
-    for plugin in plugins.inventory("datasets"):
+    for plugin in map(partial(plugins.find, "datasets"), plugins.names("datasets")):  # those of nrbench come first
         lister = getattr(plugin.cls, "directory_rows", None)
         if lister is not None:
             rows = [{"dataset": plugin.name, **row} for row in lister(directory)]

@@ -25,8 +25,10 @@ _CORE = 0.95
 _ROUNDS = 3
 """Fits of colors, with a fit of gains between two of them."""
 _MOST_GAIN = 1.6
-_LINKED = 0.85
-"""Elements whose colors correlate this much at a lag are one thread."""
+_LINKED = 0.6
+"""Instances of an element whose colors correlate this much at a lag and at twice the lag are one thread."""
+_LINKED_ELEMENTS = 0.85
+"""Different elements whose colors correlate this much at a lag are one thread."""
 _REACH = 2
 """Largest lag, in cells, at which colors are correlated."""
 _CHANCE = 2.5
@@ -70,19 +72,23 @@ class ElementThread:
 def link_threads(colors: Sequence[InstanceColors]) -> list[ElementThread]:
     """Return the thread of each element. Elements whose colors agree at a lag of one cell at most are linked.
 
-    The closest links come first. A thread that has a turn takes no further one.
+    The closest links come first. A thread that has a turn takes no further one. Detail hides a part of a thread's
+    correlation, at all lags alike. Stains fade with the lag, so that an element is compared at twice the lag as well.
     """
     near = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     links = [
-        (color.correlation(colors[b], lag)[0], a, b, lag)
+        (color.correlation(colors[b], lag)[0] - _LINKED_ELEMENTS, a, b, lag)
         for a, color in enumerate(colors)
-        for b in range(a, len(colors))
+        for b in range(a + 1, len(colors))
         for lag in near
-        if b > a or lag > (0, 0)
     ]
+    for a, color in enumerate(colors):
+        for i, j in (lag for lag in near if lag > (0, 0)):
+            found, pairs = zip(*(color.correlation(color, (n * i, n * j)) for n in (1, 2)), strict=True)
+            links.append((float(np.average(found, weights=np.add(pairs, 1e-9))) - _LINKED, a, a, (i, j)))
     threads = [ElementThread(k) for k in range(len(colors))]
-    for correlation, a, b, lag in sorted(links, reverse=True):
-        if correlation < _LINKED:
+    for excess, a, b, lag in sorted(links, reverse=True):
+        if excess < 0:
             break
         one, other = threads[a], threads[b]
         shift = (one.base[0] + lag[0] - other.base[0], one.base[1] + lag[1] - other.base[1])

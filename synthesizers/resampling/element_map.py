@@ -23,13 +23,13 @@ Pair = tuple[int, int, Lag]
 
 GRID = 1.5
 """Places of the map per px."""
-_SAME = 0.6
+_SAME = 0.7
 """Neighbors whose colors correlate at least this much are parts of one element."""
-_SALIENT = 0.9
+_SALIENT = 0.8
 """The relief along the border of two elements is at least this share of the 90 % quantile inside them."""
-_DOUBT = 5.0
+_DOUBT = 3.0
 """Correlation that a border is worth that stands out by 1 less than :data:`_SALIENT`."""
-_GROUND = 0.35
+_GROUND = 0.2
 """Regions whose color varies less than this share of the largest variance are ground between elements."""
 _SMALL = 0.15
 """Regions smaller than this share of the largest one are ground."""

@@ -27,7 +27,7 @@ from faults import registered_faults
 from suites import wall_suite, write_sleepers
 
 from nrbench import plugins
-from nrbench.api import run
+from nrbench.api import run, synthesize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.running import guard, phases, runner, worker
 from nrbench.running.pace import Step
@@ -67,7 +67,7 @@ def test_a_report_that_dies_takes_nothing_with_it(
     supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A report of others is written in a process of its own: how it fails is an error with its cause."""
-    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda **_: nullcontext(supervisors[0]))
     done = faulty_run(wall_suite(["fine"], "cost"), Options(jobs=0))
     causes = {
         "exit": "ended without an answer",
@@ -335,7 +335,7 @@ def test_a_phase_finds_nothing_of_the_last_one(supervisors: list[Supervisor], tm
         assert found["found"] == ["work"]
         assert found["folder"] == f"{found['place']}/work"
         assert not Path(found["place"]).is_relative_to(tmp_path)
-        assert found["leads"] and found["limited"]
+        assert found["leads"]
         assert len(found["place"]) <= 70 + len(tempfile.gettempdir())  # a socket's path has room for 107 bytes
     assert not list(tmp_path.rglob("left"))
 
@@ -464,6 +464,30 @@ def test_only_the_own_code_of_nrbench_shares_a_process(faulty: Path, tmp_path: P
     assert not is_shared("brick", "cost", "none such")
 
 
+def test_a_method_prepares_once_for_a_sample(supervisors: list[Supervisor], faulty: Path, tmp_path: Path) -> None:
+    """What a method learned of a sample is found by all its cells, takes none of their time, and is made again if lost.
+
+    The limit of time holds for the preparation and for the synthesis, each by itself.
+    """
+    suite = wall_suite([f"learner:marks={tmp_path}/marks"], "cost")
+    cells = []
+    for size in ((64, 64), (64, 80)):
+        cells += run(suite.with_changes(size=size), out=tmp_path / "run", options=Options(jobs=0)).cells
+    first, second = cells
+    assert first.note == second.note
+    assert (tmp_path / "marks").read_text() == "(64, 64)\n"
+    for cell in cells:
+        assert cell.values["cost.seconds"] < 0.2 <= cell.values["cost.prepare_seconds"]
+    (record,) = (tmp_path / "run" / "prepared").glob("*/.prepared.json")
+    record.write_text("{}")
+    run(suite.with_changes(size=(64, 96)), out=tmp_path / "run", options=Options(jobs=0))
+    assert (tmp_path / "marks").read_text() == "(64, 64)\n" * 2
+    alone = synthesize("learner", first.folder / "sample.png", (32, 32), marks=str(tmp_path / "alone"))
+    assert alone.note == first.note
+    folder = prepare(tmp_path / "slow" / "cell", "learner", seconds=0.8, marks=str(tmp_path / "marks"))
+    assert supervisors[0].run(Request("synthesize_cell", str(folder), 1.0, 500)).result["status"] == "ok"
+
+
 @pytest.mark.usefixtures("faulty")
 @pytest.mark.parametrize("who", ["server", "its parent", "both of them stopped"])
 def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor], tmp_path: Path) -> None:
@@ -507,7 +531,7 @@ def test_the_last_message_is_read_behind_forged_lines(tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(worker, "start_worker", start)
     log = tmp_path / "log.txt"
-    child = FreshChild(log, (), str(tmp_path))
+    child = FreshChild(log, str(tmp_path))
     child._process.stdin.write("\n")
     child._process.stdin.close()
     child._process.wait()  # it has ended before its messages are taken

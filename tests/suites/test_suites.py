@@ -146,12 +146,12 @@ def test_bad_grids(grid: Any, message: str) -> None:
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("core", "161f108f3d7f6131"),
-        ("default", "75020b3310df50fa"),
+        ("core", "91ebcce3b3f356ba"),
+        ("default", "f18f591643fc8082"),
         ("detectors", "fd5456d95e2150ed"),
-        ("frontier", "79c6c29e9724c398"),
-        ("integer", "1bf655853a8029fd"),
-        ("spectrum", "59af64198089eccf"),
+        ("frontier", "e4e5965bfe1e7eea"),
+        ("integer", "4b1554bbac1f0b58"),
+        ("spectrum", "b7a4da8b92db0cc7"),
         ("validation", "344d40b0aed92ea3"),
     ],
 )

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 from synthesis_cases import noise, synthesize
 
 from nrbench.api import texture
@@ -13,7 +14,8 @@ from nrbench.imaging.mean_tile import cut_tiles, fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Texture
 from nrbench.synthesizers.resample import Resample, VariationModel
-from nrbench.synthesizers.resampling.element_colors import draw_field, match_distribution
+from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
+from nrbench.synthesizers.resampling.element_colors import draw_field, link_threads, match_distribution
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import InstanceColors
 from nrbench.synthesizers.tile_set import TileSet
@@ -86,6 +88,15 @@ def chain(count: int, length: int, along: float, between: float, seed: int) -> l
     return [InstanceColors(one, np.ones((count, length))) for one in values]
 
 
+def test_threads_are_linked_under_detail() -> None:
+    """Instances that share 0.8 of their variance at all lags are a thread; a stain, whose 0.6 fade, is none."""
+    rng = np.random.default_rng(6)
+    shared, own = rng.standard_normal((12, 1, 3)), rng.standard_normal((12, 12, 3))
+    thread = InstanceColors(np.sqrt(0.8) * shared + np.sqrt(0.2) * own, np.ones((12, 12)))
+    (stain, _) = chain(12, 12, 0.6, 0.0, seed=7)
+    assert [found.turn for found in link_threads([thread, stain])] == [(0, 1), (0, 0)]
+
+
 def test_the_drawn_field_has_the_covariance_of_the_sample() -> None:
     """A field drawn from 400 correlated cells has their covariance at all lags, within the error of the estimate."""
     sample = chain(20, 20, 0.6, 0.5, seed=1)
@@ -115,6 +126,44 @@ def test_the_colors_are_distributed_as_the_samples() -> None:
     np.testing.assert_allclose(np.cov(made.T), np.cov(expected.T), atol=0.012)
     assert np.mean(made[:, 0] > 0.25) == pytest.approx(0.2, abs=0.04)
     assert np.linalg.norm(made[:, np.newaxis] - expected, axis=-1).min(1).mean() > 0.01
+
+
+@cache
+def stained() -> Texture:
+    """Return tiles of one color under stains about as large as a tile, which run on across joints."""
+    made = drawn("hexagon", color=0, intensity=0, noise=0.01)
+    stains = gaussian_filter(np.random.default_rng(8).standard_normal((128, 128, 3)), (6, 6, 0), mode="wrap")
+    image = np.clip(made.image + 0.1 * stains / stains.std(), 0, 1)
+    return Texture(quantize(image.astype(np.float32)), made.lattice)
+
+
+def test_stains_run_on_across_elements() -> None:
+    """Stains are drawn as one field, which hardly steps at the borders of elements, and is as strong."""
+    made = stained()
+    model = model_of(made)
+    assert model.field is not None and not model.colored
+    output = synthesize(Resample(), made.image, (256, 256), lattice_of(made)).image
+    own, new = (image - model.mean.unfold(image.shape[:2]) for image in (made.image, output))
+    elements = model.detail.elements
+    assert measure_steps(new, elements) < 2 * measure_steps(own, elements)
+    assert np.square(new).mean() == pytest.approx(np.square(own).mean(), rel=0.35)
+
+
+@pytest.mark.parametrize("name", ["brick", "hexagon", "weave"])
+def test_independent_elements_have_no_field(name: str) -> None:
+    """Elements whose colors step at their borders are drawn one by one."""
+    assert model_of(drawn(name, color=0.3)).field is None
+
+
+def test_a_field_keeps_elements_whole() -> None:
+    """A field that is drawn from tiles of one color each, some of them cut by the sample's border, has such tiles."""
+    made = drawn("hexagon", color=0.3, noise=0)
+    model = model_of(made)
+    elements = model.detail.elements
+    field = CellField.fit(elements, made.image - model.mean.unfold((128, 128)))
+    image = field.render(field.draw((200, 200), np.random.default_rng(9)), (200, 200), slice(None))
+    tiles = cut_tiles(image, elements.lattice, elements.lattice.points((200, 200)), (15, 15))[0][:, 5:10, 5:10]
+    assert tiles.std((1, 2)).mean() < 0.1 * tiles.mean((1, 2)).std()
 
 
 def test_without_variation_the_output_is_the_mean_tile() -> None:
