@@ -275,10 +275,52 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
+NO_LINK = "is a link or no regular file; remove it (nrbench follows no links inside a run)"
+"""What is said of a path inside a run that is not opened."""
+
+
+def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
+    """Open a regular file, follow no link at its name, and return its descriptor.
+
+    Raises
+    ------
+    BadInput
+        When there is a link, a folder, a device or a named pipe at the path.
+    OSError
+        When the file cannot be opened.
+    """
+    no_link, no_wait = getattr(os, "O_NOFOLLOW", 0), getattr(os, "O_NONBLOCK", 0)
+    if not path.is_symlink():
+        descriptor = os.open(path, flags | no_link | no_wait, 0o644)
+        if stat.S_ISREG(os.fstat(descriptor).st_mode):
+            return descriptor
+        os.close(descriptor)
+    raise BadInput(f"{path}: {NO_LINK}")
+
+
+def find_strange(folder: Path) -> Path | None:
+    """Return the first entry of a folder and of its folders that is a link, a device or a named pipe; None if none is.
+
+    No link is followed. A folder that does not exist holds nothing.
+    """
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        if folder.is_symlink():
+            return folder
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    if inner := find_strange(Path(entry.path)):
+                        return inner
+                elif not entry.is_file(follow_symlinks=False):
+                    return Path(entry.path)
+    return None
+
+
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Return the mapping in a JSON file; None where it is missing, incomplete, damaged or no file."""
+    """Return the mapping in a JSON file; None where it is missing, incomplete, damaged, a link or no regular file."""
     try:
-        content = json.loads(path.read_text("utf-8"))
+        with open(open_regular(path), encoding="utf-8") as file:
+            content = json.loads(file.read())
     except (FileNotFoundError, IsADirectoryError, ValueError, RecursionError):  # ValueError: not UTF-8, not JSON
         return None
     return content if isinstance(content, dict) else None

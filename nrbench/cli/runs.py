@@ -122,6 +122,7 @@ def run_command(**arguments: Any) -> int:
     from nrbench.running.runner import Options, execute
     from nrbench.running.supervisor import print_notice
     from nrbench.runs.records import Run
+    from nrbench.runs.store import RunDirectory
 
     columns = split_names(arguments["columns"])
     summary.check_columns(columns)
@@ -145,7 +146,7 @@ def run_command(**arguments: Any) -> int:
             tell(f"{error}; run the same command again to resume")
     limits = Limits(options.timeout, options.memory)
     stale = summary.remove_stale_report(run) if arguments["no_report"] else None
-    with live_progress(patience=True) as show:
+    with RunDirectory(root).locked(), live_progress(patience=True) as show:
         told = None if arguments["as_json"] else show
         written, broken = summary.write_reports(run, tables_only=arguments["no_report"], limits=limits, progress=told)
     failed = summary.print_summary(run, written, arguments["as_json"], columns)

@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 import PIL.Image
 from markupsafe import Markup
+from pydantic import TypeAdapter, ValidationError
 
 from nrbench.errors import BadInput
 from nrbench.imaging.files import read_image
@@ -283,10 +284,18 @@ def _labeler_names(files: Sequence[Path]) -> list[str]:
 def _known_items(run: Run) -> dict[str, Item]:
     cells = {record.key for record in run.cells}
     pages = [read_json(path) for path in sorted(_folder(run.root).glob("*.json"))]
-    items = [Item(**item) for page in pages if page for item in page.get("items", [])]
+    items = [item for page in pages if page for item in _items_of(page)]
     if not items:
         raise BadInput(f"{run.root}: no page was made to label this run; make one by `nrbench label {run.root}`")
     return {item.id: item for item in items if item.cell in cells}
+
+
+def _items_of(page: Mapping[str, Any]) -> list[Item]:
+    """Return the items of a page's file; none if the file is damaged."""
+    try:
+        return TypeAdapter(list[Item]).validate_python(page.get("items", []))
+    except ValidationError:
+        return []
 
 
 def _read_answers(path: Path, items: Mapping[str, Item]) -> tuple[list[LabelAnswer], str]:

@@ -9,14 +9,16 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, cast
 
 import psutil
 
-from nrbench.runs.store import Result
+from nrbench.errors import BadInput
+from nrbench.runs.store import Result, is_result_part
+from nrbench.storage import open_regular
 
 TICK = 0.02
 """Seconds between two checks of the clock and of the memory of the child. Above half of its limit there are more."""
@@ -25,8 +27,6 @@ MEMORY_TICK = 0.1
 MIB = 1 << 20
 LONG_LOG, SHORT_LOG = 16 << 20, 1 << 20
 """Bytes of a log above which it is cut, and bytes that are kept of it."""
-_TYPES: Mapping[str, Any] = {**dict.fromkeys(("status", "message", "scored"), str), "peak_mib": int | float}
-"""Types of some entries of a message, if they are there. A child may write anything else."""
 
 
 class Message(Result, total=False):
@@ -239,15 +239,14 @@ class Watch:
 
 def shorten(log: Path) -> None:
     """Cut a log that has grown long: only its end is kept. The child goes on appending to it, and may remove it."""
-    with contextlib.suppress(OSError):
-        if not log.is_file() or log.stat().st_size <= LONG_LOG:
+    with contextlib.suppress(OSError, BadInput), open(open_regular(log, os.O_RDWR), "r+b") as file:  # noqa: PTH123
+        if os.fstat(file.fileno()).st_size <= LONG_LOG:
             return
-        with log.open("rb") as file:
-            file.seek(-SHORT_LOG, os.SEEK_END)
-            end = file.read(SHORT_LOG)
-        os.truncate(log, 0)
-        with log.open("ab") as file:
-            file.write(b"[the beginning of this log was cut off]\n" + end)
+        file.seek(-SHORT_LOG, os.SEEK_END)
+        end = file.read(SHORT_LOG)
+        file.seek(0)
+        file.truncate()
+        file.write(b"[the beginning of this log was cut off]\n" + end)
 
 
 def parse_message(line: str | bytes) -> Message | None:
@@ -256,9 +255,7 @@ def parse_message(line: str | bytes) -> Message | None:
         message = json.loads(line)
     except ValueError:
         return None
-    if not isinstance(message, dict):
-        return None
-    if not all(isinstance(message[name], kind) for name, kind in _TYPES.items() if name in message):
+    if not isinstance(message, dict) or not isinstance(message.get("scored", ""), str) or not is_result_part(message):
         return None
     return cast("Message", message)
 

@@ -39,7 +39,7 @@ from nrbench.running import guard, phases
 from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import Send
 from nrbench.runs.store import CellFolder
-from nrbench.storage import leave_user_folder, read_json, remove_folder, working_folder
+from nrbench.storage import leave_user_folder, open_regular, read_json, remove_folder, working_folder
 from nrbench.suites.cell import Cell, Recipe, reader_of
 
 SCORER_ROOM = 256.0
@@ -262,7 +262,7 @@ class FreshChild:
     """
 
     def __init__(self, log: Path, folder: str) -> None:
-        with log.open("ab") as opened:
+        with open(open_regular(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND), "ab") as opened:  # noqa: PTH123
             self._process = start_worker({"once": True}, stderr=opened, cwd=folder)
         self.pid = self._process.pid
         self._lines, _ = read_lines(self._process)
@@ -501,7 +501,7 @@ def _run_request(request: Request, settle: Callable[[], None]) -> None:
 
 
 def _redirect(log: Path) -> None:
-    handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    handle = open_regular(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     nothing = os.open(os.devnull, os.O_RDONLY)
     for target, origin in ((0, nothing), (1, handle), (2, handle)):
         os.dup2(origin, target)

@@ -16,7 +16,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column, Value
 from nrbench.runs.store import RUN_FILE, CellFolder, Result, RunDirectory
-from nrbench.storage import read_json, write_bytes
+from nrbench.storage import NO_LINK, find_strange, read_json, write_bytes
 from nrbench.suites.cell import Cell
 
 if TYPE_CHECKING:
@@ -358,9 +358,15 @@ def _read_cell(where: CellFolder, entry: Mapping[str, Any]) -> Cell:
     raise BadInput(f"{where.path.parents[1]}: {RUN_FILE} is damaged; run the same command again")
 
 
+def _missing_result(where: CellFolder) -> Result:
+    """Return the result of a cell that has none that can be used: empty, or the link that stands in its folder."""
+    strange = find_strange(where.path)
+    return Result(status="invalid", message=f"{strange}: {NO_LINK}") if strange else Result()
+
+
 def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str]) -> CellRecord:
     cell = _read_cell(where, entry)
-    result = where.result() or Result()
+    result = where.result() or _missing_result(where)
     scores = {metric: where.score(metric) for metric in metrics} if result.get("status") == "ok" else {}
     return CellRecord(
         cell,
@@ -378,7 +384,7 @@ def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str]) -> 
 
 
 def _end(where: CellFolder, entry: Mapping[str, Any], keys: Mapping[str, str]) -> CellRecord:
-    result = where.result() or Result()
+    result = where.result() or _missing_result(where)
     failed = {metric: where.failure(key) for metric, key in keys.items()} if result.get("status") == "ok" else {}
     reasons = {metric: why for metric, why in failed.items() if why}
     return CellRecord(_read_cell(where, entry), where.path, result, reasons=reasons)

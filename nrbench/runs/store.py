@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -11,20 +12,23 @@ import re
 import shutil
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import psutil
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
 from nrbench import plugins
 from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.forms import Value
-from nrbench.storage import read_json, write_json
+from nrbench.storage import NO_LINK, find_strange, open_regular, read_json, write_json
 from nrbench.suites.cell import RESULTS_VERSION
 
 if TYPE_CHECKING:
@@ -37,8 +41,22 @@ FAILED = ("error", "timeout", "memory", "crash", "invalid")
 """The statuses of a failed cell; the other statuses are ``ok`` and ``refused``."""
 
 
+_Number = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
+_Vector = Annotated[list[_Number], Field(min_length=2, max_length=2)]
+
+
+class LatticeContent(TypedDict):
+    """A lattice in a file: generating vectors and a lattice point, px."""
+
+    t1: _Vector
+    t2: _Vector
+    origin: _Vector
+
+
 class Result(TypedDict, total=False):
     """How a synthesis or a detection ended: the content of ``result.json``.
+
+    What a child sends and what a file holds is checked by this class: strict types, finite numbers.
 
     Attributes
     ----------
@@ -73,25 +91,38 @@ class Result(TypedDict, total=False):
         The outcome of a detection, see :class:`~nrbench.plugins.forms.FoundLattice`.
     """
 
-    status: str
+    __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
+    status: Literal["ok", "refused", "error", "timeout", "memory", "crash", "invalid", "storage"]
     message: str
     phase: str
     note: str
-    seconds: float
-    cpu_seconds: float
-    detection_seconds: float
-    prepare_seconds: float
-    peak_mib: float
-    side_by_side: float
-    lattice_used: dict[str, Any] | None
+    seconds: _Number
+    cpu_seconds: _Number
+    detection_seconds: _Number
+    prepare_seconds: _Number
+    peak_mib: _Number
+    side_by_side: _Number
+    lattice_used: LatticeContent | None
     output_hash: str
-    made: dict[str, int]
-    lattice: dict[str, Any] | None
-    confidence: float | None
+    made: dict[str, Annotated[int, Field(ge=0, le=2**53)]]
+    lattice: LatticeContent | None
+    confidence: _Number | None
     reason: str
     texture: dict[str, Any]
     written: list[str]
-    wall: float
+    wall: _Number
+
+
+_RESULT = TypeAdapter(Result)
+
+
+def is_result_part(content: Mapping[str, Any]) -> bool:
+    """Return whether all entries of a mapping that a result may have are of the right type and range."""
+    try:
+        _RESULT.validate_python(dict(content))
+    except ValidationError:
+        return False
+    return True
 
 
 class ScoreContent(TypedDict, total=False):
@@ -146,10 +177,14 @@ class CellFolder:
     """What the method and the metrics printed, and tracebacks."""
 
     def result(self) -> Result | None:
-        """Return how the synthesis ended, or None while it has not. A damaged file counts as none."""
-        content = read_json(self.result_file) or {}
-        texts = isinstance(content.get("status"), str) and isinstance(content.get("message"), str)
-        return cast("Result", content) if texts else None
+        """Return how the synthesis ended, or None while it has not.
+
+        A damaged file counts as none, and so does any file beside which there is a link or no regular file: the cell is
+        then computed again.
+        """
+        content = read_json(self.result_file)
+        whole = content is not None and {"status", "message"} <= set(content) and is_result_part(content)
+        return cast("Result", content) if whole and not find_strange(self.path) else None
 
     def write_result(self, result: Result) -> Result:
         """Write how the synthesis ended, and return it."""
@@ -202,16 +237,18 @@ class CellFolder:
         write_json(self.score_file(metric), {"metric": metric, **empty, "records": {}, "pictures": {}})
 
     def clear(self) -> None:
-        """Remove what an interrupted or failed attempt left."""
+        """Remove what an interrupted or failed attempt left, and a link or file in its place. No link is followed."""
+        with contextlib.suppress(OSError):
+            self.path.unlink()  # fails if it is a folder
         shutil.rmtree(self.path, ignore_errors=True)
 
     def log_tail(self, lines: int = 12) -> str:
         """Return the log's last lines; of a long log only the end is read."""
         try:
-            with self.log.open("rb") as log:
-                log.seek(max(0, self.log.stat().st_size - TAIL))
+            with open(open_regular(self.log), "rb") as log:  # noqa: PTH123
+                log.seek(max(0, os.fstat(log.fileno()).st_size - TAIL))
                 return "\n".join(log.read(TAIL).decode("utf-8", "replace").splitlines()[-lines:])
-        except FileNotFoundError:
+        except (FileNotFoundError, BadInput):
             return ""
 
 
@@ -298,8 +335,9 @@ class RunDirectory:
         Raises
         ------
         BadInput
-            When the directory is no run.
+            When the directory is no run, or a file or folder that nrbench writes in it is a link.
         """
+        self.check_links()
         content = read_json(self.root / RUN_FILE)
         if content is None or not (isinstance(content.get("suite"), dict) and isinstance(content.get("cells"), list)):
             raise BadInput(
@@ -329,52 +367,89 @@ class RunDirectory:
         if known != json.loads(json.dumps(content)):
             write_json(self.root / RUN_FILE, content)
 
+    def check_links(self) -> None:
+        """Raise :class:`BadInput` if there is a link among the folders and files of a run, except in those of cells.
+
+        Cells check their own folders. The directory of the run itself may be a link.
+        """
+        named = [self.root / name for name in ("cells", "lattices", RUN_FILE, ".lock")]
+        strange = next((path for path in named if path.is_symlink()), None)
+        for folder in ("tables", "report", "labels"):
+            strange = strange or find_strange(self.root / folder)
+        if strange is not None:
+            raise BadInput(f"{strange}: {NO_LINK}")
+
     def claim(self) -> None:
         """Make the directory, unless it holds a run already.
 
         Raises
         ------
         BadInput
-            When the path is a file, or a directory with something else in it.
+            When the path is a file, or a directory with something else in it or with links.
         """
         if self.root.exists() and not self.root.is_dir():
             raise BadInput(f"{self.root}: is a file; pass another --out")
         occupied = self.root.is_dir() and any(self.root.iterdir()) and not (self.root / RUN_FILE).is_file()
         if occupied and not self.cells.is_dir():
             raise BadInput(f"{self.root}: holds something that is no run; pass an empty or new directory as --out")
+        self.check_links()
         self.cells.mkdir(parents=True, exist_ok=True)
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other processes from running in this directory; the lock ends with the process, however it ends."""
-        with (self.root / ".lock").open("w") as lock:
+        """Keep other processes from running in this directory; the lock ends with the process, however it ends.
+
+        Where the file system has no locks, a file ``.running`` takes its place, which a killed process leaves behind.
+
+        Raises
+        ------
+        BadInput
+            When another process runs in the directory, or ``.lock`` is a link.
+        """
+        with contextlib.ExitStack() as stack:
+            lock = open_regular(self.root / ".lock", os.O_RDWR | os.O_CREAT)
+            stack.callback(os.close, lock)
             try:
                 import fcntl
 
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except ImportError:
-                pass
-            except OSError:
-                raise BadInput(f"{self.root}: another nrbench is running in it; wait, or pass another --out") from None
+                stack.enter_context(self._mark_running())
+            except OSError as error:
+                if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
+                    why = f"{self.root}: another nrbench is running in it; wait, or pass another --out"
+                    raise BadInput(why) from None
+                warnings.warn(
+                    f"{self.root}: the file system has no locks ({error.strerror})", RuntimeWarning, stacklevel=3
+                )
+                stack.enter_context(self._mark_running())
             yield
 
+    @contextlib.contextmanager
+    def _mark_running(self) -> Iterator[None]:
+        """Hold the directory by a file that only one process can make."""
+        mark = self.root / ".running"
+        try:
+            os.close(os.open(mark, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644))
+        except FileExistsError:
+            raise BadInput(
+                f"{self.root}: another nrbench is running in it, or was killed; if none is, remove {mark}"
+            ) from None
+        try:
+            yield
+        finally:
+            mark.unlink(missing_ok=True)
+
     def copy_cells(self, other: RunDirectory, keys: Iterable[str]) -> None:
-        """Copy the finished cells of another run that have these keys and no result here; links are not followed."""
+        """Copy the finished cells of another run that have these keys and no result here; cells with links are not."""
         for key in keys:
             theirs, ours = other.cell(key), self.cell(key)
-            if theirs.path.is_symlink():
-                continue
             if theirs.result() is not None and ours.result() is None:
                 ours.clear()
                 aside = ours.path.with_name(f".{key}")
                 shutil.rmtree(aside, ignore_errors=True)
-                shutil.copytree(theirs.path, aside, ignore=_links)
+                shutil.copytree(theirs.path, aside, symlinks=True)
                 aside.rename(ours.path)
-
-
-def _links(folder: str, names: list[str]) -> list[str]:
-    """Return the names that are links. They are not copied, because they may lead anywhere."""
-    return [name for name in names if Path(folder, name).is_symlink()]
 
 
 def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:

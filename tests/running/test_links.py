@@ -1,0 +1,142 @@
+"""Links and files that are not regular inside a run: nothing is written through them or read from them."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nrbench.api import load, run
+from nrbench.cli.main import main
+from nrbench.errors import BadInput
+from nrbench.runs.store import RunDirectory, is_result_part
+from nrbench.storage import find_strange, open_regular, read_json
+
+SECRET = "not of this run\n" * 100
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    """Write a file outside the run."""
+    path = tmp_path / "secret.txt"
+    path.write_text(SECRET, "utf-8")
+    return path
+
+
+@pytest.fixture
+def outside(tmp_path: Path) -> Path:
+    """Make a folder outside the run."""
+    path = tmp_path / "outside"
+    path.mkdir()
+    return path
+
+
+def run_one_cell(root: Path) -> Path:
+    """Run one cell; return its folder."""
+    made = run("core", methods=["tiling"], textures=["brick-mild"], lattice=["given"], metrics=["cost"], out=root)
+    return made.cells[0].folder
+
+
+def put_link(path: Path, target: Path) -> None:
+    """Put a link in the place of a file or folder."""
+    if path.is_dir():
+        path.rename(path.parent / "moved")
+    path.unlink(missing_ok=True)
+    path.symlink_to(target)
+
+
+@pytest.mark.parametrize("name", [".lock", "run.json", "tables", "cells", "lattices", "report"])
+def test_a_link_in_a_run_directory_is_refused_with_its_path(
+    name: str, tmp_path: Path, secret: Path, outside: Path
+) -> None:
+    """The message names the link, and what it leads to keeps its content."""
+    (tmp_path / "run" / "cells").mkdir(parents=True)
+    put_link(tmp_path / "run" / name, secret if name in (".lock", "run.json") else outside)
+    with pytest.raises(BadInput, match=f"{name}: is a link"):
+        run_one_cell(tmp_path / "run")
+    assert secret.read_text() == SECRET and not list(outside.iterdir())
+
+
+@pytest.mark.parametrize("name", ["log.txt", "output.png", "result.json", "cell.json", "scores", ""])
+def test_a_cell_with_a_link_is_computed_again(name: str, tmp_path: Path, secret: Path, outside: Path) -> None:
+    """Reports show the cell as invalid and name the link; the next run replaces it, and no target changes."""
+    folder = run_one_cell(tmp_path / "run")
+    put_link(folder / name if name else folder, outside if name in ("scores", "") else secret)
+    [record] = load(tmp_path / "run").cells
+    assert record.status == "invalid" and f"{name or folder.name}: is a link" in record.message
+    assert run_one_cell(tmp_path / "run") == folder
+    [record] = load(tmp_path / "run").cells
+    assert record.status == "ok" and find_strange(folder) is None
+    assert secret.read_text() == SECRET and not list(outside.iterdir())
+
+
+def test_a_named_pipe_does_not_stop_a_reader(tmp_path: Path) -> None:
+    """``status`` ends where a pipe stands for the result of a cell."""
+    folder = run_one_cell(tmp_path / "run")
+    (folder / "result.json").unlink()
+    os.mkfifo(folder / "result.json")
+    with pytest.raises(SystemExit):
+        main(["status", str(tmp_path / "run")])
+    assert read_json(folder / "result.json") is None
+    assert load(tmp_path / "run").cells[0].status == "invalid"
+
+
+def test_cells_with_links_are_not_reused(tmp_path: Path, secret: Path) -> None:
+    """A cell of another run whose output is a link is not copied."""
+    folder = run_one_cell(tmp_path / "theirs")
+    put_link(folder / "output.png", secret)
+    ours = RunDirectory(tmp_path / "ours")
+    ours.claim()
+    ours.copy_cells(RunDirectory(tmp_path / "theirs"), [folder.name])
+    assert not list(ours.cells.iterdir())
+
+
+def test_only_regular_files_are_opened(tmp_path: Path, secret: Path) -> None:
+    """A folder, a device and a link are refused, and a file is not truncated."""
+    link = tmp_path / "link"
+    link.symlink_to(secret)
+    for path in (link, tmp_path, Path(os.devnull)):
+        with pytest.raises(BadInput, match="no regular file"):
+            open_regular(path)
+    os.close(open_regular(secret, os.O_RDWR | os.O_CREAT))
+    assert secret.read_text() == SECRET
+
+
+def test_a_file_system_without_locks_is_no_other_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file takes the place of the lock: a second process is refused, and the file goes with the first."""
+    import fcntl
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    directory = RunDirectory(tmp_path / "run")
+    directory.claim()
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.warns(RuntimeWarning, match="no locks"), directory.locked():
+        with pytest.raises(BadInput, match=r"remove .*\.running"), directory.locked():
+            pass
+        assert (directory.root / ".running").exists()
+    assert not (directory.root / ".running").exists()
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        {"status": "banana"},
+        {"seconds": "abc"},
+        {"seconds": float("nan")},
+        {"peak_mib": 10**400},
+        {"lattice": 5},
+        {"lattice_used": {"t1": [1, 2], "t2": [3, 4]}},
+        {"lattice": {"t1": [1, 2, 3], "t2": [3, 4], "origin": [0, 0]}},
+        {"made": {"output.png": -1}},
+        {"message": None},
+    ],
+)
+def test_forged_entries_of_a_result_are_refused(part: dict[str, Any]) -> None:
+    """An entry of a wrong type, an unknown status and a number without bounds make no result."""
+    good = {"status": "ok", "message": "", "seconds": 1, "peak_mib": 2.5, "made": {"output.png": 7}}
+    assert is_result_part(good) and not is_result_part({**good, **part})
