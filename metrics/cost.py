@@ -23,7 +23,7 @@ class Cost:
     measured ten times a second, so the peak of a program that ends sooner is missed.
     """
 
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     columns: ClassVar[Mapping[str, Column]] = {
         "seconds": _column("Wall time of the synthesis, including the lattice detection by the method itself.", "s"),
         "cpu_seconds": _column(
@@ -31,6 +31,9 @@ class Cost:
         ),
         "detection_seconds": _column(
             "Wall time of lattice detection, by the method or by the detector of the lattice axis.", "s"
+        ),
+        "prepare_seconds": _column(
+            "Wall time in which the method prepared for the sample, once for all its cells.", "s"
         ),
         "peak_mib": _column(
             "Peak memory above that of the idle worker, or of programs that the method starts if that is more.", "MiB"
@@ -43,11 +46,14 @@ class Cost:
         """Return the measurements, and a reason for each one that is missing."""
         height, width = observation.output.shape[:2]
         seconds, cost = observation.seconds, observation.cost
-        values: dict[str, Value] = {name: cost.get(name) for name in ("cpu_seconds", "detection_seconds", "peak_mib")}
+        measured = ("cpu_seconds", "detection_seconds", "prepare_seconds", "peak_mib")
+        values: dict[str, Value] = {name: cost.get(name) for name in measured}
         values["seconds"] = seconds
         values["px_per_second"] = height * width / seconds if seconds else None
         values["reliable"] = None if seconds is None else not cost.get("side_by_side")
         reasons = {name: "not measured when this output was made" for name, value in values.items() if value is None}
+        if "prepare_seconds" in reasons:
+            reasons["prepare_seconds"] = "the method does not prepare for a sample"
         if seconds == 0:
             reasons["px_per_second"] = "not measured: the synthesis took less time than the clock resolves"
         return Score({name: values[name] for name in self.columns}, reasons)

@@ -34,6 +34,7 @@ from nrbench.plugins import forms
 from nrbench.plugins.forms import Refused
 from nrbench.running.output_checks import InvalidOutput, check_source, checked_synthesis
 from nrbench.running.phases import FAULTS, Send, freeze, leaves, score_observation, write_score
+from nrbench.running.preparing import briefly_prepared
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder
 from nrbench.storage import read_json
@@ -243,7 +244,8 @@ class SynthesizerSubject(Subject):
 
     def call(self, given: forms.Task) -> forms.Synthesis:
         """Return the synthesis of a task."""
-        return cast("forms.Synthesis", self.plugin.synthesize(given))
+        with briefly_prepared(self.plugin, given, 0) as task:
+            return cast("forms.Synthesis", self.plugin.synthesize(task))
 
     def describe(self, **changes: Any) -> str:
         """Check all but the source map."""

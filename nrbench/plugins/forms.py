@@ -346,6 +346,8 @@ class Task:
     recompose
         ``recompose(shape, k)`` returns the k-th draw whose elements are copies of elements of the sample; None unless
         the method declares ``reference = True`` and the dataset has a method ``recompose``.
+    cache
+        The folder that the method's ``prepare`` has filled for this sample; None unless the method has ``prepare``.
 
     Examples
     --------
@@ -362,6 +364,7 @@ class Task:
     progress: Callable[[float], None] = _ignore
     again: Again | None = None
     recompose: Again | None = None
+    cache: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -541,6 +544,14 @@ class Synthesizer(Protocol):
         method calls with their default parameters, whose versions become part of the key.
     ``fingerprint()``
         A method that returns a hash of the files that it reads, for the key.
+    ``prepare(task)``
+        A method that learns from the sample, and writes what it has learned into the folder ``task.cache``. It is
+        called once for all cells of the same method, parameters, sample, lattice and seed, and its time is no part of
+        that of the synthesis. Its ``task`` has the sample as it is, also if ``geometry`` straightens it, the shape of
+        the sample, and a random stream of its own.
+    ``isolation``
+        ``"worker"``: the process that forks the cells imports the plugin once. ``"cell"``: each cell imports it, as a
+        library needs that starts threads or must not be forked. Plugins of every kind may have it.
     ``presets``
         Named sets of parameters, as in ``presets: ClassVar[Mapping[str, Mapping[str, Any]]]``. ``preset=NAME`` among
         the parameters chooses one. The preset ``"paper"`` is the method as its paper describes it. Plugins of every

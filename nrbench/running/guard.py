@@ -188,7 +188,7 @@ class Watch:
         limits, left, most = self.limits, set(self.limits.parts), self.limits.mib + self.limits.start_mib
         deadline = time.monotonic() + limits.start_seconds + limits.seconds
         starting = limits.start_seconds > 0
-        memory_check, started, close = time.monotonic() + MEMORY_TICK, 0, False
+        memory_check, started, close, exact_check = time.monotonic() + MEMORY_TICK, 0, False, 0.0
         while True:
             ended = self.child.has_ended()  # asked first: its last message may arrive just before its end
             messages = self._receive(TICK / 4 if close else TICK)
@@ -207,16 +207,19 @@ class Watch:
             if now > deadline:
                 return "timeout", f"took longer than {limits.seconds:g} s; raise --timeout if it may"
             own = held_bytes(self.child.pid)
+            close = own + started - self.base > most / 2 * MIB
             if now > memory_check or close:
                 memory_check = now + MEMORY_TICK
                 family = [each for each in descendants(os.getpid(), self.spared) if each != self.child.pid]
-                started = sum(map(held_bytes, family)) + shared_bytes([self.child.pid, *family], self._files)
+                files, mapped = shared_bytes([self.child.pid, *family], self._files)
+                started = sum(map(held_bytes, family)) + files - mapped
                 self.started = max(self.started, started)
                 shorten(self.log)
-            held = (own + started - self.base) / MIB
-            close = held > most / 2
-            if held > most:
-                return "memory", f"used more than {limits.mib:g} MiB; raise --memory if it may"
+            if own + started - self.base > most * MIB and now > exact_check:
+                exact_check, count = now + MEMORY_TICK, 1 + len(family)
+                known = self.base * count / (count + 1 + len(self.spared))  # the part of what the worker holds
+                if proportional_bytes([self.child.pid, *family], files) - known > most * MIB:
+                    return "memory", f"used more than {limits.mib:g} MiB; raise --memory if it may"
 
     def _receive(self, seconds: float) -> list[Message]:
         if self._open:
@@ -266,11 +269,11 @@ def descendants(pid: int, spared: Collection[int] = ()) -> list[int]:
     return children + [each for child in children for each in descendants(child)]
 
 
-def shared_bytes(pids: Iterable[int], files: dict[str, tuple[int, int]]) -> int:
+def shared_bytes(pids: Iterable[int], files: dict[str, tuple[int, int]]) -> tuple[int, int]:
     """Return the bytes of the files in memory that processes have open, or had when this was called before (Linux).
 
-    Such files (``memfd_create``, ``/dev/shm``) take memory whether or not a process maps them. What each process has
-    mapped of them, :func:`held_bytes` has counted; it is subtracted, so the sum of both is right.
+    Such files (``memfd_create``, ``/dev/shm``) take memory whether or not a process maps them. The second number is
+    what the processes together have mapped of them, which :func:`held_bytes` has counted.
 
     Parameters
     ----------
@@ -293,7 +296,30 @@ def shared_bytes(pids: Iterable[int], files: dict[str, tuple[int, int]]) -> int:
             found = os.lstat(path)
             if (found.st_dev, found.st_ino) == inode:
                 sizes[inode] = found.st_blocks * 512
-    return sum(sizes.values()) - mapped
+    return sum(sizes.values()), mapped
+
+
+def proportional_bytes(pids: Iterable[int], files: int) -> int:
+    """Return the bytes that processes hold, a page that several processes share counted by each in part.
+
+    This takes milliseconds. Forked processes share the memory of their parent, which :func:`held_bytes` counts for each
+    of them.
+
+    Parameters
+    ----------
+    pids
+        The processes.
+    files
+        Bytes of the files in memory, of which they may have mapped any part.
+    """
+    anonymous = mapped = 0
+    for pid in pids:
+        with contextlib.suppress(OSError):
+            parts = {"Pss_Anon:": held_bytes(pid), "Pss_Shmem:": 0}  # where the system does not tell them
+            with open(f"/proc/{pid}/smaps_rollup", encoding="ascii") as rollup:  # noqa: PTH123
+                parts |= {name: int(words[0]) * 1024 for name, *words in map(str.split, rollup) if name in parts}
+            anonymous, mapped = anonymous + parts["Pss_Anon:"], mapped + parts["Pss_Shmem:"]
+    return anonymous + max(mapped, files)
 
 
 def _measure(handle: str, sizes: dict[tuple[int, int], int], files: dict[str, tuple[int, int]]) -> None:

@@ -39,6 +39,7 @@ from nrbench.plugins.forms import (
 )
 from nrbench.running.guard import Message, cpu_seconds
 from nrbench.running.output_checks import InvalidOutput, checked_synthesis, is_picture
+from nrbench.running.preparing import prepare_method
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder, Result, metric_key
 from nrbench.storage import read_arrays, read_json, write_arrays, write_json
@@ -49,6 +50,8 @@ from nrbench.suites.plan import draw_texture
 T = TypeVar("T")
 PLAIN = ("family", "kind", "regular_share", "region")
 """Fields of a texture that JSON can hold."""
+PREPARED = "prepared"
+"""The part of a synthesis that is done when the method has prepared."""
 Send = Callable[[Message], None]
 """Sends one message to the process that watches this one."""
 FAULTS = (Exception, SystemExit, GeneratorExit)
@@ -117,7 +120,9 @@ def synthesize_cell(folder: Path, send: Send) -> None:
     where = CellFolder(folder)
     cell = _read_cell(where)
     method = plugins.build("synthesizers", cell.method, cell.parameters)
-    task = _task(where, cell)
+    folder = where.path.parents[1] / "prepared" / cell.preparation_key
+    task, prepared = prepare_method(method, _task(where, cell), folder, cell.seed)
+    send({"scored": PREPARED})
     wall, cpu = time.perf_counter(), cpu_seconds()
     synthesis = synthesize_in_geometry(method, task)
     wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
@@ -138,6 +143,8 @@ def synthesize_cell(folder: Path, send: Send) -> None:
             if file.is_file()
         },
     }
+    if prepared is not None:
+        result["prepare_seconds"] = prepared
     send(cast("Message", result))
 
 
@@ -331,7 +338,7 @@ def observe(where: CellFolder, cell: Cell, keep: bool = False) -> Observation:
         raise InvalidOutput(f"{cut[0]} has changed since the method returned it; --retry-failed runs the cell again")
     truth, again = _truth(cell, sample, keep)
     measured: Mapping[str, Any] = result
-    names = ("cpu_seconds", "detection_seconds", "peak_mib")
+    names = ("cpu_seconds", "detection_seconds", "prepare_seconds", "peak_mib")
     cost = {name: measured[name] for name in names if measured.get(name) is not None}
     if cell.detected is not None:
         cost["detection_seconds"] = cell.detected.seconds

@@ -25,7 +25,7 @@ from nrbench.running.supervisor import print_notice
 from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
-from nrbench.storage import write_json
+from nrbench.storage import remove_folder, write_json
 from nrbench.suites.cell import Cell, reader_of
 from nrbench.suites.plan import Plan, PlannedSample
 
@@ -154,6 +154,8 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     directory.claim()
     with directory.locked():
         directory.write_info(plan, options.argv, metrics)
+        for unfinished in (root / "prepared").glob(".*"):  # a preparation was killed
+            remove_folder(unfinished)
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
         with executor(options.jobs, options.scheduler, options.worker_wait, options.tell) as pool:

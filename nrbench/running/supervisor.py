@@ -204,7 +204,7 @@ class Supervisor:
             self._worker.stdin.flush()
         except OSError:
             return self._crash("the worker process had ended")
-        line = self._line(request.seconds * max(1, len(request.metrics)) + 2 * GRACE)
+        line = self._line(request.seconds * max(2, len(request.metrics)) + 2 * GRACE)
         self._check_open()
         return Reply.from_json(line or "") or self._crash("the worker process died")
 

@@ -366,7 +366,7 @@ class ChildServer:
         if not shared:
             self.recover()
         child = self._take_child(request, shared)
-        limits = guard.Limits(request.seconds, request.mib, request.metrics)
+        limits = guard.Limits(request.seconds, request.mib, request.metrics or (phases.PREPARED,))
         if not self._forks:
             limits = dataclasses.replace(limits, start_seconds=GRACE, start_mib=512)
         base = guard.held_bytes(child.pid) if self._forks else 0

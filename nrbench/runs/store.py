@@ -51,6 +51,8 @@ class Result(TypedDict, total=False):
     seconds, cpu_seconds, detection_seconds
         Wall and processor seconds of the synthesis, and wall seconds in which the method detected the lattice. For a
         detection, ``seconds`` are its wall seconds.
+    prepare_seconds
+        Wall seconds in which the method prepared for the sample, if it does.
     peak_mib
         Peak memory in addition to that of an idle worker, MiB.
     side_by_side
@@ -78,6 +80,7 @@ class Result(TypedDict, total=False):
     seconds: float
     cpu_seconds: float
     detection_seconds: float
+    prepare_seconds: float
     peak_mib: float
     side_by_side: float
     lattice_used: dict[str, Any] | None

@@ -188,6 +188,14 @@ class Cell:
         text = json.dumps(decides, sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
+    @property
+    def preparation_key(self) -> str:
+        """Hexadecimal hash of all that the preparation of the method may depend on; equal for all sizes and draws."""
+        method = [self.method, self.version, dict(self.parameters), self.finder]
+        given = self.lattice_given.as_dict() if self.lattice_given else None
+        text = json.dumps([RESULTS_VERSION, method, given, self.sample_hash, self.seed], sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+
     def as_dict(self) -> dict[str, Any]:
         """Return the cell as a mapping that can be written as JSON. No parameter is copied, to save time."""
         known = {name: getattr(self, name) for name in ("lattice_given", "lattice_truth", "detected")}

@@ -18,7 +18,7 @@ from nrbench.metrics.source import SourceUse
 from nrbench.plugins.forms import FoundLattice, Metric, Observation, Score, SourceMap, Texture
 
 SMALL, WIDE = np.zeros((64, 64, 3), np.float32), np.zeros((100, 200, 3), np.float32)
-MEASURED = {"cpu_seconds": 0.4, "detection_seconds": 0.1, "peak_mib": 12.0}
+MEASURED = {"cpu_seconds": 0.4, "detection_seconds": 0.1, "prepare_seconds": 3.0, "peak_mib": 12.0}
 
 
 def test_what_was_measured_is_reported() -> None:

@@ -66,6 +66,25 @@ def fail(error: BaseException) -> None:
     raise error
 
 
+def fill() -> None:
+    """Fill a file in memory that is not mapped."""
+    file = os.memfd_create("fill")
+    for size in range(4, 2000, 4):
+        os.write(file, bytes(4 << 20))
+        print(f"holds {size} MiB", flush=True)
+
+
+def share() -> None:
+    """Reserve 40 GiB that are not touched, and share 200 MiB with three forked processes."""
+    kept.append(mmap.mmap(-1, 40 << 30, flags=mmap.MAP_PRIVATE | 0x4000))  # MAP_NORESERVE
+    hoard = np.ones(200 << 20, np.uint8)
+    for _ in range(3):
+        if os.fork() == 0:
+            time.sleep(0.4)
+            os._exit(int(hoard[0]))
+    time.sleep(0.5)
+
+
 def loop(pause: float) -> None:
     """Ignore the signal to end, and loop for ever."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -169,6 +188,8 @@ DEEDS: dict[str, Callable[[], object]] = {
     "memory": lambda: np.ones((1 << 33,), np.uint8),
     "hog": hog,
     "creep": creep,
+    "fill": fill,
+    "share": share,
     "litter": litter,
     "hide": hide,
     "escape": escape,
@@ -392,6 +413,30 @@ class Sleeper:
                 time.sleep(0.05)
             process.kill()
         return Fine().synthesize(task)
+
+
+@dataclass(frozen=True)
+class Learner:
+    """The sample, brightened by what was learned of it; it takes a while to learn, and to synthesize."""
+
+    seconds: float = 0.2
+    marks: Path = Path("marks")
+    uses_lattice: ClassVar[bool] = False
+
+    def prepare(self, task: Task) -> None:
+        """Write a number into the folder that lasts."""
+        assert task.cache is not None
+        with self.marks.open("a") as marks:
+            marks.write(f"{task.shape}\n")
+        time.sleep(self.seconds)
+        (task.cache / "number").write_text(str(task.rng.random()))
+
+    def synthesize(self, task: Task) -> Synthesis:
+        """Brighten the sample."""
+        assert task.cache is not None
+        number = (task.cache / "number").read_text()
+        time.sleep(self.seconds / 2)
+        return dataclasses.replace(Fine().synthesize(task), note=number)
 
 
 @dataclass(frozen=True)

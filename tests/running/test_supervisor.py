@@ -27,7 +27,7 @@ from faults import registered_faults
 from suites import wall_suite, write_sleepers
 
 from nrbench import plugins
-from nrbench.api import run
+from nrbench.api import run, synthesize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.running import guard, phases, runner, worker
 from nrbench.running.pace import Step
@@ -462,6 +462,30 @@ def test_only_the_own_code_of_nrbench_shares_a_process(faulty: Path, tmp_path: P
     file.rmdir()
     assert is_shared("brick", "cost")
     assert not is_shared("brick", "cost", "none such")
+
+
+def test_a_method_prepares_once_for_a_sample(supervisors: list[Supervisor], faulty: Path, tmp_path: Path) -> None:
+    """What a method learned of a sample is found by all its cells, takes none of their time, and is made again if lost.
+
+    The limit of time holds for the preparation and for the synthesis, each by itself.
+    """
+    suite = wall_suite([f"learner:marks={tmp_path}/marks"], "cost")
+    cells = []
+    for size in ((64, 64), (64, 80)):
+        cells += run(suite.with_changes(size=size), out=tmp_path / "run", options=Options(jobs=0)).cells
+    first, second = cells
+    assert first.note == second.note
+    assert (tmp_path / "marks").read_text() == "(64, 64)\n"
+    for cell in cells:
+        assert cell.values["cost.seconds"] < 0.2 <= cell.values["cost.prepare_seconds"]
+    (record,) = (tmp_path / "run" / "prepared").glob("*/.prepared.json")
+    record.write_text("{}")
+    run(suite.with_changes(size=(64, 96)), out=tmp_path / "run", options=Options(jobs=0))
+    assert (tmp_path / "marks").read_text() == "(64, 64)\n" * 2
+    alone = synthesize("learner", first.folder / "sample.png", (32, 32), marks=str(tmp_path / "alone"))
+    assert alone.note == first.note
+    folder = prepare(tmp_path / "slow" / "cell", "learner", seconds=0.8, marks=str(tmp_path / "marks"))
+    assert supervisors[0].run(Request("synthesize_cell", str(folder), 1.0, 500)).result["status"] == "ok"
 
 
 @pytest.mark.usefixtures("faulty")
