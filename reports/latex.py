@@ -111,7 +111,7 @@ class LatexTables:
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; without a regularity score only ``patches.tex``, if at all."""
         comparison, terms = compare_methods(run, self.tests, self.baseline, self.population), list_patch_terms(run)
-        style = {"width": self.width, "bare": self.bare}
+        style: dict[str, Any] = {"width": self.width, "bare": self.bare}
         wide = {**style, "width": "page" if self.width == "column" else self.width}
         texts = {"patches.tex": _fill(run, comparison, "patches", patch_terms=terms, **wide)} if terms else {}
         if comparison.scored and comparison.rows:
@@ -151,10 +151,8 @@ def _comparison_parts(comparison: Comparison, columns: int, limit: float) -> lis
     """Return the tables of ``comparison.tex``, each as blocks of methods."""
     names = max(map(_text_width, ("texture", *(row.texture for row in comparison.rows)))) + _GAP + _text_width("share")
     heads = [max(map(_text_width, break_name(one.name, _LINE_LETTERS))) + _RAISED for one in comparison.methods]
-    entries = [
-        max((15 + _text_width(row.entries[i].detail) for row in comparison.rows if row.entries[i]), default=0)
-        for i in range(len(comparison.methods))
-    ]
+    columns_of = [[row.entries[i] for row in comparison.rows] for i in range(len(comparison.methods))]
+    entries = [max((15 + _text_width(one.detail) for one in column if one), default=0) for column in columns_of]
     blocks = _blocks(list(map(max, heads, entries)), names, limit, columns)
     return _split(blocks, len(comparison.rows))
 
