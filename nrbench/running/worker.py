@@ -482,7 +482,7 @@ def _run_many() -> None:
             request = Request.from_json(line)
             with warnings.catch_warnings():  # so that a warning is in the log of each cell that it is about
                 _run_request(request, partial(leave_user_folder, Path(request.user_folder), Path("/")))
-            _redirect(Path(os.devnull))
+            _redirect(None)
             _send({"finished": True})
 
 
@@ -500,9 +500,9 @@ def _run_request(request: Request, settle: Callable[[], None]) -> None:
             sys.stderr.flush()
 
 
-def _redirect(log: Path) -> None:
-    handle = open_regular(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    nothing = os.open(os.devnull, os.O_RDONLY)
+def _redirect(log: Path | None) -> None:
+    nothing = os.open(os.devnull, os.O_RDWR)
+    handle = os.dup(nothing) if log is None else open_regular(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     for target, origin in ((0, nothing), (1, handle), (2, handle)):
         os.dup2(origin, target)
     os.close(handle)
