@@ -28,7 +28,7 @@ MOST_VARIATION: Final = 4.0
 """Largest parameter ``variation``."""
 _EXPLAINED = 0.05
 """Least share of the residual's variance that the colors of elements explain; with less, elements are whole cells."""
-_CONTINUOUS = 0.7
+_CONTINUOUS = 0.65
 """Coarse residuals are drawn as one field if they step less than this share of what independent elements would."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
@@ -76,7 +76,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
 
     def __post_init__(self) -> None:
         require_ranges(self, variation=(0, MOST_VARIATION))
@@ -157,7 +157,10 @@ class VariationModel:
         rng, twice = np.random.default_rng(0), (2 * shape[0], 2 * shape[1])
         detail = self.detail.render(self.detail.draw(twice, rng), twice)
         colors = self.colors.render(self.colors.draw(twice, rng), twice)
+        threads = any(thread.turn != (0, 0) for thread in self.colors.threads)  # they are longer than a field's memory
         for own, drawn, colored in ((residual, colors + detail, False), (self.detail.rest, detail, True)):
+            if threads and not colored:
+                continue
             if measure_steps(own, elements) < _CONTINUOUS * measure_steps(drawn, elements):
                 rest = ElementDetail(elements, own - smooth_coarsely(own, elements))
                 return replace(self, detail=rest, field=CellField.fit(elements, own), colored=colored)
