@@ -143,16 +143,18 @@ def print_defects() -> None:
 
 
 def print_rare() -> None:
-    """Print how many odd (damaged, missing) elements outputs show, over those of fresh draws."""
+    """Print the share of pixels that departs by more than 0.15 from the ideal image: missing and worn elements."""
     for name, parameters in RARE:
-        ratios = []
-        for seed in range(904, 912):
-            made, again = draws_of(name, seed, parameters)
+        shares = []
+        for seed in range(904, 916):
+            made, again = draws_of(name, seed, {"color": 0.1, "intensity": 0.05, "noise": 0.02} | parameters)
+            fresh = again((256, 256), 1)
+            assert fresh is not None and fresh.ideal is not None and made.ideal is not None
             output = synthesize("resample", made.image, (256, 256), lattice=made.lattice, seed=seed)
-            value = score(made, again, output).get("randomness.survival")
-            ratios += [] if value is None else [float(value)]
-        error = np.std(ratios, ddof=1) / np.sqrt(len(ratios))
-        print(f"{name} {parameters}: survival {np.mean(ratios):.2f} +- {error:.2f} ({len(ratios)} samples)")
+            pairs = (made.image, made.ideal), (output.image, fresh.ideal), (fresh.image, fresh.ideal)
+            shares.append([np.mean(np.abs((image - ideal).mean(-1)) > 0.15) for image, ideal in pairs])
+        sample, own, drawn = np.mean(shares, 0)
+        print(f"{name} {parameters}: sample {sample:.3f}, output {own:.3f}, fresh draw {drawn:.3f}")
 
 
 if __name__ == "__main__":

@@ -47,8 +47,11 @@ class Resample:
        and gains are fitted by least squares. A joint that has the same color everywhere has a gain near 0.
     4. New colors are a Gaussian random field with the sample's correlations between elements, as far as they exceed
        chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
-    5. The rest of each new element is that of a random element of the sample, at equal places. Where elements meet,
-       rests are mixed so that their variance stays.
+    5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
+       color are more likely. Where elements meet, rests are mixed so that their variance stays.
+    6. Stains, prints and panes run on across the elements that are found. Where the coarse residual of the sample steps
+       at their borders by less than 0.65 of what the draws do, it is drawn as one field: the spot noise of the lattice,
+       with the covariance of the sample. Where only the rest runs on, so is the coarse part of the rest.
 
     The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
     the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
