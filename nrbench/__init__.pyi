@@ -1,4 +1,5 @@
 from .api import Sheet as Sheet
+from .api import audit as audit
 from .api import detect_lattice as detect_lattice
 from .api import load as load
 from .api import run as run

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import operator
 import os
+import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from nrbench.imaging.convert import Image, as_image, match_channels, match_ndim,
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape, Synthesis, Task, Texture, Value
 from nrbench.plugins.parameters import LARGEST_SIDE, validated
+from nrbench.storage import read_json
 from nrbench.streams import pixels_hash, stream
 
 # Runs, suites and their executors are imported by the functions that use them: one picture needs none of them.
@@ -445,14 +447,15 @@ def run(
         textures are shell patterns of names; lattices are entries of the lattice axis, or a :data:`Latticelike`. A
         single one needs no list.
     out
-        The run directory; ``runs/SUITE`` if None.
+        The run directory. If None, ``runs/SUITE``, and ``runs/SUITE-fresh`` for a fresh seed.
     progress
         Called after each cell with a :class:`~nrbench.running.pace.Step`.
     options
         How to run: jobs, limits, and so on. An interrupt (Ctrl-C) stops at once. ``options.stop.set()``, called in
         ``progress`` or in another thread, lets the running cells end first. Both raise KeyboardInterrupt.
     **changes
-        Other keys of the suite: ``seed``, ``replicates``, ``sample``, ``size``.
+        Other keys of the suite: ``seed``, ``replicates``, ``sample``, ``size``. The seed ``"fresh"`` is drawn from the
+        system; ``run.info["suite"]["seed"]`` tells it.
 
     Returns
     -------
@@ -491,9 +494,83 @@ def run(
     limits = Limits(options.timeout, options.memory) if options else LIMITS
     specs = [_spec(method) for method in _texts(methods)]
     sources = [_source(each) for each in ([lattice] if isinstance(lattice, Lattice) else _texts(lattice))]
-    plan = plan_run(changed(chosen, specs, sources, **changes), _texts(textures), limits)
-    root = Path(out) if out is not None else Path("runs") / chosen.name
+    seed = changes.pop("seed", None)
+    root = run_directory(out, chosen, seed)
+    plan = plan_run(changed(chosen, specs, sources, **changes, **choose_seed(seed, root)), _texts(textures), limits)
     return execute(plan, root, options, progress or (lambda step: None))
+
+
+def audit(
+    method: Pluginlike,
+    suite: str | os.PathLike[str] | Suite = "default",
+    *,
+    textures: Sequence[str] | str = (),
+    replicates: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+    options: Options | None = None,
+) -> Any:
+    """Compare the quality of a method at the published seed of a suite with its quality at a fresh one.
+
+    A method that knows the published samples loses its quality where it has not seen the samples. The test changes the
+    sign of the difference of each texture: for any other method both draws of a texture are alike.
+
+    Parameters
+    ----------
+    method
+        ``name:param=value``, or a registered class or an instance of it.
+    suite
+        A suite of texture models, its name, or a TOML file.
+    textures
+        As for :func:`run`.
+    replicates
+        Number of draws of each texture at each seed. More draws find smaller differences.
+    out
+        Directory of the two runs ``published`` and ``fresh``; ``runs/audit-METHOD`` if None. If it holds an audit,
+        that audit is resumed with its fresh seed.
+    progress, options
+        As for :func:`run`.
+
+    Returns
+    -------
+    nrbench.reports.changes.RunChanges
+        The changes from the published to the fresh run, one for each source of the lattice.
+
+    Raises
+    ------
+    BadInput
+        As for :func:`run`, and if the suite holds photographs, which no seed draws again.
+
+    Examples
+    --------
+    ``audit("rsgf").changes[0].state`` is ``"worse"`` if the method is worse at the fresh seed, ``"noise"`` if its
+    quality moved by no more than other draws move it, and ``"unknown"`` if fewer than six textures were run.
+    """
+    from nrbench.plugins.parameters import parse_spec
+    from nrbench.suites.suite import Suite, load_suite
+
+    chosen = suite if isinstance(suite, Suite) else load_suite(Path(suite) if not isinstance(suite, str) else suite)
+    for row in chosen.texture:
+        if not getattr(plugins.find("datasets", row.dataset).cls, "procedural", True):
+            raise BadInput(f"texture {row.name}: is a picture, which no seed draws again; audit a suite of models")
+    spec = _spec(method)
+    folder = Path(out) if out is not None else Path("runs") / f"audit-{parse_spec(spec)[0]}"
+    runs = [
+        run(
+            chosen,
+            methods=spec,
+            metrics=["quality"],
+            textures=textures,
+            out=folder / name,
+            progress=progress,
+            options=options,
+            replicates=replicates,
+            **seed,
+        )
+        for name, seed in (("published", {}), ("fresh", {"seed": "fresh"}))
+    ]
+    report = plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": ("quality.score",)})
+    return report.compare(runs[1])
 
 
 def load(path: str | os.PathLike[str]) -> Run:
@@ -563,6 +640,35 @@ def _source(lattice: Latticelike) -> str:
     if given is None:
         raise BadInput("lattice None: leave it out, or give 'own', 'given', a detector or a lattice")
     return ",".join(repr(float(number)) for number in given.numbers)
+
+
+def choose_seed(seed: int | str | None, root: Path) -> dict[str, Any]:
+    """Return the changes of a suite that give it a seed: a number, or ``"fresh"`` for one that the system draws.
+
+    A run directory that holds a run of a fresh seed keeps this seed, so that the same command resumes the run.
+
+    Raises
+    ------
+    BadInput
+        For another word.
+    """
+    if seed is None:
+        return {}
+    if seed != "fresh":
+        try:
+            return {"seed": operator.index(seed), "fresh_seed": False}  # type: ignore[arg-type]
+        except TypeError:
+            raise BadInput(f"seed {seed!r}: give a whole number from 0 on, or 'fresh'") from None
+    from nrbench.runs.store import RUN_FILE
+
+    content = ((read_json(root / RUN_FILE) or {}).get("suite") or {}).get("content") or {}
+    drawn = content["seed"] if content.get("fresh_seed") is True else secrets.randbelow(10**12)
+    return {"seed": drawn, "fresh_seed": True}
+
+
+def run_directory(out: str | os.PathLike[str] | None, suite: Suite, seed: int | str | None) -> Path:
+    """Return the directory of a run: ``out``, or ``runs/SUITE``, or ``runs/SUITE-fresh`` for a fresh seed."""
+    return Path(out) if out is not None else Path("runs") / (suite.name + ("-fresh" if seed == "fresh" else ""))
 
 
 def changed(suite: Suite, methods: Sequence[str] = (), lattice: Sequence[str] = (), **changes: Any) -> Suite:

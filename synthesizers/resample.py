@@ -76,7 +76,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
 
     def __post_init__(self) -> None:
         require_ranges(self, variation=(0, MOST_VARIATION))
@@ -166,7 +166,9 @@ class VariationModel:
     def draw(self, task: Task, variation: float) -> Image:
         """Return a new texture of the task's shape, its departures from the mean tile times ``variation``."""
         height, width = task.shape
-        colors, copied = self.colors.draw(task.shape, task.rng), self.detail.draw(task.shape, task.rng)
+        colors = self.colors.draw(task.shape, task.rng)
+        own = self.colors.of_sample(self.detail.rest.shape[:2])
+        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None)
         field = None if self.field is None else self.field.draw(task.shape, task.rng)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it

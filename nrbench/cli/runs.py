@@ -26,6 +26,15 @@ F = TypeVar("F", bound=Callable[..., Any])
 _PATH = click.Path(path_type=Path)
 
 
+def _read_seed(context: click.Context, option: click.Parameter, text: str | None) -> int | str | None:
+    """Return a seed of the command line: a whole number from 0 on, or the word ``fresh``."""
+    if text is None or text == "fresh":
+        return text
+    if not text.isascii() or not text.isdigit():
+        raise click.BadParameter(f"{text!r} is neither a whole number from 0 on nor `fresh`", context, option)
+    return int(text)
+
+
 def _plan_options(command: F) -> F:
     for option in reversed(
         [
@@ -43,9 +52,16 @@ def _plan_options(command: F) -> F:
             ),
             click.option("--sample", metavar="WxH", help="Size of the samples."),
             click.option("--size", metavar="WxH", help="Size of the outputs."),
-            click.option("--seed", type=click.IntRange(0), help="Seed of the suite."),
+            click.option(
+                "--seed",
+                callback=_read_seed,
+                metavar="NUMBER|fresh",
+                help="Seed of the suite, or `fresh` for one that the system draws.",
+            ),
             click.option("--replicates", type=click.IntRange(1), help="Number of draws of each texture."),
-            click.option("--out", type=_PATH, help="Run directory.  [default: runs/SUITE]"),
+            click.option(
+                "--out", type=_PATH, help="Run directory.  [default: runs/SUITE; runs/SUITE-fresh for a fresh seed]"
+            ),
             click.option("--retry-failed", is_flag=True, help="Run failed cells again."),
             click.option(
                 "--json",
@@ -61,15 +77,17 @@ def _plan_options(command: F) -> F:
 
 def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
-    from nrbench.api import changed
+    from nrbench.api import changed, choose_seed, run_directory
     from nrbench.running.guard import Limits
     from nrbench.running.plugin_children import LIMITS, plan_run
     from nrbench.suites.suite import load_suite
 
-    axes = {key: arguments[key] for key in ("sample", "size", "seed", "replicates")}
-    suite = changed(load_suite(arguments["suite"]), arguments["methods"], arguments["lattice"], **axes)
+    suite, seed = load_suite(arguments["suite"]), arguments["seed"]
+    root = run_directory(arguments["out"], suite, seed)
+    axes = {key: arguments[key] for key in ("sample", "size", "replicates")}
+    suite = changed(suite, arguments["methods"], arguments["lattice"], **axes, **choose_seed(seed, root))
     limits = Limits(arguments.get("timeout", LIMITS.seconds), arguments.get("memory", LIMITS.mib))
-    return plan_run(suite, arguments["textures"], limits), arguments["out"] or Path("runs") / suite.name
+    return plan_run(suite, arguments["textures"], limits), root
 
 
 @click.command("run")
@@ -110,7 +128,9 @@ def run_command(**arguments: Any) -> int:
     plan, root = _make_plan(arguments)
     lacking = summary.left_out(root, plan)
     tell = _tell_as_json if arguments["as_json"] else print_notice
-    with _show_steps(arguments["as_json"]) as progress, first_interrupt(lambda: tell(_INTERRUPTED)) as stop:
+    if plan.suite.fresh_seed:
+        tell(f"fresh seed {plan.suite.seed}; --seed {plan.suite.seed} draws the same samples again")
+    with show_steps(arguments["as_json"]) as progress, first_interrupt(lambda: tell(_INTERRUPTED)) as stop:
         options = Options(
             jobs=arguments["jobs"] if arguments["jobs"] is not None else os.cpu_count() or 1,
             argv=["nrbench", *sys.argv[1:]],
@@ -148,7 +168,7 @@ def _tell_as_json(text: str) -> None:
 
 
 @contextmanager
-def _show_steps(as_json: bool) -> Iterator[Callable[[Step], None]]:
+def show_steps(as_json: bool) -> Iterator[Callable[[Step], None]]:
     """Show the steps of a run on standard error: as JSON lines, or as :func:`~nrbench.cli.progress.live_progress`."""
     if as_json:
         yield lambda step: print(json.dumps({"event": "cell", **asdict(step)}), file=sys.stderr, flush=True)

@@ -222,6 +222,12 @@ class Run:
         """The content of ``run.json``: suite, argv, versions, machine, git state, the cells."""
         return RunDirectory(self.root).info()
 
+    @property
+    def seed_text(self) -> str:
+        """The seed of the suite: ``seed 1``, or ``fresh seed 817`` if the system drew it for this run."""
+        suite = self.info.get("suite", {})
+        return f"{'fresh ' * bool(suite.get('content', {}).get('fresh_seed'))}seed {suite.get('seed', 'unknown')}"
+
     @cached_property
     def columns(self) -> dict[str, Column]:
         """The declared columns of all scores of this run, by ``metric.column``."""

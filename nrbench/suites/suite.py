@@ -135,6 +135,8 @@ class Suite(BaseModel):
     ----------
     seed
         The seed of all random streams.
+    fresh_seed
+        Whether nrbench drew the seed from the system for one run, so that no method can have seen the samples before.
     sample, size
         Shapes (height, width) of sample and output. Those of a texture's row take precedence.
     lattice
@@ -160,6 +162,7 @@ class Suite(BaseModel):
     version: int = 1
     description: str = ""
     seed: int = Field(default=0, ge=0)
+    fresh_seed: bool = False
     replicates: int = Field(default=1, ge=1, le=100000)
     sample: Size = (128, 128)
     size: Size = (256, 256)
@@ -185,7 +188,7 @@ class Suite(BaseModel):
         }
         return {
             "texture": rows,
-            **{key: True for key in ("metrics", "references_once", "claim") if not getattr(self, key)},
+            **{key: True for key in ("fresh_seed", "metrics", "references_once", "claim") if not getattr(self, key)},
         }
 
     @property

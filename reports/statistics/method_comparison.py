@@ -389,7 +389,8 @@ def _title(run: Run, textures: int, counts: Mapping[str, int]) -> str:
     name = f"{suite.get('name', 'run')} {suite.get('version', '')}".rstrip()
     sizes = f"{pluralize(textures, 'texture')}, {pluralize(len(run.cells), 'cell')}"
     ended = ", ".join(f"{count} {status}" for status, count in counts.items())
-    return f"{name} ({suite.get('hash', 'no hash')}): {sizes}" + (f": {ended}" if ended else "")
+    fresh = f", {run.seed_text}" if run.seed_text.startswith("fresh") else ""  # the hash implies any other seed
+    return f"{name} ({suite.get('hash', 'no hash')}{fresh}): {sizes}" + (f": {ended}" if ended else "")
 
 
 def _texture_rows(run: Run, methods: Sequence[Method], score: str, notes: Mapping[str, int]) -> list[ComparisonRow]:

@@ -13,11 +13,15 @@ from nrbench.plugins.forms import Shape
 
 from .element_map import ElementMap, ElementShares, Lag, Numbers
 
+Colors = tuple[NDArray[np.float64], NDArray[np.float64]]
+
 _WHOLE = 0.97
 """Share of an element that the sample shows if it shows the element whole."""
 _SOFTNESS = 1.0
 """px, standard deviation of the Gaussian that softens the borders between the details of elements."""
 _AROUND: tuple[Lag, ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
+_ALIKE = 0.8
+"""How far, in standard deviations, the color of a new element differs from that of the one whose detail it copies."""
 _REDRAWS = 20
 """Times that copies beside an equal one are drawn again."""
 
@@ -51,14 +55,33 @@ class ElementDetail:
     def _splines(self) -> list[NDArray[np.float64]]:
         return [scipy.ndimage.spline_filter(plane, 5, mode="mirror") for plane in np.moveaxis(self.rest, -1, 0)]
 
-    def draw(self, shape: Shape, rng: np.random.Generator) -> Numbers:
+    def draw(self, shape: Shape, rng: np.random.Generator, colors: Colors | None = None) -> Numbers:
         """Return the cell of the sample from which each element of a picture is copied, ``(E, I, J, 2)``.
 
         The box of cells is that of :meth:`ElementMap.cells`. Neighbors are copied from different cells if there are
-        enough.
+        enough. With ``colors``, elements of similar colors are more likely: their detail goes with their color, and
+        edges that lie elsewhere than in the mean tile are recolored less.
+
+        Parameters
+        ----------
+        shape
+            Of the picture.
+        rng
+            Draws the cells.
+        colors
+            The colors ``(E, I, J, C)`` of the sample's elements, and those of the picture's.
         """
         box = self.elements.cells(shape).shape[:2]
-        return np.stack([cells[_draw_apart(len(cells), box, rng)] for cells in self.whole])
+        corner = self.elements.cells(self.rest.shape[:2])[0, 0]
+        drawn = []
+        for k, cells in enumerate(self.whole):
+            likelihood = np.zeros((*box, len(cells)))
+            if colors is not None:
+                own, new = colors[0][k][tuple((cells - corner).T)], colors[1][k]
+                apart = np.square(new[:, :, np.newaxis] - own).sum(-1)
+                likelihood -= apart / (2 * _ALIKE**2 * max(float(own.var(0).sum()), 1e-12))
+            drawn.append(cells[_draw_apart(likelihood, rng)])
+        return np.stack(drawn)
 
     def render(self, drawn: Numbers, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
         """Return the copied detail at some rows of a picture.
@@ -80,10 +103,10 @@ class ElementDetail:
         return np.asarray(detail / np.sqrt(power)[..., np.newaxis])
 
 
-def _draw_apart(count: int, box: tuple[int, int], rng: np.random.Generator) -> Numbers:
-    """Return random numbers below ``count``, redrawn a few times where they equal a neighbor's."""
-    drawn = rng.integers(count, size=box)
+def _draw_apart(likelihood: NDArray[np.float64], rng: np.random.Generator) -> Numbers:
+    """Return random numbers of log-likelihood ``(I, J, n)``, redrawn a few times where they equal a neighbor's."""
+    drawn = (likelihood + rng.gumbel(size=likelihood.shape)).argmax(-1)
     for _ in range(_REDRAWS):
         equal = np.any([drawn == np.roll(drawn, lag, (0, 1)) for lag in _AROUND], 0)
-        drawn[equal] = rng.integers(count, size=int(equal.sum()))
+        drawn[equal] = (likelihood[equal] + rng.gumbel(size=likelihood[equal].shape)).argmax(-1)
     return np.asarray(drawn)

@@ -31,7 +31,7 @@ _DOUBT = 3.0
 """Correlation that a border is worth that stands out by 1 less than :data:`_SALIENT`."""
 _GROUND = 0.2
 """Regions whose color varies less than this share of the largest variance are ground between elements."""
-_SMALL = 0.1
+_SMALL = 0.15
 """Regions smaller than this share of the largest one are ground."""
 _SHOWN = 0.5
 """Least share of an element that the sample must show, for its color to count."""
