@@ -1,4 +1,4 @@
-"""Whether runs last: `python benchmarks/soak.py [kills cells disk runners copy clock strangers orphans]`, or `make soak`.
+"""Whether runs last: `python benchmarks/soak.py [PART ...]`, or `make soak` for all parts.
 
 Each part runs `nrbench run` in processes of its own, disturbs it, resumes it, and compares outputs and scores with
 those of an undisturbed run. It prints figures, and ends with exit code 1 if one is not as it must be.

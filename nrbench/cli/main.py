@@ -37,7 +37,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
 }
 """Each verb, the module of :mod:`nrbench.cli` that holds its function ``VERB_command``, and what it does."""
 
-COORDINATING = ("run", "plan", "report", "status", "label", "compare", "list", "show")
+COORDINATING = ("run", "plan", "report", "status", "label", "compare", "audit", "list", "show")
 """Verbs whose process imports no plugins of others. The other verbs run one plugin, in their own process."""
 
 
