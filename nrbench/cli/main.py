@@ -29,6 +29,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "list": ("listing", "List plugins and suites."),
     "show": ("listing", "Show a plugin or a suite."),
     "synth": ("single_images", "Synthesize a texture of any size from IMAGE."),
+    "sheet": ("sheet", "Show what all methods make of PHOTO on one sheet."),
     "lattice": ("lattice", "Detect the lattice of IMAGE, or those of all pictures in FOLDER."),
     "score": ("single_images", "Score any tool's OUTPUT against its SAMPLE."),
     "render": ("single_images", "Draw the textures of a model or a suite as PNG files."),
