@@ -92,7 +92,8 @@ def nrbench(context: click.Context, debug: bool, plugin_files: tuple[str, ...]) 
 
 def _run_verb(verb: str, callback: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """Call the function of a verb, with the plugins of files; coordinators import no plugins of others."""
-    files, asks = click.get_current_context().obj, []
+    files = click.get_current_context().obj
+    asks: list[Callable[[Mapping[str, Any]], Any]] = []
     if not files and verb not in COORDINATING:
         return callback(*arguments, **options)
     from nrbench import plugins
