@@ -253,7 +253,7 @@ def parse_message(line: str | bytes) -> Message | None:
     """Return the message on a line; None for any other text, as a child may write."""
     try:
         message = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     if not isinstance(message, dict) or not isinstance(message.get("scored", ""), str) or not is_result_part(message):
         return None
