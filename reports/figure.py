@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
@@ -14,9 +13,8 @@ from nrbench.storage import write_bytes
 
 from .plots.picture_grid import plot_pictures
 from .statistics.method_comparison import Comparison, ComparisonRow, compare_methods
+from .statistics.selection import match_names
 from .statistics.summaries import Method
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -88,23 +86,11 @@ def choose_textures(
 
         best = sorted(comparison.rows, key=spread, reverse=True)[:4]
         return [row for row in comparison.rows if row in best]
-    return _match("texture", patterns, [((row.texture,), row) for row in comparison.rows])
+    return match_names("texture", patterns, [((row.texture,), row) for row in comparison.rows])
 
 
 def choose_methods(comparison: Comparison, patterns: tuple[str, ...]) -> list[Method]:
     """Return the methods that a pattern names, or the five best that are no references."""
     if not patterns:
         return [method for method in comparison.methods if not method.reference][:5]
-    return _match("method", patterns, [((method.label, method.name), method) for method in comparison.methods])
-
-
-def _match(kind: str, patterns: Sequence[str], items: Sequence[tuple[tuple[str, ...], T]]) -> list[T]:
-    """Return the items one of whose names is a pattern or matches it, in the order of the patterns."""
-    found: list[T] = []
-    for pattern in patterns:
-        known = [item for names, item in items if pattern in names or any(fnmatchcase(n, pattern) for n in names)]
-        if not known:
-            listed = ", ".join(names[0] for names, _ in items)
-            raise BadInput(f"report figure: no {kind} {pattern!r} in this run; give some of: {listed}")
-        found += known
-    return found
+    return match_names("method", patterns, [((method.label, method.name), method) for method in comparison.methods])

@@ -57,16 +57,18 @@ def plot_perils_plane(points: Sequence[PerilsPoint], width: float = 5.5) -> Figu
     figure = make_figure(width, 72 * width * 0.6 * (1.05 - lowest) + below + listed + 16)
     axes = add_axes(figure, 46, below + listed, 36 if narrow else 182, 16)
     _draw_frame(axes, lowest, narrow)
-    for point, place, named in zip(points, places, shown, strict=True):
+    styles = method_styles([point.method for point in points])
+    for point, place, style, named in zip(points, places, styles, shown, strict=True):
         if named:
-            _draw_point(axes, point, *place)
+            _draw_point(axes, point, *place, style)
         elif point.has_height:
             axes.plot(*place, marker="o", ms=3, mfc=INK, mec="none", zorder=3)
     anchors = np.array([places[i] for i in chosen])
     slanted = [points[i].method.reference for i in chosen]
     if narrow:
         order = np.lexsort((anchors[:, 0], -anchors[:, 1]))
-        _list_names(figure, [(texts[i].replace("\n", " "), slanted[i]) for i in order], listed)
+        names = [texts[i].replace("\n", " ") for i in order]
+        _list_names(figure, names, [points[i] for i in order], [styles[i] for i in order], listed)
         texts = [str(number) for number in 1 + np.argsort(order)]
     draw_captions(axes, anchors, texts, slanted)
     _draw_key(figure, axes, points, notes, listed + 4)
@@ -88,33 +90,44 @@ def _draw_frame(axes: Axes, lowest: float, narrow: bool) -> None:
     axes.tick_params(length=3, width=0.7)
 
 
-def _draw_point(axes: Axes, point: PerilsPoint, x: float, y: float) -> None:
-    reference = point.method.reference
-    bars: dict[str, Any] = {"color": GRAY if reference else INK, "lw": 0.9, "solid_capstyle": "butt", "zorder": 2}
+def _sign(point: PerilsPoint, style: dict[str, Any]) -> dict[str, Any]:
+    """Return the marker of a point: in the color of its method, or open if its randomness is not scored."""
+    color = style["color"] if point.has_height else "white"
+    return {"marker": style["marker"], "ms": _SIZE, "mfc": color, "mec": INK, "mew": 0.6, "ls": "", "zorder": 3}
+
+
+def _draw_point(axes: Axes, point: PerilsPoint, x: float, y: float, style: dict[str, Any]) -> None:
+    bars: dict[str, Any] = {"color": style["color"], "lw": 0.9, "solid_capstyle": "butt", "zorder": 2}
     if (ends := point.structure.ends) is not None:
         axes.plot(ends, (y, y), **bars)
     if point.has_height and (ends := point.randomness.ends) is not None:
         axes.plot((x, x), ends, **bars)
-    fill = (FAINT if reference else INK) if point.has_height else "white"
-    sign, size = ("D", _SIZE - 1.4) if reference else ("o", _SIZE)
-    axes.plot(x, y, marker=sign, ms=size, mfc=fill, mec=INK, mew=0.8, zorder=3, clip_on=False)
+    axes.plot(x, y, clip_on=False, **_sign(point, style))
 
 
-def _list_names(figure: Figure, names: Sequence[tuple[str, bool]], top: float) -> None:
-    """List the names of numbered points below a narrow plane; ``top`` in points from below."""
+def _list_names(
+    figure: Figure,
+    names: Sequence[str],
+    points: Sequence[PerilsPoint],
+    styles: Sequence[dict[str, Any]],
+    top: float,
+) -> None:
+    """List the numbers, signs and names of points below a narrow plane; ``top`` in points from below."""
     width, height = 72 * figure.get_size_inches()
-    for row, (name, slanted) in enumerate(names):
+    for row, (name, point, style) in enumerate(zip(names, points, styles, strict=True)):
         y = (top - 4 - _LIST_ROW * row) / height
-        figure.text(30 / width, y, str(row + 1), ha="right", va="top", fontsize=7, color=INK)
-        style = "italic" if slanted else "normal"
-        figure.text(36 / width, y, name, va="top", fontsize=7, style=style, color=INK)
+        figure.text(24 / width, y, str(row + 1), ha="right", va="top", fontsize=7, color=INK)
+        sign = Line2D([32 / width], [y - 4 / height], transform=figure.transFigure, **_sign(point, style))
+        figure.add_artist(sign)
+        slant = "italic" if point.method.reference else "normal"
+        figure.text(40 / width, y, name, va="top", fontsize=7, style=slant, color=INK)
 
 
 def _draw_key(figure: Figure, axes: Axes, points: Sequence[PerilsPoint], notes: Sequence[str], bottom: float) -> None:
     narrow, height = figure.get_figwidth() < _NARROW, 72 * figure.get_figheight()
     axes.set_xlabel("elements in place, whole and alike:\nthe smallest of regularity, integrity and appearance")
     most = max(point.structure.n for point in points)
-    signs = [("o", INK, "method"), ("D", FAINT, "reference, not ranked")]
+    signs = [("d", GRAY, "reference, not ranked")] if any(point.method.reference for point in points) else []
     if not all(point.has_height for point in points):
         signs.append(("o", "white", "not scored"))
     style: dict[str, Any] = {"ls": "", "ms": _SIZE - 1, "mec": INK, "mew": 0.8}
@@ -123,7 +136,7 @@ def _draw_key(figure: Figure, axes: Axes, points: Sequence[PerilsPoint], notes: 
     handles.append(Line2D([], [], color=FAINT, lw=0.8, label="equal quality"))
     figure.legend(
         handles=handles,
-        ncols=2 if narrow else 5,
+        ncols=2 if narrow else 4,
         loc="lower center",
         bbox_to_anchor=(0.5, (bottom + 9 * len(notes)) / height),
         frameon=False,
@@ -199,8 +212,9 @@ def plot_heat_map(comparison: Comparison) -> Figure:
     left = 12 + _NAME_LETTER * max(len(row.texture) for row in rows)
     above = 14 + 3.3 * max(len(method.label) for method in comparison.methods)
     height = above + _SIDE * max(len(rows), 7) + 8
-    figure = make_figure((left + _SIDE * len(comparison.methods) + 110) / 72, height)
-    axes = add_axes(figure, left, height - above - _SIDE * len(rows), 110, above)
+    right = max(110.0, above)  # the names lie at 45 degrees
+    figure = make_figure((left + _SIDE * len(comparison.methods) + right) / 72, height)
+    axes = add_axes(figure, left, height - above - _SIDE * len(rows), right, above)
     fields = axes.pcolormesh(np.ma.masked_invalid(scores), cmap="cividis", vmin=0, vmax=1, edgecolors="white", lw=0.5)
     axes.invert_yaxis()
     axes.set_yticks(np.arange(len(rows)) + 0.5, [row.texture for row in rows])
@@ -217,7 +231,7 @@ def plot_heat_map(comparison: Comparison) -> Figure:
                 ink = GRAY if not np.isfinite(scores[i, j]) else "#fefefe" if scores[i, j] < _DARK else "#010101"
                 mark = {"N/A": "–"}.get(entry.mark, entry.mark)
                 axes.text(j + 0.5, i + 0.5, mark, ha="center", va="center", color=ink)
-    scale = add_axes(figure, left + _SIDE * len(labels) + 16, height - above - 100, 84, above)
+    scale = add_axes(figure, left + _SIDE * len(labels) + 16, height - above - 100, right - 26, above)
     figure.colorbar(fields, cax=scale, ticks=(0, 0.5, 1)).set_label("quality")
     return figure
 
@@ -283,7 +297,7 @@ def plot_levels(panels: Sequence[LevelPanel], width: float = 5.5) -> Figure:
     columns = min(len(panels), max(1, int(width / _NARROWEST + 0.15)))
     rows = -(-len(panels) // columns)
     methods = [series.method for series in panels[0].series]
-    styles = [_line_style(methods, i) for i in range(len(methods))]
+    styles = method_styles(methods)
     across = max(1, int(width / 1.7))
     figure = make_figure(width, 130 * rows + 11 * -(-len(methods) // across) + 24, layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -307,15 +321,20 @@ def plot_levels(panels: Sequence[LevelPanel], width: float = 5.5) -> Figure:
     return figure
 
 
-def _line_style(methods: Sequence[Method], index: int) -> dict[str, Any]:
-    """Return the label, the color, the sign and the dashes of a method; references are gray."""
-    reference = methods[index].reference
-    place = sum(other.reference == reference for other in methods[:index])
-    signs = "d<" if reference else SIGNS
-    color = GRAY if reference else COLORS[place % len(COLORS)]
-    dashes = "-" if place < len(signs) else "--"
-    sign, label = signs[place % len(signs)], methods[index].label
-    return {"label": label, "color": color, "marker": sign, "ls": dashes, "zorder": 2 if reference else 3}
+def method_styles(methods: Sequence[Method]) -> list[dict[str, Any]]:
+    """Return the label, the color, the sign and the dashes of each method; references are gray.
+
+    The first 64 methods differ in color or sign.
+    """
+    styles = []
+    for index, method in enumerate(methods):
+        place = sum(other.reference == method.reference for other in methods[:index])
+        signs = "d<>p" if method.reference else SIGNS
+        turn, first = divmod(place, len(signs))
+        color = GRAY if method.reference else COLORS[place % len(COLORS)]
+        style = {"color": color, "marker": signs[(first + turn) % len(signs)], "ls": "--" if turn else "-"}
+        styles.append({"label": method.label, **style, "zorder": 2 if method.reference else 3})
+    return styles
 
 
 def _draw_line(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,10 +10,12 @@ import PIL.Image
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
 from nrbench.runs.records import CellRecord
 
+from ..statistics.format import break_name
 from ..statistics.method_comparison import Comparison, ComparisonRow
 from ..statistics.summaries import Method
 from ..statistics.verdicts import MARKS, bound_sign, verdict
@@ -55,9 +56,11 @@ def plot_pictures(
     """
     side = 72 * width / (len(methods) + 1) - 4
     font = float(np.clip(side / 11, 4.0, 8.0))
-    titles = [_wrap(name, side, font) for name in ("sample", *(method.label for method in methods))]
+    titles, title_font = _fit_names(("sample", *(method.label for method in methods)), side, font)
+    names, name_font = _fit_names([row.texture for row in rows], side, font)
     above = 4 + 1.2 * font * max(title.count("\n") + 1 for title in titles)
-    figure = make_figure(width, above + (side + 13.0) * len(rows))
+    high = side + 4 + 1.2 * font * max(name.count("\n") + 1 for name in names)
+    figure = make_figure(width, above + high * len(rows))
     for i, row in enumerate(rows):
         records = [_record(row, list(comparison.methods).index(method), replicate) for method in methods]
         outputs = [_read(one.folder / "output.png") if one and one.status == "ok" else None for one in records]
@@ -65,23 +68,27 @@ def plot_pictures(
         sample = next((picture for picture in samples if picture is not None), None)
         largest = max((picture.shape[1] for picture in outputs if picture is not None), default=0)
         for j, picture in enumerate([sample, *outputs]):
-            left, top = 2 + (side + 4) * j, above + (side + 13) * i
-            bottom = (side + 13) * (len(rows) - i) - side
+            left, top = 2 + (side + 4) * j, above + high * i
+            bottom = high * (len(rows) - i) - side
             axes = add_axes(figure, left, bottom, 72 * width - left - side, top)
             _draw(axes, picture, largest)
             if j and picture is not None and insets and (one := records[j - 1]):
                 _draw_inset(axes, picture, one)
-            under = _wrap(row.texture, side, font) if not j else _verdict_words(records[j - 1])
-            axes.set_xlabel(under, fontsize=font, color=INK, labelpad=2)
+            under = _verdict_words(records[j - 1]) if j else names[i]
+            axes.set_xlabel(under, fontsize=font if j else name_font, color=INK, labelpad=2)
             if not i:
                 style = "italic" if j and methods[j - 1].reference else "normal"
-                axes.set_title(titles[j], fontsize=font, color=INK, pad=3, style=style)
+                axes.set_title(titles[j], fontsize=title_font, color=INK, pad=3, style=style)
     return figure
 
 
-def _wrap(name: str, side: float, font: float) -> str:
-    """Return a name in lines that are about as wide as a picture, broken behind spaces and hyphens."""
-    return "\n".join(textwrap.wrap(name, max(6, int(side / (0.6 * font))), break_long_words=False))
+def _fit_names(names: Sequence[str], side: float, font: float) -> tuple[list[str], float]:
+    """Return names in lines no wider than a picture, and the size at which the longest line fits."""
+    titles = ["\n".join(break_name(name, max(6, int(side / (0.6 * font))))) for name in names]
+    widest = max(
+        TextPath((0, 0), line, size=font).get_extents().width for line in "\n".join(titles).split("\n") if line
+    )
+    return titles, min(font, font * side / widest)
 
 
 def _record(row: ComparisonRow, place: int, replicate: int) -> CellRecord | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -96,3 +97,13 @@ def describe_column(column: Column) -> str:
 def pluralize(count: int, noun: str) -> str:
     """Return ``"1 cell"``, ``"2 cells"``."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def break_name(name: str, letters: int) -> list[str]:
+    """Return a name in lines of at most so many letters, broken behind spaces and signs but never within a word."""
+    lines = [""]
+    for piece in re.split(r"(?<=[-:,.=/_ ])", name):
+        if lines[-1] and len(lines[-1] + piece.rstrip()) > letters:
+            lines.append("")
+        lines[-1] += piece
+    return [line.rstrip() for line in lines]

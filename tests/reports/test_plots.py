@@ -25,6 +25,7 @@ from nrbench.reports.plots.method_plots import (
     choose_named,
     describe_unnamed,
     hardest_first,
+    method_styles,
     plot_cost,
     plot_heat_map,
     plot_perils_plane,
@@ -33,7 +34,9 @@ from nrbench.reports.plots.method_plots import (
     timed_methods,
 )
 from nrbench.reports.plots.perils_points import PerilsPoint, perils_points
+from nrbench.reports.plots.picture_grid import plot_pictures
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
+from nrbench.reports.statistics.summaries import Method
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
@@ -261,12 +264,36 @@ def test_files_are_vector_graphics_and_the_same_again(ranked: Run, comparison: C
     assert first == [plot_perils_plane(kind, points) for kind in ("svg", "pdf")]
 
 
-def test_the_plane_uses_no_color(comparison: Comparison) -> None:
-    """Every color of the picture is a gray, for print in black and white."""
-    pixels = np.asarray(
-        PIL.Image.open(io.BytesIO(plot_perils_plane("png", perils_points(comparison.summaries)))).convert("RGB")
-    )
-    assert (np.ptp(pixels.astype(int), axis=2) == 0).all()
+def test_methods_have_colors_and_shapes_of_their_own(comparison: Comparison) -> None:
+    """64 methods differ in color or shape, eight of them in both; references are gray, in every plot of a run alike."""
+    methods = [Method(f"m{i}", "own", reference=False, parameters={}) for i in range(64)]
+    styles = [(style["color"], style["marker"]) for style in method_styles(methods)]
+    assert len(set(styles)) == 64
+    assert len({color for color, _ in styles[:8]}) == len({marker for _, marker in styles[:8]}) == 8
+    colored = _colored_pixels(plot_perils_plane("png", perils_points(comparison.summaries)))
+    references = [one for one in comparison.summaries if one.method.reference]
+    assert colored.any() and not _colored_pixels(plot_perils_plane("png", perils_points(references))).any()
+
+
+def _colored_pixels(png: bytes) -> np.ndarray:
+    pixels = np.asarray(PIL.Image.open(io.BytesIO(png)).convert("RGB"))
+    return np.ptp(pixels.astype(int), axis=2) > 0
+
+
+def test_no_name_is_cut(make_cell: Make, make_run: Make) -> None:
+    """Long names of methods and textures end within each figure: its outermost pixels are white."""
+    long = "regularized-patch:detector=consensus,blending=multiband"
+    cells = [make_cell(texture, name) for texture in ("hexagonal-pavement-of-old-stones",) for name in ("a", long)]
+    comparison = compare_methods(make_run(cells))
+    figures = {
+        "narrow grid": plot_pictures("png", comparison, comparison.rows, comparison.methods, 0, 3.3, True),
+        "wide grid": plot_pictures("png", comparison, comparison.rows, [*comparison.methods] * 4, 0, 7.0, True),
+        "heat map": plot_heat_map("png", comparison),
+    }
+    for name, png in figures.items():
+        pixels = np.asarray(PIL.Image.open(io.BytesIO(png)).convert("L"))
+        edges = (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1])
+        assert min(edge.min() for edge in edges) == 255, name
 
 
 def test_no_scores_no_plane(make_cell: Make, make_run: Make, tmp_path: Path) -> None:

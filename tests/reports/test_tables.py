@@ -20,7 +20,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from nrbench import plugins
 from nrbench.errors import BadInput
+from nrbench.plugins.parameters import parse_spec
 from nrbench.reports.csv import CsvTables
 from nrbench.reports.json import JsonSummary
 from nrbench.reports.latex import LatexTables, escape_latex
@@ -254,10 +256,68 @@ def test_pdflatex_reads_it(every_ending: Run, tmp_path: Path) -> None:
     paths = LatexTables().write(every_ending, tmp_path)
     body = "\n".join(rf"\input{{{path.name}}}" for path in paths)
     head = "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n\\usepackage{booktabs}\n\\begin{document}\n"
-    (tmp_path / "paper.tex").write_text(f"{head}{body}\n\\end{{document}}\n")
-    line = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-draftmode", "paper.tex"]
-    done = subprocess.run(line, cwd=tmp_path, capture_output=True, timeout=60)
-    assert done.returncode == 0, done.stdout.decode(errors="replace")[-2000:]
+    code, log = _compile(f"{head}{body}\n\\end{{document}}\n", tmp_path)
+    assert code == 0, log[-2000:]
+
+
+@pytest.fixture(scope="module")
+def wide_run(makers: tuple[Make, Make]) -> Run:
+    """Return a run of 15 methods on 24 textures, with intervals."""
+    make_cell, make_run = makers
+    names = [plugin.name for plugin in plugins.inventory("synthesizers")][:15]
+    return make_run([
+        make_cell(f"hexagon-material-{i}", name, perils=0.03 * i, preserved=i % 2 == 0)
+        for name in names
+        for i in range(24)
+    ])  # fmt: skip
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdfLaTeX")
+@pytest.mark.parametrize("width", ["column", "text", "page"])
+def test_tables_fit_what_they_are_made_for(wide_run: Run, tmp_path: Path, width: str) -> None:
+    """No table is wider than its column or page, and none is higher than a page."""
+    paths = LatexTables(width=width).write(wide_run, tmp_path)  # type: ignore[arg-type]
+    body = "\n".join(rf"\input{{{path.stem}}}" for path in paths if path.suffix == ".tex")
+    head = f"\\documentclass[{'a4paper' if width == 'text' else 'twocolumn'}]{{article}}\n\\usepackage[T1]{{fontenc}}"
+    _, log = _compile(f"{head}\\usepackage{{booktabs}}\\begin{{document}}{body}\\end{{document}}", tmp_path)
+    assert "Overfull" not in log and "too large" not in log
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdfLaTeX")
+def test_the_article_of_the_docs_compiles(wide_run: Run, tmp_path: Path) -> None:
+    """The article of docs/paper.md compiles with the files that its commands write, without an overfull line."""
+    root = tmp_path / "runs" / "paper"
+    page = (Path(__file__).parents[2] / "docs" / "paper.md").read_text("utf-8")
+    command = next(line for line in page.splitlines() if line.startswith("nrbench report"))
+    for name, parameters in map(parse_spec, re.findall(r"--format (\S+)", command)):
+        report = plugins.build("reports", name, parameters)
+        report.write(wide_run, root / report.folder)
+    article = page.partition("```latex\n")[2].partition("```")[0]
+    code, log = _compile(article, tmp_path)
+    assert code == 0 and "Overfull" not in log, log[-2000:]
+
+
+def _compile(source: str, folder: Path) -> tuple[int, str]:
+    """Return the exit code and the log of pdfLaTeX."""
+    (folder / "article.tex").write_text(source)
+    line = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-draftmode", "article.tex"]
+    done = subprocess.run(line, cwd=folder, capture_output=True, timeout=60)
+    return done.returncode, done.stdout.decode(errors="replace")
+
+
+def test_latex_holds_what_was_chosen(wide_run: Run, tmp_path: Path) -> None:
+    """Chosen methods and textures, no intervals and no float; the means remain those of the whole run."""
+    whole = _write_latex(wide_run, tmp_path / "whole")
+    report = LatexTables(methods=("gpn*",), textures=("*-1", "*-2"), intervals=False, bare=True)
+    part = {path.stem: path.read_text("utf-8") for path in report.write(wide_run, tmp_path)}
+    rows = [line for line in part["summary"].splitlines() if line.startswith("gpnn")]
+    assert rows[0].split(" & ")[1] in next(line for line in whole["summary"].splitlines() if line.startswith("gpnn"))
+    assert "scriptsize {" not in part["summary"] and "scriptsize {" in whole["summary"]
+    assert r"\begin{table" not in part["summary"] + part["comparison"] and r"\caption" not in part["summary"]
+    names = re.findall(r"^hexagon\S+", part["comparison"], re.MULTILINE)
+    assert names == ["hexagon{-}material{-}1", "hexagon{-}material{-}2"]
+    with pytest.raises(BadInput, match="no texture 'nowhere'"):
+        LatexTables(textures=("nowhere",)).write(wide_run, tmp_path)
 
 
 GOLDEN = Path(__file__).parent / "golden"
