@@ -149,7 +149,7 @@ class FrameMatcher:
             table[y + y1, x + x1] - table[y + y0, x + x1] - table[y + y1, x + x0] + table[y + y0, x + x0]
             for y0, y1, x0, x1 in (square, cut)
         ]
-        return parts[0] - parts[1]
+        return np.asarray(parts[0] - parts[1])
 
     def _box_sums(self, table: Array, box: Box) -> Array:
         rows, columns = self.search_shape
