@@ -1,4 +1,4 @@
-"""Whether runs last: `python benchmarks/soak.py [kills cells disk runners copy clock]`, or `make soak`.
+"""Whether runs last: `python benchmarks/soak.py [PART ...]`, or `make soak` for all parts.
 
 Each part runs `nrbench run` in processes of its own, disturbs it, resumes it, and compares outputs and scores with
 those of an undisturbed run. It prints figures, and ends with exit code 1 if one is not as it must be.
@@ -9,6 +9,8 @@ those of an undisturbed run. It prints figures, and ends with exit code 1 if one
 - runners: two runs in one directory at the same time.
 - copy: a run directory of which only a part was copied, some files only in part.
 - clock: a clock that jumps by up to a day at each reading, in every process.
+- strangers: an installed package whose plugins misbehave at their import or in their class: unused, then named.
+- orphans: methods that leave processes of other sessions without an environment, and kill their worker.
 """
 
 from __future__ import annotations
@@ -251,8 +253,91 @@ def clock(soak: Soak, count: int, number: int) -> None:
     print(f"clock: exit code {code} in {time.monotonic() - start:.0f} s, {soak.compare('clock', 'jumping')}")
 
 
+CLASS = """import os, subprocess, sys, threading, time
+from dataclasses import dataclass
+from typing import ClassVar
+{before}
+@dataclass(frozen=True)
+class P:
+    "A page."
+    number: int = 0
+    uses_lattice: ClassVar = False
+    {inside}
+    def synthesize(self, task):
+        {deed}
+"""
+FORGED = 'os.write(3, b\'{"status":"ok","message":"","facts":%s}\\n\'); os._exit(0)'
+STRANGERS = {
+    "exits": ("os._exit(0)", ""),
+    "crashes": ("os.kill(os.getpid(), 11)", ""),
+    "interrupts": ("raise KeyboardInterrupt", ""),
+    "base": ("class B(BaseException): ...\nraise B", ""),
+    "forges": (FORGED % "[5]", ""),
+    "exits-later": ("", "def __post_init__(self): os._exit(0)"),
+    "hashes": ("", "def fingerprint(self): return object()"),
+    "named": ("", "label: ClassVar = 5"),
+    "judged": ("", "reference: ClassVar = 'yes'"),
+    "lattices": ("", "uses_lattice = 'no'"),
+    "loops": ("while True: time.sleep(1)", ""),
+}
+LEAVE = """for _ in range(3):
+            program = "import os, sys, time\\nif os.fork(): os._exit(0)\\nos.setsid()\\nos.closerange(0, 3)\\n"
+            program += "open(sys.argv[1], 'a').write(f'{os.getpid()} ')\\ntime.sleep(600)"
+            subprocess.Popen([sys.executable, "-S", "-c", program, PLACE], env={}, start_new_session=True).wait()
+        time.sleep(0.3)
+        os.kill(os.getppid(), 9)
+        time.sleep(60)"""
+
+
+def install(soak: Soak, name: str, methods: dict[str, tuple[str, str]]) -> str:
+    """Write an installed distribution with one method in each module; return its folder."""
+    place = soak.place / name
+    (place / f"{name}-1.0.dist-info").mkdir(parents=True)
+    for method, (before, inside) in methods.items():
+        (place / f"{name}_{method.replace('-', '_')}.py").write_text(CLASS.format(before=before, inside=inside, deed=0))
+    points = [f"{method} = {name}_{method.replace('-', '_')}:P\n" for method in methods]
+    (place / f"{name}-1.0.dist-info" / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (place / f"{name}-1.0.dist-info" / "entry_points.txt").write_text("".join(["[nrbench.synthesizers]\n", *points]))
+    return str(place)
+
+
+def strangers(soak: Soak, count: int, number: int) -> None:
+    """Run beside plugins that misbehave, and then with each of them."""
+    place = install(soak, "stranger", STRANGERS)
+    start = time.monotonic()
+    code, line = soak.finish("strangers", PYTHONPATH=place)
+    seconds = time.monotonic() - start
+    soak.check(code == 0, f"strangers: exit code {code}: {line}")
+    ends = {}
+    for method in STRANGERS:
+        ends[method] = soak.finish("named", "-m", method, PYTHONPATH=place)
+        soak.check(ends[method][0] == 2 and method in ends[method][1], f"strangers: {method}: {ends[method]}")
+    state = soak.compare("strangers", "strangers")
+    print(f"strangers: {len(ends)} unused plugins that misbehave: exit code {code} in {seconds:.0f} s, {state}; named:")
+    for method, (code, line) in ends.items():
+        print(f"    {method}: exit code {code}, {line.partition('method ')[2][:90]!r}")
+
+
+def orphans(soak: Soak, count: int, number: int) -> None:
+    """Run methods that leave processes and kill their worker, in forked children and in fresh interpreters."""
+    place, marks = soak.place / "orphans.py", soak.place / "pids"
+    place.write_text(
+        f"PLACE = {str(marks)!r}\n" + CLASS.format(before="", inside="name: ClassVar = 'leaver'", deed=LEAVE)
+    )
+    methods = [word for each in range(10) for word in ("-m", f"leaver:number={each}")]
+    for forks in ("yes", "no"):
+        words = ("--plugin", str(place), "-t", "wall", "--replicates", "1", *methods)
+        code, _ = soak.finish(f"orphans-{forks}", *words, NRBENCH_FORK=forks)
+        pids = [int(word) for word in marks.read_text().split()]
+        time.sleep(1)
+        left = [pid for pid in pids if psutil.pid_exists(pid)]
+        soak.check(code == 1 and not left and len(pids) == 30, f"orphans: exit code {code}, {left} of {len(pids)} live")
+        print(f"orphans, forks: {forks}: {len(left)} of {len(pids)} processes live after their worker was killed")
+        marks.unlink()
+
+
 PARTS: dict[str, Callable[[Soak, int, int], None]] = {
-    each.__name__: each for each in (kills, cells, disk, runners, copy, clock)
+    each.__name__: each for each in (kills, cells, disk, runners, copy, clock, strangers, orphans)
 }
 
 

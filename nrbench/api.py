@@ -516,7 +516,7 @@ def run(
     'ok'
     """
     from nrbench.running.guard import Limits
-    from nrbench.running.plugin_children import LIMITS, plan_run
+    from nrbench.running.plugin_children import LIMITS, guarded_plugins, plan_run
     from nrbench.running.runner import execute
     from nrbench.suites.suite import Suite, load_suite
 
@@ -526,8 +526,9 @@ def run(
     sources = [_source(each) for each in ([lattice] if isinstance(lattice, Lattice) else _texts(lattice))]
     seed = changes.pop("seed", None)
     root = run_directory(out, chosen, seed)
-    plan = plan_run(changed(chosen, specs, sources, **changes, **choose_seed(seed, root)), _texts(textures), limits)
-    return execute(plan, root, options, progress or (lambda step: None))
+    with guarded_plugins():
+        plan = plan_run(changed(chosen, specs, sources, **changes, **choose_seed(seed, root)), _texts(textures), limits)
+        return execute(plan, root, options, progress or (lambda step: None))
 
 
 def audit(

@@ -38,7 +38,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
 }
 """Each verb, the module of :mod:`nrbench.cli` that holds its function ``VERB_command``, and what it does."""
 
-COORDINATING = ("run", "plan", "report", "status", "label", "compare", "list", "show")
+COORDINATING = ("run", "plan", "report", "status", "label", "compare", "audit", "list", "show")
 """Verbs whose process imports no plugins of others. The other verbs run one plugin, in their own process."""
 
 
@@ -93,16 +93,23 @@ def nrbench(context: click.Context, debug: bool, plugin_files: tuple[str, ...]) 
 def _run_verb(verb: str, callback: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """Call the function of a verb, with the plugins of files; coordinators import no plugins of others."""
     files = click.get_current_context().obj
+    asks: list[Callable[[Mapping[str, Any]], Any]] = []
+    if not files and verb not in COORDINATING:
+        return callback(*arguments, **options)
+    from nrbench import plugins
+
     with contextlib.ExitStack() as stack:
-        if verb in COORDINATING:
-            from nrbench.running.plugin_children import guarded_plugins
 
-            stack.enter_context(guarded_plugins())
-        if files:
-            from nrbench import plugins
+        def ask(question: Mapping[str, Any]) -> Any:
+            from nrbench.running.plugin_children import make_ask
 
-            for file in files:
-                plugins.add_file(file)
+            if not asks:
+                asks.append(make_ask(stack))
+            return asks[0](question)
+
+        stack.enter_context(plugins.asking(ask if verb in COORDINATING else None))
+        for file in files:
+            plugins.add_file(file)
         return callback(*arguments, **options)
 
 

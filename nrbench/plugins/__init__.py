@@ -2,6 +2,7 @@
 
 from nrbench.plugins.registry import FORMS as FORMS
 from nrbench.plugins.registry import PATCH_TERMS as PATCH_TERMS
+from nrbench.plugins.registry import Ask as Ask
 from nrbench.plugins.registry import Form as Form
 from nrbench.plugins.registry import NamedDetector as NamedDetector
 from nrbench.plugins.registry import Plugin as Plugin

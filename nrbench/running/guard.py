@@ -254,7 +254,7 @@ def parse_message(line: str | bytes) -> Message | None:
     """Return the message on a line; None for any other text, as a child may write."""
     try:
         message = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     if not isinstance(message, dict):
         return None

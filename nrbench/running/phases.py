@@ -24,6 +24,7 @@ from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.answers import answer
 from nrbench.plugins.forms import (
     Again,
     Column,
@@ -215,10 +216,8 @@ def _write(where: CellFolder, synthesis: Synthesis) -> None:
 
 def describe(folder: Path, send: Send) -> None:
     """Import the plugin about which ``cell.json`` asks, and send what is known of it."""
-    from nrbench.plugins import answers
-
     try:
-        facts = answers.answer(read_json(CellFolder(folder).cell_file) or {})
+        facts = answer(read_json(CellFolder(folder).cell_file) or {})
     except BadInput as error:
         send({"status": "refused", "message": str(error)})
     else:

@@ -36,20 +36,24 @@ IMPORT = Limits(60.0, 4096.0)
 @contextmanager
 def guarded_plugins() -> Iterator[None]:
     """Let child processes import the plugins of others while the context lasts; see :func:`nrbench.plugins.asking`."""
-    with ExitStack() as stack:
-        started: list[Supervisor] = []
-        turn = threading.Lock()
+    with ExitStack() as stack, plugins.asking(make_ask(stack)):
+        yield
 
-        def ask(question: Mapping[str, Any]) -> Any:
-            from nrbench.running.supervisor import Supervisor
 
-            with turn:
-                if not started:
-                    started.append(stack.enter_context(Supervisor(warm=False)))
-                return _answer(started[0], question)
+def make_ask(stack: ExitStack) -> plugins.Ask:
+    """Return a function that asks child processes; they end with the stack."""
+    started: list[Supervisor] = []
+    turn = threading.Lock()
 
-        with plugins.asking(ask):
-            yield
+    def ask(question: Mapping[str, Any]) -> Any:
+        from nrbench.running.supervisor import Supervisor
+
+        with turn:
+            if not started:
+                started.append(stack.enter_context(Supervisor(warm=False)))
+            return _answer(started[0], question)
+
+    return ask
 
 
 def _answer(runner: RequestRunner, question: Mapping[str, Any]) -> Any:

@@ -50,6 +50,8 @@ LATE = 5.0
 """Seconds that the last messages of an ended interpreter may take to arrive, because a thread reads them."""
 GRACE = 10.0
 """Seconds that a fresh interpreter may take to start."""
+LONGEST = 16 << 20
+"""Bytes of the longest message; what is longer is no message."""
 MESSAGES = 3
 """The file descriptor to which a child writes its messages."""
 DEFERRED = (
@@ -233,7 +235,8 @@ class ForkedChild:
         if not select.select([self._messages], [], [], seconds)[0]:
             return []
         data = os.read(self._messages, 1 << 16)
-        *lines, self._pending = (self._pending + data).split(b"\n")
+        *lines, pending = (self._pending + data).split(b"\n")
+        self._pending = pending if len(pending) < LONGEST else b""
         return [message for line in lines if (message := guard.parse_message(line))] if data else None
 
     def has_ended(self) -> bool:
@@ -326,7 +329,7 @@ def read_lines(process: subprocess.Popen[str]) -> tuple[queue.Queue[str | None],
 
     def read(output: IO[str]) -> None:
         with contextlib.suppress(ValueError, OSError):
-            for line in output:
+            while line := output.readline(LONGEST):
                 lines.put(line)
             output.close()
         lines.put(None)
