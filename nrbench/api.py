@@ -692,7 +692,7 @@ def compare(
     return plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": tuple(names)}).compare(runs[1])
 
 
-def render(
+def render_textures(
     what: str | Suite, directory: str | os.PathLike[str], textures: Sequence[str] | str = (), **changes: Any
 ) -> list[Path]:
     """Draw the textures of a model or a suite as PNG files, with their truth and a contact sheet.
@@ -721,8 +721,8 @@ def render(
     Examples
     --------
     >>> import tempfile
-    >>> from nrbench import render
-    >>> files = render("brick:color=0.3", tempfile.mkdtemp(), sample="64x64")
+    >>> from nrbench import render_textures
+    >>> files = render_textures("brick:color=0.3", tempfile.mkdtemp(), sample="64x64")
     >>> sorted({path.suffix for path in files})
     ['.csv', '.json', '.png']
     """

@@ -224,7 +224,7 @@ def render_command(
     The command also writes truth.csv, truth.json and a contact sheet to DIR. It keeps pictures of an earlier render,
     and draws a picture of the same name again.
     """
-    from nrbench.api import render
+    from nrbench.api import render_textures
 
-    for path in render(what, output, textures, sample=sample, seed=seed, replicates=replicates):
+    for path in render_textures(what, output, textures, sample=sample, seed=seed, replicates=replicates):
         click.echo(path)

@@ -58,7 +58,7 @@ def returns_file(draw: Callable[P, Figure]) -> Callable[Concatenate[str, P], byt
     """Let a function that draws a figure return its file. Its new first argument is the kind: svg, pdf or png."""
 
     @functools.wraps(draw)
-    def draw_as(kind: str, /, *args: P.args, **kwargs: P.kwargs) -> bytes:
+    def render(kind: str, /, *args: P.args, **kwargs: P.kwargs) -> bytes:
         file = io.BytesIO()
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs give equal bytes
         with matplotlib.rc_context(_STYLE), warnings.catch_warnings():
@@ -67,4 +67,4 @@ def returns_file(draw: Callable[P, Figure]) -> Callable[Concatenate[str, P], byt
             draw(*args, **kwargs).savefig(file, format=kind, facecolor=back, metadata=dates.get(kind), dpi=dots)
         return file.getvalue()
 
-    return draw_as
+    return render
