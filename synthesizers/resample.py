@@ -28,7 +28,7 @@ MOST_VARIATION: Final = 4.0
 """Largest parameter ``variation``."""
 _EXPLAINED = 0.05
 """Least share of the residual's variance that the colors of elements explain; with less, elements are whole cells."""
-_CONTINUOUS = 0.7
+_CONTINUOUS = 0.65
 """Coarse residuals are drawn as one field if they step less than this share of what independent elements would."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
@@ -47,8 +47,11 @@ class Resample:
        and gains are fitted by least squares. A joint that has the same color everywhere has a gain near 0.
     4. New colors are a Gaussian random field with the sample's correlations between elements, as far as they exceed
        chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
-    5. The rest of each new element is that of a random element of the sample, at equal places. Where elements meet,
-       rests are mixed so that their variance stays.
+    5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
+       color are more likely. Where elements meet, rests are mixed so that their variance stays.
+    6. Stains, prints and panes run on across the elements that are found. Where the coarse residual of the sample steps
+       at their borders by less than 0.65 of what the draws do, it is drawn as one field: the spot noise of the lattice,
+       with the covariance of the sample. Where only the rest runs on, so is the coarse part of the rest.
 
     The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
     the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
@@ -76,7 +79,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
 
     def __post_init__(self) -> None:
         require_ranges(self, variation=(0, MOST_VARIATION))
@@ -157,7 +160,10 @@ class VariationModel:
         rng, twice = np.random.default_rng(0), (2 * shape[0], 2 * shape[1])
         detail = self.detail.render(self.detail.draw(twice, rng), twice)
         colors = self.colors.render(self.colors.draw(twice, rng), twice)
+        threads = any(thread.turn != (0, 0) for thread in self.colors.threads)  # they are longer than a field's memory
         for own, drawn, colored in ((residual, colors + detail, False), (self.detail.rest, detail, True)):
+            if threads and not colored:
+                continue
             if measure_steps(own, elements) < _CONTINUOUS * measure_steps(drawn, elements):
                 rest = ElementDetail(elements, own - smooth_coarsely(own, elements))
                 return replace(self, detail=rest, field=CellField.fit(elements, own), colored=colored)
