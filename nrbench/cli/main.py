@@ -25,7 +25,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "status": ("runs", "Print the number of cells of RUN with each status."),
     "label": ("runs", "Write a page on which people label the outputs of RUN."),
     "compare": ("comparing", "Compare RUN_B with RUN_A: which scores moved by more than noise."),
-    "site": ("site", "Write a static site that compares RUNs, such as those of several people."),
+    "site": ("publishing", "Write a static site that compares RUNs, such as those of several people."),
     "audit": ("auditing", "Tell whether METHOD is better at the published seed of SUITE than at a fresh one."),
     "list": ("listing", "List plugins and suites."),
     "show": ("listing", "Show a plugin or a suite."),
