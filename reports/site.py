@@ -88,7 +88,7 @@ class SiteRow:
 
 
 @dataclass(frozen=True)
-class Site:
+class RunSite:
     """A static site: a leaderboard of all methods of several runs, and a page for each method.
 
     Each row of the leaderboard is a method in one run, with its quality and the version, the seed and the machine of
