@@ -9,7 +9,6 @@ import os
 import platform
 import re
 import shutil
-import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.forms import Value
 from nrbench.storage import read_json, write_json
 from nrbench.suites.cell import RESULTS_VERSION
+from nrbench.version import read_checkout
 
 if TYPE_CHECKING:
     from nrbench.suites.plan import Plan
@@ -391,7 +391,7 @@ def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
             "cores": os.cpu_count(),
             "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
         },
-        "git": _git(Path(__file__).parents[1]),
+        "git": read_checkout(),
     }
 
 
@@ -407,18 +407,3 @@ def _processor() -> str:
         if models:
             return models[0]
     return platform.processor() or platform.machine()
-
-
-def _git(package: Path) -> dict[str, Any] | None:
-    """Return the commit of the package's checkout, and whether it is unchanged; None without a checkout."""
-    if not (package.parent / ".git").exists():
-        return None
-
-    def run_git(*words: str) -> str:
-        command = ["git", "-C", str(package), *words]
-        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
-
-    try:
-        return {"commit": run_git("rev-parse", "HEAD"), "clean": not run_git("status", "--porcelain")}
-    except (OSError, subprocess.SubprocessError):
-        return None
