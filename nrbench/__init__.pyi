@@ -1,7 +1,9 @@
 from .api import Sheet as Sheet
 from .api import audit as audit
+from .api import compare as compare
 from .api import detect_lattice as detect_lattice
 from .api import load as load
+from .api import render_textures as render_textures
 from .api import run as run
 from .api import score as score
 from .api import synthesize as synthesize

@@ -18,7 +18,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, as_image, match_channels, match_ndim, quantize
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.plugins.forms import Detection, Observation, Refused, Score, Shape, Synthesis, Task, Texture, Value
-from nrbench.plugins.parameters import LARGEST_SIDE, validated
+from nrbench.plugins.parameters import LARGEST_SIDE, nearest, parse_size, parse_spec, validated
 from nrbench.storage import read_json
 from nrbench.streams import pixels_hash, stream
 
@@ -35,12 +35,16 @@ Imagelike = Any
 """An image: an array of uint8, uint16 or float in [0, 1], with or without a channel axis; the path of a picture; or a
 :class:`~nrbench.plugins.forms.Texture` or :class:`~nrbench.plugins.forms.Synthesis`, whose image is taken."""
 Pluginlike = str | type[Any] | Any
-"""A plugin: its name; its class; or an instance, whose parameters are then those of the instance."""
+"""A plugin: its name; ``name:param=value,...`` as on the command line; its class; or an instance, whose parameters are
+then those of the instance."""
 Latticelike = Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None
-"""A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``. None: no lattice is given."""
+"""A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``; or the detector that finds
+it, e.g. ``"consensus"``. None: no lattice is given."""
+Shapelike = Shape | str
+"""(height, width) in px, or ``"WIDTHxHEIGHT"`` as on the command line."""
 
 
-def texture(model: Pluginlike, shape: Shape = (128, 128), seed: int = 0, **parameters: Any) -> Texture:
+def texture(model: Pluginlike, shape: Shapelike = (128, 128), seed: int = 0, **parameters: Any) -> Texture:
     """Draw a texture of a model. The returned texture holds the image, the true lattice and the true departures.
 
     Parameters
@@ -48,7 +52,7 @@ def texture(model: Pluginlike, shape: Shape = (128, 128), seed: int = 0, **param
     model
         A dataset plugin: its name, e.g. ``"brick"``, its class, or an instance.
     shape
-        (height, width) in px.
+        (height, width) in px, or ``"WIDTHxHEIGHT"``.
     seed
         Equal seeds give equal pixels.
     **parameters
@@ -71,7 +75,11 @@ def texture(model: Pluginlike, shape: Shape = (128, 128), seed: int = 0, **param
     (64, 96, 3)
     """
     plugin = _plugin("datasets", model, parameters)
-    name = model if isinstance(model, str) else plugins.name_of("datasets", type(plugin)) or type(plugin).__name__
+    name = (
+        parse_spec(model)[0]
+        if isinstance(model, str)
+        else plugins.name_of("datasets", type(plugin)) or type(plugin).__name__
+    )
     rng = stream("render", seed, name, 0)
     drawn: Texture = plugin.render(_checked_shape(shape), rng)
     return drawn
@@ -152,7 +160,7 @@ def track_lattice(
     (True, True)
     >>> straight, mean = bent.straighten()
     """
-    return follow_bent_lattice(_image(image), as_lattice(lattice), detector, parameters).deformation
+    return follow_bent_lattice(_image(image), lattice_in(image, lattice), detector, parameters).deformation
 
 
 def follow_bent_lattice(
@@ -199,10 +207,28 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
     return require_visible(made, lattice)
 
 
+def lattice_in(image: Imagelike, lattice: Latticelike) -> Lattice | None:
+    """Return a lattice as :func:`as_lattice`, or find it in the image if a detector is named.
+
+    Raises
+    ------
+    BadInput
+        If it is neither.
+    NoLatticeFound
+        If the detector finds none.
+    """
+    if not isinstance(lattice, str) or "," in lattice.partition(":")[0]:
+        return as_lattice(lattice)
+    known = plugins.names("detectors")
+    if (name := parse_spec(lattice)[0]) not in known:
+        raise BadInput(f"lattice {lattice!r}: give x1,y1,x2,y2 in px, or a detector{nearest(name, known)}")
+    return detect_lattice(image, lattice).lattice
+
+
 def synthesize(
     method: Pluginlike,
     image: Imagelike,
-    shape: Shape,
+    shape: Shapelike,
     lattice: Latticelike = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
@@ -213,13 +239,13 @@ def synthesize(
     Parameters
     ----------
     method
-        A synthesizer plugin: its name, e.g. ``"rsgf"``, its class, or an instance.
+        A synthesizer plugin: its name, e.g. ``"rsgf"`` or ``"rsgf:preset=paper"``, its class, or an instance.
     image
         The sample, an :data:`Imagelike`.
     shape
-        (height, width) of the output in px.
+        (height, width) of the output in px, or ``"WIDTHxHEIGHT"``.
     lattice
-        The sample's lattice; if None, the method finds it.
+        The sample's lattice, or the detector that finds it; if None, the method finds it.
     seed
         Equal seeds give equal pixels.
     progress
@@ -243,7 +269,7 @@ def synthesize(
     --------
     >>> from nrbench import synthesize, texture
     >>> brick = texture("brick", shape=(96, 96))
-    >>> synthesize("quilting", brick, (128, 160), seed=1).image.shape
+    >>> synthesize("quilting:block=24", brick, "160x128", seed=1).image.shape
     (128, 160, 3)
     """
     from nrbench.bending.straightening import synthesize_in_geometry
@@ -253,7 +279,7 @@ def synthesize(
     plugin = _plugin("synthesizers", method, parameters)
     sample = quantize(_image(image))
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
-    task = Task(sample, _checked_shape(shape), as_lattice(lattice), rng, progress or (lambda fraction: None))
+    task = Task(sample, _checked_shape(shape), lattice_in(sample, lattice), rng, progress or (lambda fraction: None))
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
     with briefly_prepared(plugin, task, seed) as ready:
@@ -279,7 +305,8 @@ def _image(image: Imagelike, where: str = "image") -> Image:
 def _plugin(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> Any:
     """Return the instance of a :data:`Pluginlike`; raise BadInput if it is no plugin of the kind."""
     if isinstance(plugin, str):
-        return plugins.build(kind, plugin, parameters)
+        name, written = parse_spec(plugin)
+        return plugins.build(kind, name, {**written, **parameters})
     form = plugins.FORMS[kind]
     is_class = isinstance(plugin, type)
     fault = plugins.fault(kind, plugin if is_class else type(plugin))
@@ -293,7 +320,9 @@ def _plugin(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> Any
     return plugin
 
 
-def _checked_shape(shape: Shape) -> Shape:
+def _checked_shape(shape: Shapelike) -> Shape:
+    if isinstance(shape, str):
+        return parse_size(shape)
     try:
         height, width = map(operator.index, shape)
     except (TypeError, ValueError):
@@ -348,7 +377,7 @@ def score(
         known, metrics that need one use the lattice that the detector ``dominance`` finds in the sample; if it finds
         none, their scores are None, with the reason.
     metrics
-        Names of the metrics; empty for all.
+        Names of the metrics, as a list or joined by commas; empty for all.
     progress
         Called after each metric with the number of metrics done, of all, and the name of the last one.
 
@@ -374,11 +403,12 @@ def score(
     pair = match_channels(*pair), match_channels(*pair[::-1])
     if pair[0].shape[2] != pair[1].shape[2]:
         raise BadInput(f"output: has {pair[1].shape[2]} channels, the sample {pair[0].shape[2]}; convert one of them")
-    given = as_lattice(lattice)
+    given = lattice_in(pair[0], lattice)
     if given is None and isinstance(sample, Texture):
         given = sample.lattice
     truth = Texture(pair[0], given, (given,) if given else ())
-    return score_observation_by(Observation(*pair, truth=truth, lattice_given=given), _texts(metrics), progress)
+    names = metrics.split(",") if isinstance(metrics, str) else metrics
+    return score_observation_by(Observation(*pair, truth=truth, lattice_given=given), names, progress)
 
 
 def score_observation_by(
@@ -614,6 +644,95 @@ def load(path: str | os.PathLike[str]) -> Run:
     found = Run(Path(path))
     _ = found.info
     return found
+
+
+def compare(
+    first: Run | str | os.PathLike[str], second: Run | str | os.PathLike[str], columns: str | Sequence[str] = ()
+) -> Any:
+    """Compare a run with an earlier one: which scores moved, and whether by more than draws move them.
+
+    Parameters
+    ----------
+    first, second
+        The earlier and the later run, or their directories.
+    columns
+        The scores, as a list or joined by commas; empty for the headlines, the share of preserved lattices and the
+        seconds.
+
+    Returns
+    -------
+    nrbench.reports.changes.RunChanges
+        The changes. ``table()`` is a table with one row for each method and score, which a notebook shows; ``worse``
+        lists those for the worse, ``notes`` says what the table does not.
+
+    Raises
+    ------
+    BadInput
+        If a directory is no run, or neither run has a score that was named.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from nrbench import Options, compare, run
+    >>> folder = tempfile.mkdtemp()
+    >>> done = run(
+    ...     "core",
+    ...     methods="scatter",
+    ...     textures="brick-mild",
+    ...     size="64x64",
+    ...     out=folder,
+    ...     options=Options(jobs=0),
+    ...     metrics=["cost"],
+    ... )
+    >>> set(compare(folder, done).table()["state"])
+    {'same'}
+    """
+    runs = [load(one) if isinstance(one, str | os.PathLike) else one for one in (first, second)]
+    names = columns.split(",") if isinstance(columns, str) else columns
+    return plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": tuple(names)}).compare(runs[1])
+
+
+def render_textures(
+    what: str | Suite, directory: str | os.PathLike[str], textures: Sequence[str] | str = (), **changes: Any
+) -> list[Path]:
+    """Draw the textures of a model or a suite as PNG files, with their truth and a contact sheet.
+
+    Parameters
+    ----------
+    what
+        A model, ``name`` or ``name:param=value,...``; a suite, its name or a TOML file.
+    directory
+        The directory of the pictures.
+    textures
+        Shell patterns of names; empty for all.
+    **changes
+        Keys of the suite: ``seed``, ``replicates``, ``sample``.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    BadInput
+        For an unknown model, suite or texture.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from nrbench import render_textures
+    >>> files = render_textures("brick:color=0.3", tempfile.mkdtemp(), sample="64x64")
+    >>> sorted({path.suffix for path in files})
+    ['.csv', '.json', '.png']
+    """
+    from nrbench.suites.plan import draw_samples
+    from nrbench.suites.rendering import model_suite, write_textures
+    from nrbench.suites.suite import builtin, load_suite
+
+    if isinstance(what, str):
+        what = load_suite(what) if what in builtin() or Path(what).exists() else model_suite(what)
+    return write_textures(draw_samples(changed(what, **changes), _texts(textures)), Path(directory))
 
 
 def _spec(method: Pluginlike) -> str:

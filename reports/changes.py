@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -247,6 +248,15 @@ class RunChanges:
                 f"the runs were made by results versions {first} and {second}, whose scores are not comparable"
             )
         return lines
+
+    def table(self) -> pd.DataFrame:
+        """Return one row for each method and score: both means, the difference with its interval, and the change."""
+        return pd.DataFrame([change.as_dict() for change in self.changes])
+
+    def _repr_html_(self) -> str:
+        """Return the table and the notes as HTML, for notebooks."""
+        table = pd.DataFrame([change.cells for change in self.changes], columns=HEADS).to_html(index=False)
+        return table + "".join(f"<p>{html.escape(strip_control(note))}</p>" for note in (LEGEND, *self.notes))
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it for JSON."""

@@ -106,6 +106,12 @@ class CsvTables:
             write_text(path, text)
         return list(texts)
 
+    def marks(self, run: Run) -> pd.DataFrame:
+        """Return textures by methods with the marks of the verdicts, as the text report prints them."""
+        comparison = compare_methods(run, self.tests, self.baseline, self.population)
+        entries = {row.texture: [entry.text if entry else "" for entry in row.entries] for row in comparison.rows}
+        return pd.DataFrame.from_dict(entries, orient="index", columns=[one.label for one in comparison.methods])
+
     def tables(self, run: Run) -> dict[str, pd.DataFrame]:
         """Return the tables by the names of their files."""
         comparison = compare_methods(run, self.tests, self.baseline, self.population)

@@ -25,6 +25,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "status": ("runs", "Print the number of cells of RUN with each status."),
     "label": ("runs", "Write a page on which people label the outputs of RUN."),
     "compare": ("comparing", "Compare RUN_B with RUN_A: which scores moved by more than noise."),
+    "site": ("publishing", "Write a static site that compares RUNs, such as those of several people."),
     "audit": ("auditing", "Tell whether METHOD is better at the published seed of SUITE than at a fresh one."),
     "list": ("listing", "List plugins and suites."),
     "show": ("listing", "Show a plugin or a suite."),
@@ -74,8 +75,18 @@ class Verbs(click.Group):
         return super().resolve_command(ctx, args)
 
 
+def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if wanted:
+        from nrbench.version import describe_version
+
+        click.echo(f"nrbench, version {describe_version()}")
+        context.exit()
+
+
 @click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
-@click.version_option(package_name="nrbench")
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_show_version, help="Show the version."
+)
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
 @click.option(
     "--plugin", "plugin_files", multiple=True, metavar="FILE.py", help="Load plugins from FILE.py; repeatable."

@@ -96,24 +96,19 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
     BadInput
         If the text is neither, or the detector finds no lattice.
     """
-    from nrbench import plugins
-    from nrbench.api import as_lattice, detect_lattice
+    from nrbench.api import as_lattice, lattice_in
     from nrbench.plugins.forms import NoLatticeFound
-    from nrbench.plugins.parameters import nearest, parse_spec
 
     if text is None or "," in text.partition(":")[0]:
         return as_lattice(text)
-    name, parameters = parse_spec(text)
-    if name not in plugins.names("detectors"):
-        near = nearest(name, plugins.names("detectors"))
-        raise BadInput(f"--lattice {text!r}: give x1,y1,x2,y2 in px, or a detector{near}")
     try:
-        with waiting(f"{name} looks for the lattice"):
-            found = detect_lattice(sample, name, **parameters)
+        with waiting(f"{text} looks for the lattice"):
+            found = lattice_in(sample, text)
     except NoLatticeFound as none:
         raise BadInput(f"--lattice {text}: no lattice found ({none.reason}); give one as x1,y1,x2,y2") from None
-    click.echo(f"--lattice {','.join(f'{x:.6g}' for x in found.lattice.numbers)}  ({name})", err=True)
-    return found.lattice
+    assert found is not None
+    click.echo(f"--lattice {','.join(f'{x:.6g}' for x in found.numbers)}  ({text.partition(':')[0]})", err=True)
+    return found
 
 
 def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
@@ -229,12 +224,7 @@ def render_command(
     The command also writes truth.csv, truth.json and a contact sheet to DIR. It keeps pictures of an earlier render,
     and draws a picture of the same name again.
     """
-    from nrbench.api import changed
-    from nrbench.suites.plan import draw_samples
-    from nrbench.suites.rendering import model_suite, write_textures
-    from nrbench.suites.suite import builtin, load_suite
+    from nrbench.api import render_textures
 
-    suite = load_suite(what) if what in builtin() or Path(what).exists() else model_suite(what)
-    suite = changed(suite, sample=sample, seed=seed, replicates=replicates)
-    for path in write_textures(draw_samples(suite, textures), output):
+    for path in render_textures(what, output, textures, sample=sample, seed=seed, replicates=replicates):
         click.echo(path)

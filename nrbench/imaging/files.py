@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import uuid
 import warnings
@@ -183,6 +184,13 @@ def to_pil(image: Image) -> PIL.Image.Image:
     """Return an image as a picture of Pillow, of 8 bits a channel; gray if it has one channel."""
     pixels = to_bytes(image)
     return PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
+
+
+def encode_png(image: Image) -> bytes:
+    """Return an image, with or without an axis of channels, as the content of a PNG file of 8 bits a channel."""
+    file = io.BytesIO()
+    to_pil(as_image(image, smallest=1)).save(file, "PNG")
+    return file.getvalue()
 
 
 def write_image(path: str | Path, image: Image) -> Path:

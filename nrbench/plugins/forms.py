@@ -65,18 +65,24 @@ class Texture:
     ('I', True)
     """
 
-    image: Image
+    image: Image = field(repr=False)
     lattice: Lattice | None = None
     lattices: tuple[Lattice, ...] = ()
     name: str = ""
     family: str = ""
     kind: Kind | None = None
-    ideal: Image | None = None
-    displacement: NDArray[np.float32] | None = None
-    elements: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    ideal: Image | None = field(default=None, repr=False)
+    displacement: NDArray[np.float32] | None = field(default=None, repr=False)
+    elements: Mapping[str, NDArray[np.float64]] = field(default_factory=dict, repr=False)
     regular_share: float | None = None
     region: Region | None = None
     draw_seed: int | None = None
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture as PNG, for notebooks."""
+        from nrbench.imaging.files import encode_png  # reads Pillow, which most plugins do not need
+
+        return encode_png(self.image)
 
 
 @runtime_checkable
@@ -394,12 +400,18 @@ class Synthesis:
     True
     """
 
-    image: Image
+    image: Image = field(repr=False)
     lattice: Lattice | None = None
-    source: SourceMap | None = None
-    extras: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    source: SourceMap | None = field(default=None, repr=False)
+    extras: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     detection_seconds: float = 0.0
     note: str = ""
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture as PNG, for notebooks."""
+        from nrbench.imaging.files import encode_png  # reads Pillow, which most plugins do not need
+
+        return encode_png(self.image)
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,8 @@ START = 900.0
 """Seconds that a worker may take to start. A busy machine compiles all kernels for minutes."""
 COMPILING = "compiling kernels (once per machine, up to some minutes)"
 """The notice of a worker that compiles kernels."""
+_compiling = threading.Lock()
+"""Held from the first notice on, so that a process gives it once."""
 
 
 def print_notice(text: str) -> None:
@@ -228,8 +230,12 @@ class Supervisor:
         self._lines, self._reader = read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
         if first.get("compiling"):
-            self._tell(COMPILING)
+            start, told = time.monotonic(), _compiling.acquire(blocking=False)  # one of several workers tells
+            if told:
+                self._tell(COMPILING)
             first = guard.parse_message(self._line(START) or "") or {}
+            if told:
+                self._tell(f"the kernels are compiled ({time.monotonic() - start:.0f} s)")
         if not first.get("ready") and not bare and not self._ended:
             how = "starts threads in" if first.get("threads") else "ends"
             if any(self._imports.values()):

@@ -177,6 +177,8 @@ class Plot:
         write_bytes(target, content)
         return target
 
+    savefig = save
+
     def _render(self, kind: str) -> bytes:
         content: bytes = plugins.build("reports", "perils", {"width": self.width}).render(self.run, kind)
         return content
@@ -189,7 +191,7 @@ class Plot:
 class Run:
     """A run on disk.
 
-    A notebook shows it as the table of methods.
+    A notebook shows it as the table of methods, and textures by methods with their verdicts.
 
     Parameters
     ----------
@@ -327,7 +329,7 @@ class Run:
         Returns
         -------
         Plot
-            A notebook shows it; its method ``save`` writes it.
+            A notebook shows it; its method ``save``, also called ``savefig``, writes it.
 
         Examples
         --------
@@ -340,13 +342,23 @@ class Run:
         return tables
 
     def _repr_html_(self) -> str:
-        """Return the table of methods as HTML, for notebooks."""
+        """Return the methods, and textures by methods, as HTML tables with marks, for notebooks."""
         suite = self.info.get("suite", {})
         title = f"{suite.get('name', 'run')} {suite.get('version', '')} in {self.root}: {len(self.cells)} cells"
         shown = self.summary()
         names = ["rank", "cells", "ok", "refused", "failed", "preserved", *_SHOWN]
-        table = shown[[name for name in names if name in shown]]
-        return f"<p>{html.escape(title)}</p>{table.to_html(float_format='{:.3g}'.format, na_rep='–', escape=True)}"
+        table = shown[[name for name in names if name in shown]].copy()
+        if "leading" in shown:
+            leading, references = shown["leading"].eq(True), shown["reference"].astype(bool)
+            marks = [
+                "★" if first else "†" if reference else "" for first, reference in zip(leading, references, strict=True)
+            ]
+            table.insert(0, " ", marks)
+        both = table, plugins.build("reports", "csv").marks(self)
+        parts = [one.to_html(float_format="{:.3g}".format, na_rep="–", escape=True) for one in both]
+        legend = "★ leading group, † reference, never ranked. "
+        legend += "✓ lattice preserved, ✗ lost, ! failed, N/A refused; beside it the quality."
+        return f"<p>{html.escape(title)}</p>{parts[0]}<p>{legend}</p>{parts[1]}"
 
 
 def _read_cell(where: CellFolder, entry: Mapping[str, Any]) -> Cell:

@@ -10,7 +10,6 @@ import os
 import platform
 import re
 import shutil
-import subprocess
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -30,6 +29,7 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.forms import Value
 from nrbench.storage import NO_LINK, find_strange, open_regular, read_json, write_json
 from nrbench.suites.cell import RESULTS_VERSION
+from nrbench.version import read_checkout
 
 if TYPE_CHECKING:
     from nrbench.suites.plan import Plan
@@ -466,7 +466,7 @@ def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
             "cores": os.cpu_count(),
             "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
         },
-        "git": _git(Path(__file__).parents[1]),
+        "git": read_checkout(),
     }
 
 
@@ -482,18 +482,3 @@ def _processor() -> str:
         if models:
             return models[0]
     return platform.processor() or platform.machine()
-
-
-def _git(package: Path) -> dict[str, Any] | None:
-    """Return the commit of the package's checkout, and whether it is unchanged; None without a checkout."""
-    if not (package.parent / ".git").exists():
-        return None
-
-    def run_git(*words: str) -> str:
-        command = ["git", "-C", str(package), *words]
-        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
-
-    try:
-        return {"commit": run_git("rev-parse", "HEAD"), "clean": not run_git("status", "--porcelain")}
-    except (OSError, subprocess.SubprocessError):
-        return None

@@ -74,8 +74,8 @@ class FrameMatcher:
             ``(n,)``: higher is better.
         """
         products = correlate_at(self.values, np.ascontiguousarray(template), hole, np.ascontiguousarray(positions))
-        sums, spread = (table[positions[:, 1], positions[:, 0]] for table in self._statistics(hole))
-        return self._ratings(products, sums, spread, template, hole)
+        totals = [self._frame_sums(table, hole, positions) for table in self._integrals]
+        return self._ratings(products, *self._summary(totals[0], totals[-1], self._count(hole)), template, hole)
 
     def rate_everywhere(self, template: NDArray[np.float32], hole: Box) -> Array:
         """Rate every place, in the Fourier domain: an array of :attr:`search_shape`. Parameters as in :meth:`rate`."""
@@ -122,17 +122,34 @@ class FrameMatcher:
         return self._products.transform(np.moveaxis(self.values, -1, 0))
 
     @cached_property
-    def _integrals(self) -> tuple[Array, Array]:
+    def _integrals(self) -> tuple[Array, ...]:
+        """Integral images of what the match needs: the squares of all channels together, or values and squares."""
+        if self.match == "color":
+            return (integral_image(np.einsum("hwc,hwc->hw", self.values, self.values)[..., np.newaxis]),)
         values = self.values.astype(np.float64)
         return integral_image(values), integral_image(values**2)
 
     def _statistics(self, hole: Box) -> tuple[Array, Array]:
         """Return the summary of what lies under the frame at every place: sums over the square less over the hole."""
         if hole not in self._frame_statistics:
-            square = (0, self.size, 0, self.size)
-            sums, squares = (self._box_sums(table, square) - self._box_sums(table, hole) for table in self._integrals)
-            self._frame_statistics[hole] = self._summary(sums, squares, int(frame_mask(hole, self.size).sum()))
+            totals = [self._frame_sums(table, hole) for table in self._integrals]
+            self._frame_statistics[hole] = self._summary(totals[0], totals[-1], self._count(hole))
         return self._frame_statistics[hole]
+
+    def _count(self, hole: Box) -> int:
+        return int(frame_mask(hole, self.size).sum())
+
+    def _frame_sums(self, table: Array, hole: Box, positions: NDArray[np.int64] | None = None) -> Array:
+        """Return the sums over the frame at some places, or at every place."""
+        square, cut = (0, self.size, 0, self.size), hole
+        if positions is None:
+            return self._box_sums(table, square) - self._box_sums(table, cut)
+        x, y = positions.T
+        parts = [
+            table[y + y1, x + x1] - table[y + y0, x + x1] - table[y + y1, x + x0] + table[y + y0, x + x0]
+            for y0, y1, x0, x1 in (square, cut)
+        ]
+        return np.asarray(parts[0] - parts[1])
 
     def _box_sums(self, table: Array, box: Box) -> Array:
         rows, columns = self.search_shape

@@ -88,3 +88,19 @@ def test_pictures_cannot_be_audited(folder: Path) -> None:
     (folder / "pictures.toml").write_text(f'name = "pictures"\nmethods = ["scatter"]\n[[texture]]\n{row}')
     with pytest.raises(BadInput, match="no seed draws again"):
         nrbench.audit("scatter", folder / "pictures.toml")
+
+
+def test_the_site_compares_runs_and_marks_fresh_seeds(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each method of each run is a row with its seed; rows of fresh seeds are marked; a method has one page."""
+    runs = " ".join(str(folder / "audit" / name) for name in ("published", "fresh"))
+    assert call(f"--plugin {folder / 'knowing.py'} site {runs} -o {folder / 'site'}") == 0
+    assert [Path(line).name for line in capsys.readouterr().out.split()] == ["index.html", "knowing.html"]
+    index = (folder / "site" / "index.html").read_text()
+    rows = re.findall(r'<tr data-find="([^"]*)">', index)
+    assert len(rows) == 2
+    assert "seed 1 published" in rows[0], "the better row is the first one"
+    assert "fresh seed" in rows[1]
+    assert index.count("<section>") == 1, "equal textures share a table"
+    assert index.count("<td><b>fresh</b> ") == 1
+    assert "wall-5" in (folder / "site" / "knowing.html").read_text()
+    assert call(f"site {folder} -o {folder / 'site'}") == 2, "the folder is no run"

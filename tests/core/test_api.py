@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import errno
+import io
 from typing import Any
 
 import numpy as np
+import PIL.Image
 import pytest
 
+import nrbench
 from nrbench.api import as_lattice, score
 from nrbench.errors import BadInput, describe_error, storage_fault, strip_control
 from nrbench.lattice.geometry import Lattice
@@ -98,3 +101,30 @@ def test_a_full_disk_is_found_behind_other_errors() -> None:
         assert storage_fault(error) is full
     assert storage_fault(OSError(errno.ENOENT, "No such file")) is None
     assert storage_fault(ValueError()) is None
+
+
+def test_python_knows_the_words_of_the_command_line() -> None:
+    """A method with parameters, a size and a detector as text give what keywords, a shape and the lattice give."""
+    brick = nrbench.texture("brick:color=0.3", "96x64", seed=1)
+    assert np.array_equal(brick.image, nrbench.texture("brick", (64, 96), seed=1, color=0.3).image)
+    found = nrbench.detect_lattice(brick, "dominance:reject=none").lattice
+    by_text = nrbench.synthesize("rsgf:block=24", brick, "80x72", lattice="dominance:reject=none")
+    by_words = nrbench.synthesize("rsgf", brick, (72, 80), lattice=found, block=24)
+    assert np.array_equal(by_text.image, by_words.image)
+    assert {name.partition(".")[0] for name in nrbench.score(brick, by_text, metrics="cost,source").values} == {
+        "cost",
+        "source",
+    }
+    with pytest.raises(nrbench.BadInput, match="lattice 'consensu': give x1,y1,x2,y2 in px, or a detector"):
+        nrbench.synthesize("rsgf", brick, "80x72", lattice="consensu")
+
+
+def test_notebooks_show_the_picture_of_an_image() -> None:
+    """The PNG of a texture and of a gray synthesis has their pixels, and their texts hold no arrays."""
+    brick = nrbench.texture("brick", (40, 48))
+    gray = nrbench.Synthesis(nrbench.gray(brick.image))
+    for shown, mode in ((brick, "RGB"), (gray, "L")):
+        with PIL.Image.open(io.BytesIO(shown._repr_png_())) as picture:
+            assert picture.mode == mode
+            assert np.abs(np.asarray(picture) / 255 - np.squeeze(shown.image)).max() <= 0.501 / 255
+        assert "array(" not in repr(shown)

@@ -556,8 +556,9 @@ def test_a_run_has_its_tables(two_methods: Run) -> None:
 
 
 def test_a_notebook_shows_the_methods(two_methods: Run) -> None:
-    """The HTML is a table with both methods, in which no name is markup."""
+    """The HTML has a table with both methods, and one of textures with marks, in which no name is markup."""
     shown = two_methods._repr_html_()
+    assert "✓" in shown.rpartition("<table")[2]
     assert "<table" in shown and "rsgf" in shown and "0.75" in shown
     assert "<img" not in shown and "&lt;img" in shown
 
@@ -566,7 +567,7 @@ def test_a_plot_is_shown_and_saved(two_methods: Run, tmp_path: Path) -> None:
     """A notebook gets SVG; the ending of a path chooses the kind of file; another one is refused."""
     plot = two_methods.plot(width=4)
     assert plot._repr_svg_().lstrip().startswith("<?xml") and "svg" in plot._repr_svg_()
-    assert plot.save(tmp_path / "plane.pdf").read_bytes().startswith(b"%PDF")
+    assert plot.savefig(tmp_path / "plane.pdf").read_bytes().startswith(b"%PDF")
     with pytest.raises(BadInput, match=r"end the name in \.svg"):
         plot.save(tmp_path / "plane.gif")
 

@@ -26,5 +26,6 @@ def test_a_report_conforms(name: str, one_run: Path) -> None:
     """The report fails no clause; that of the terminal alone is printed, and some formats have no markup."""
     slow = ("randomness", "side effects") if name in ("perils", "html") else ()
     skipped = ("terminal", "markup") if name in ("figure", "json", "text") else ("terminal",)
-    parameters = {"baseline": str(one_run)} if name == "changes" else {}
+    others = {"changes": {"baseline": str(one_run)}, "site": {"runs": [str(one_run)]}}
+    parameters = others.get(name, {})
     assert violations("reports", name, parameters, slow, skipped) == []
