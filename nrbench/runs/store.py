@@ -18,10 +18,10 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import psutil
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from nrbench import plugins
@@ -45,12 +45,22 @@ _Number = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
 _Vector = Annotated[list[_Number], Field(min_length=2, max_length=2)]
 
 
-class LatticeContent(TypedDict):
+class _LatticeContent(TypedDict):
     """A lattice in a file: generating vectors and a lattice point, px."""
 
+    __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
     t1: _Vector
     t2: _Vector
     origin: _Vector
+
+
+def _check_lattice(content: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return the lattice of a result if it is one; raise :class:`pydantic.ValidationError` if not."""
+    return None if content is None else cast("dict[str, Any]", _LATTICE.validate_python(content))
+
+
+_LATTICE = TypeAdapter(_LatticeContent)
+_Lattice = Annotated[dict[str, Any] | None, AfterValidator(_check_lattice)]
 
 
 class Result(TypedDict, total=False):
@@ -92,7 +102,7 @@ class Result(TypedDict, total=False):
     """
 
     __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
-    status: Literal["ok", "refused", "error", "timeout", "memory", "crash", "invalid", "storage"]
+    status: Annotated[str, Field(pattern=f"^({'|'.join(('ok', 'refused', 'storage', *FAILED))})$")]
     message: str
     phase: str
     note: str
@@ -102,10 +112,10 @@ class Result(TypedDict, total=False):
     prepare_seconds: _Number
     peak_mib: _Number
     side_by_side: _Number
-    lattice_used: LatticeContent | None
+    lattice_used: _Lattice
     output_hash: str
     made: dict[str, Annotated[int, Field(ge=0, le=2**53)]]
-    lattice: LatticeContent | None
+    lattice: _Lattice
     confidence: _Number | None
     reason: str
     texture: dict[str, Any]
