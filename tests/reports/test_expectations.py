@@ -336,7 +336,7 @@ def test_every_report_shows_the_comparison(make_report: Make, tmp_path: Path) ->
     (path,) = (path for path in LatexTables().write(run, tmp_path) if path.name == "published.tex")
     text = path.read_text("utf-8")
     assert text.count(r"\begin{table}") == 3
-    assert r"& success rate, preserved/total & \shortstack{53\% (20/38)\\50\% (19/38)}" in text
+    assert r"\shortstack[l]{success rate,\\preserved/total} & \shortstack{53\% (20/38)\\50\% (19/38)}" in text
     for words in (page, MarkdownTables().render(run), TextTable(width=200).render(run), read_table_3(run, tmp_path)):
         assert "success rate" in words and "50% (19/38)" in words and "Table 3" in words
     assert r"45 & cans & \nrbLost{} \nrbLost{} & \nrbPreserved{} \nrbLost{}" in text
