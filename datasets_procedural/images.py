@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -34,6 +36,7 @@ SAMPLE_SIDE = 128
 _LARGEST, _LARGEST_TILES = 512, 8
 """Largest side of such a sample: in px, or in tiles if that is more. It limits the time of a run."""
 _LARGEST_OUTPUT = 16384
+_LONGEST_NAME = 120
 
 
 @dataclass(frozen=True)
@@ -234,15 +237,18 @@ def _free_corner(picture: Shape, shape: Shape, region: Region, rng: np.random.Ge
 def _named(pictures: list[Path]) -> Iterator[tuple[str, Path]]:
     """Yield the name and path of each picture. The name lacks the ending unless two pictures would share it.
 
-    Backslashes and control characters, which the name of a texture cannot have, become underscores; so do characters
-    that reverse the direction of the text after them.
+    Backslashes and control characters, which the name of a texture cannot have, become underscores; so do bytes that
+    are no UTF-8, and characters that reverse the direction of the text after them. A long name is cut short.
     """
     stems = Counter(_plain(path.stem) for path in pictures)
     return ((_plain(path.stem if stems[_plain(path.stem)] == 1 else path.name), path) for path in pictures)
 
 
 def _plain(name: str) -> str:
-    return re.sub(r"[\\\x00-\x1f\u202a-\u202e\u2066-\u2069]", "_", name)
+    plain = re.sub(r"[\\\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]", "_", name)
+    if len(plain) > _LONGEST_NAME or (plain != name and set(plain) <= {"_", "."}):
+        plain = f"{plain[:_LONGEST_NAME]}-{zlib.crc32(os.fsencode(name)):08x}"
+    return plain
 
 
 def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:

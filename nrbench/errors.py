@@ -9,6 +9,9 @@ import sys
 import traceback
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 class BadInput(ValueError):
@@ -51,17 +54,26 @@ def checker(who: str) -> Callable[[bool, str], None]:
     return check
 
 
-_CONTROL = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+_CONTROL = re.compile(
+    r"\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)|[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]"
+)
 _CALLERS = [Path(__file__).parent / folder for folder in ("running", "suites", "plugins", "authoring", "bending")]
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS) if sys.platform != "win32" else (errno.ENOSPC,)
 
 
-def strip_control(text: str) -> str:
+def strip_control(content: T) -> T:
     """Return text without terminal escapes, control characters and marks that turn the direction of text.
 
-    Line breaks and tabs stay.
+    Line breaks and tabs stay. Of a list or mapping, as JSON holds them, all texts in it are so treated.
     """
-    return _CONTROL.sub("", text.replace("\r\n", "\n"))
+    stripped: Any = content
+    if isinstance(content, str):
+        stripped = _CONTROL.sub("", content.replace("\r\n", "\n"))
+    elif isinstance(content, list):
+        stripped = [strip_control(part) for part in content]
+    elif isinstance(content, dict):
+        stripped = {strip_control(key): strip_control(part) for key, part in content.items()}
+    return stripped  # type: ignore[no-any-return]
 
 
 def describe_error(error: BaseException) -> str:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
 import json
 import os
+import shutil
 import stat
 import sys
 import tempfile
@@ -16,31 +18,170 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 
+NO_LINK = "is a link or no regular file; remove it (nrbench follows no links inside a run)"
+"""What is said of a path inside a run that is not opened."""
+_NO_LINK_FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+_without_links: set[str] = set()
 
-def write_aside(path: Path, write: Callable[[Path], object]) -> None:
-    """Call ``write`` with a temporary path beside ``path``, then rename that file: no reader sees a part of it.
+
+def follow_no_link_below(root: Path) -> None:
+    """Let the functions of this module follow no link below a folder, from now on and in this process.
+
+    They then open each folder on the way by its name in the one above, so that a link is also found if it takes the
+    place of a folder while they work. Where the system cannot do this (Windows), only the last name is checked.
+
+    Parameters
+    ----------
+    root
+        An absolute path. Links in it are followed.
+    """
+    if os.open in os.supports_dir_fd:
+        _without_links.add(f"{root}{os.sep}")
+
+
+@contextlib.contextmanager
+def _folder_of(path: Path, make: bool = False) -> Iterator[tuple[str, int | None]]:
+    """Yield the name of a file and the descriptor of its folder; where links are followed, the path and None.
+
+    Raises
+    ------
+    BadInput
+        When there is a link on the way from a folder of :func:`follow_no_link_below` to the file.
+    """
+    text = os.path.abspath(path)  # noqa: PTH100  (it keeps links)
+    root = next((each for each in _without_links if text.startswith(each)), None)
+    if root is None:
+        if make:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        yield str(path), None
+        return
+    *folders, name = Path(text.removeprefix(root)).parts
+    if make:
+        os.makedirs(root, exist_ok=True)  # noqa: PTH103
+    place, flags = root, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0)
+    descriptor = os.open(root, flags)
+    try:
+        for folder in folders:
+            place = os.path.join(place, folder)  # noqa: PTH118
+            if make:
+                with contextlib.suppress(FileExistsError):
+                    os.mkdir(folder, dir_fd=descriptor)
+            try:
+                inner = os.open(folder, flags | _NO_LINK_FLAGS, dir_fd=descriptor)
+            except OSError as error:
+                if error.errno in (errno.ELOOP, errno.ENOTDIR):
+                    raise BadInput(f"{place}: {NO_LINK}") from None
+                error.filename = place
+                raise
+            os.close(descriptor)
+            descriptor = inner
+        yield name, descriptor
+    finally:
+        os.close(descriptor)
+
+
+def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
+    """Open a regular file, follow no link at its name, and return its descriptor.
+
+    Below a folder of :func:`follow_no_link_below` no other link is followed either.
+
+    Raises
+    ------
+    BadInput
+        When there is a link, a folder, a device or a named pipe at the path.
+    OSError
+        When the file cannot be opened.
+    """
+    with _folder_of(path) as (name, folder):
+        if not path.is_symlink():
+            try:
+                descriptor = os.open(name, flags | _NO_LINK_FLAGS, 0o644, dir_fd=folder)
+            except OSError as error:
+                if error.errno != errno.ELOOP:
+                    error.filename = str(path)
+                    raise
+            else:
+                if stat.S_ISREG(os.fstat(descriptor).st_mode):
+                    return descriptor
+                os.close(descriptor)
+    raise BadInput(f"{path}: {NO_LINK}")
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open a file for reading. Below a folder of :func:`follow_no_link_below` it must be a regular one."""
+    guarded = any(os.path.abspath(path).startswith(root) for root in _without_links)  # noqa: PTH100
+    return open(open_regular(path), "rb") if guarded else path.open("rb")
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a file that :func:`open_file` opens."""
+    with open_file(path) as file:
+        return file.read()
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, where they do not exist; follow links as :func:`open_file` does."""
+    with _folder_of(path / "any", make=True):
+        pass
+
+
+def remove(path: Path) -> None:
+    """Remove a file, a link, or a folder with all it holds; follow links as :func:`open_file` does."""
+    with contextlib.suppress(OSError, BadInput), _folder_of(path) as (name, folder):
+        with contextlib.suppress(OSError):
+            os.unlink(name, dir_fd=folder)  # fails if it is a folder
+        shutil.rmtree(name, ignore_errors=True, dir_fd=folder)
+
+
+def write_aside(path: Path, write: Callable[[BinaryIO], object], durable: bool = False) -> None:
+    """Write a file under a temporary name, then rename it: no reader sees a part of it.
 
     The temporary name is random, so that no link can wait there.
+
+    Parameters
+    ----------
+    path
+        The file. Its folder is made if it does not exist.
+    write
+        Writes the content to the opened file.
+    durable
+        Whether the content is on the disk before the file gets its name, so that a loss of power leaves the old file
+        or the new one. This takes about 2 ms.
+
+    Raises
+    ------
+    OSError
+        When it cannot be written. The error names ``path``.
+    BadInput
+        When a link is in the way, below a folder of :func:`follow_no_link_below`.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.stem[:80]}-{uuid.uuid4().hex}{path.suffix}")
-    try:
-        write(aside)
-        aside.replace(path)
-    except OSError as error:
-        # A full disk names no file, and the temporary name means nothing to a user.
-        if error.filename in (None, str(aside), aside):
-            error.filename = str(path)
-        raise
-    finally:
-        aside.unlink(missing_ok=True)
+    with _folder_of(path, make=True) as (name, folder):
+        aside = str(Path(name).with_name(f".{path.stem[:80]}-{uuid.uuid4().hex}{path.suffix}"))
+        try:
+            with os.fdopen(os.open(aside, _CREATE, 0o666, dir_fd=folder), "w+b") as file:
+                write(cast("BinaryIO", file))
+                if durable:
+                    file.flush()
+                    os.fsync(file.fileno())
+            os.replace(aside, name, src_dir_fd=folder, dst_dir_fd=folder)
+        except OSError as error:
+            # A full disk names no file, and the temporary name means nothing to a user.
+            if error.filename in (None, aside):
+                error.filename = str(path)
+            raise
+        finally:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(aside, dir_fd=folder)
+
+
+_CREATE = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
 
 _user_folder: Path | None = None
@@ -139,7 +280,7 @@ def user_path(path: str | Path) -> Path:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file, atomically."""
-    write_aside(path, lambda aside: aside.write_bytes(content))
+    write_aside(path, lambda file: file.write(content))
 
 
 def write_text(path: Path, text: str) -> None:
@@ -256,15 +397,7 @@ def write_json(path: Path, content: Mapping[str, Any], durable: bool = False) ->
         or the new one. This takes about 2 ms.
     """
     text = json.dumps(content, indent=1, allow_nan=False, default=_plain) + "\n"
-
-    def write(aside: Path) -> None:
-        with aside.open("w", encoding="utf-8") as file:
-            file.write(text)
-            if durable:
-                file.flush()
-                os.fsync(file.fileno())
-
-    write_aside(path, write)
+    write_aside(path, lambda file: file.write(text.encode()), durable)
 
 
 def _plain(value: Any) -> Any:
@@ -273,29 +406,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} cannot be written as JSON")
-
-
-NO_LINK = "is a link or no regular file; remove it (nrbench follows no links inside a run)"
-"""What is said of a path inside a run that is not opened."""
-
-
-def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
-    """Open a regular file, follow no link at its name, and return its descriptor.
-
-    Raises
-    ------
-    BadInput
-        When there is a link, a folder, a device or a named pipe at the path.
-    OSError
-        When the file cannot be opened.
-    """
-    no_link, no_wait = getattr(os, "O_NOFOLLOW", 0), getattr(os, "O_NONBLOCK", 0)
-    if not path.is_symlink():
-        descriptor = os.open(path, flags | no_link | no_wait, 0o644)
-        if stat.S_ISREG(os.fstat(descriptor).st_mode):
-            return descriptor
-        os.close(descriptor)
-    raise BadInput(f"{path}: {NO_LINK}")
 
 
 def find_strange(folder: Path) -> Path | None:
@@ -329,7 +439,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
     """Write arrays as a compressed ``.npz``, atomically."""
 
-    def write(aside: Path) -> None:
+    def write(aside: BinaryIO) -> None:
         with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
             for name, array in arrays.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
@@ -340,5 +450,5 @@ def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays of an ``.npz`` by name. Pickled objects are refused."""
-    with np.load(path, allow_pickle=False) as archive:  # noqa: TID251
+    with open_file(path) as file, np.load(file, allow_pickle=False) as archive:  # noqa: TID251
         return {name: archive[name] for name in archive.files}

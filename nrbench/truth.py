@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,12 +75,13 @@ class TruthTable:
         return cls(fields, rows)
 
 
-def write_table(path: Path, fields: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
-    """Write a table. Fields that are missing in a row are empty."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fields, restval="")
-        writer.writeheader()
-        writer.writerows(rows)
+def table_text(fields: Sequence[str], rows: Sequence[Mapping[str, object]]) -> str:
+    """Return a table as CSV. Fields that are missing in a row are empty."""
+    file = io.StringIO()
+    writer = csv.DictWriter(file, fields, restval="")
+    writer.writeheader()
+    writer.writerows(rows)
+    return file.getvalue()
 
 
 def _lines(path: Path) -> tuple[Sequence[str], list[tuple[int, dict[str, Any]]]]:

@@ -137,7 +137,7 @@ def _draw_diagnostics(diagnostics: Mapping[str, Any], title: str, output: Path) 
     if figure is None:
         click.echo(f"{output}: not written, the detector returned nothing that can be drawn", err=True)
     else:
-        write_aside(output, lambda aside: figure.savefig(aside, dpi=110))
+        write_aside(output, lambda file: figure.savefig(file, dpi=110, format=output.suffix.lstrip(".") or "png"))
 
 
 def print_comparison(image: Image, output: Path | None, as_json: bool) -> int:

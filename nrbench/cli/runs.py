@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from nrbench.cli.options import limit_options, split_names
-from nrbench.cli.progress import live_progress
+from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
 
 # The help of a command imports no more than this.
@@ -87,7 +87,8 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     axes = {key: arguments[key] for key in ("sample", "size", "replicates")}
     suite = changed(suite, arguments["methods"], arguments["lattice"], **axes, **choose_seed(seed, root))
     limits = Limits(arguments.get("timeout", LIMITS.seconds), arguments.get("memory", LIMITS.mib))
-    return plan_run(suite, arguments["textures"], limits), root
+    with waiting("drawing the samples") as advance:
+        return plan_run(suite, arguments["textures"], limits, advance), root
 
 
 @click.command("run")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
-import uuid
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput, strip_control
 from nrbench.imaging.convert import MIN_SIDE, Image, as_image, to_bytes
+from nrbench.storage import open_file, write_aside
 
 ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
 """Endings of picture files."""
@@ -89,7 +90,7 @@ def _opened(path: str | Path, where: str) -> Iterator[PIL.Image.Image]:
     try:
         with (
             warnings.catch_warnings(action="ignore"),
-            Path(path).open("rb") as file,
+            open_file(Path(path)) as file,
             PIL.Image.open(file, formats=FORMATS) as picture,
         ):
             width, height = picture.size
@@ -228,12 +229,10 @@ def write_image(path: str | Path, image: Image) -> Path:
         raise BadInput(f"picture {path}: only PNG is written, which keeps every pixel; end its name in .png")
     picture, chunks = to_pil(image), PIL.PngImagePlugin.PngInfo()
     chunks.add(b"sRGB", b"\x00")
-    aside = target.with_name(f".{target.name[:80]}.{uuid.uuid4().hex}.part")
     try:
-        picture.save(aside, "PNG", compress_level=1, pnginfo=chunks)
-        aside.replace(target)
+        if not target.parent.is_dir():
+            raise NotADirectoryError(errno.ENOENT, "No such file or directory")
+        write_aside(target, lambda file: picture.save(file, "PNG", compress_level=1, pnginfo=chunks))
     except OSError as error:
         raise BadInput(f"picture {path}: cannot be written ({error.strerror}); check its folder") from None
-    finally:
-        aside.unlink(missing_ok=True)
     return target

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import FrameType
 
+from nrbench.errors import strip_control
 from nrbench.runs.store import FAILED
 from nrbench.suites.cell import Cell
 
@@ -45,7 +46,7 @@ class Step:
     @property
     def text(self) -> str:
         """The cell and its status in words."""
-        return f"{self.texture} / {self.method} ({self.lattice_source}): {self.status}"
+        return strip_control(f"{self.texture} / {self.method} ({self.lattice_source}): {self.status}")
 
     @property
     def remaining_text(self) -> str:

@@ -43,7 +43,7 @@ from nrbench.running.output_checks import InvalidOutput, checked_synthesis, is_p
 from nrbench.running.preparing import prepare_method
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder, Result, metric_key
-from nrbench.storage import read_arrays, read_json, write_arrays, write_json
+from nrbench.storage import make_folder, read_arrays, read_json, write_arrays, write_json
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.cell import Cell, Recipe
 from nrbench.suites.plan import draw_texture
@@ -268,7 +268,7 @@ def is_own(kind: str, name: str) -> bool:
 
 def write_score(where: CellFolder, metric: str, score: Score) -> None:
     """Write the file of a score, and its pictures beside it."""
-    where.scores.mkdir(exist_ok=True)
+    make_folder(where.scores)
     pictures = {}
     for title, picture in score.pictures.items():
         pictures[title] = f"{metric_key(metric)}-{Path(title).name}.png"

@@ -6,7 +6,7 @@ Plugins that are not part of nrbench do it in guarded child processes.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -80,7 +80,12 @@ def _run(runner: RequestRunner, phase: str, content: Mapping[str, Any], limits: 
         return runner.run(Request(phase, str(folder), limits.seconds, limits.mib, plugins=plugins.files())).result
 
 
-def plan_run(suite: Suite, textures: Sequence[str] = (), limits: Limits = LIMITS) -> Plan:
+def plan_run(
+    suite: Suite,
+    textures: Sequence[str] = (),
+    limits: Limits = LIMITS,
+    progress: Callable[[float], None] = lambda done: None,
+) -> Plan:
     """Draw every sample and list every cell, as :func:`~nrbench.suites.plan.make_plan` does.
 
     A dataset that fails, hangs or kills its process makes the cells of its texture fail, with the cause. The datasets
@@ -88,7 +93,7 @@ def plan_run(suite: Suite, textures: Sequence[str] = (), limits: Limits = LIMITS
 
     Parameters
     ----------
-    suite, textures
+    suite, textures, progress
         See :func:`~nrbench.suites.plan.make_plan`.
     limits
         The limits of the drawing of one texture.
@@ -103,7 +108,7 @@ def plan_run(suite: Suite, textures: Sequence[str] = (), limits: Limits = LIMITS
                 started.append(guarded_draw(stack.enter_context(Supervisor(warm=False)), limits))
             return started[0](recipe, shape)
 
-        return make_plan(suite, textures, draw)
+        return make_plan(suite, textures, draw, progress)
 
 
 def write_guarded(run: Run, name: str, report: Any, folder: str | None, limits: Limits = LIMITS) -> Any:

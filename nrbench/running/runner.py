@@ -25,7 +25,7 @@ from nrbench.running.supervisor import print_notice
 from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
-from nrbench.storage import remove_folder, write_json
+from nrbench.storage import make_folder, remove, remove_folder, write_json, write_text
 from nrbench.suites.cell import Cell, reader_of
 from nrbench.suites.plan import Plan, PlannedSample
 
@@ -190,7 +190,7 @@ class _Runner:
             return result
         assert cell.detector is not None
         where.clear()
-        where.path.mkdir(parents=True, exist_ok=True)
+        make_folder(where.path)
         write_image(where.sample, sample.image())
         name, version, parameters = cell.detector
         write_json(where.cell_file, {"detector": name, "version": version, "parameters": parameters})
@@ -215,12 +215,12 @@ class _Runner:
             where.clear()
         elif retry:
             for file in where.failed_scores(self.metrics):
-                file.unlink()
+                remove(file)
         _prepare(where, cell, sample)
         if cell.fault:
             log = sample.log or self.directory.lattice(_detection_key(cell)).log_tail()
             if log:
-                where.log.write_text(log + "\n", "utf-8")
+                write_text(where.log, log + "\n")
             phase = "render" if sample.size is None else "detect" if cell.detector else "given"
             result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
             return {**where.write_result(result), "wall": 0.0}
@@ -230,7 +230,7 @@ class _Runner:
         options = self.options
         return Request(
             phase,
-            str(where.path.resolve()),
+            str(where.path),
             options.timeout,
             options.memory,
             metrics=tuple(self.metrics),
@@ -313,7 +313,7 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
 
 def _prepare(where: CellFolder, cell: Cell, sample: PlannedSample) -> None:
     """Write the files that a cell's child processes read. What is there may be damaged."""
-    where.path.mkdir(parents=True, exist_ok=True)
+    make_folder(where.path)
     if sample.size is not None:
         write_image(where.sample, sample.image())
     again = sample.again() if cell.reference else None

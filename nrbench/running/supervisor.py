@@ -7,7 +7,6 @@ import dataclasses
 import errno
 import os
 import queue
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -26,7 +25,7 @@ from nrbench.running import guard
 from nrbench.running.guard import Message, Reply
 from nrbench.running.worker import GRACE, Request, perform, read_lines, start_worker
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import temporary_folder
+from nrbench.storage import remove, temporary_folder
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -91,7 +90,7 @@ def _perform_phases(job: Request, runner: RequestRunner) -> Result:
             raise
         result = {"status": "crash", "message": describe_error(error), "phase": phase}
         with contextlib.suppress(OSError):
-            shutil.rmtree(where.result_file, ignore_errors=True)  # where a plugin has put a folder
+            remove(where.result_file)  # where a plugin has put a folder
             where.write_result(result)
         return result
 

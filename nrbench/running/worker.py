@@ -38,8 +38,15 @@ from nrbench.plugins.registry import count_threads
 from nrbench.running import guard, phases
 from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import Send
-from nrbench.runs.store import CellFolder
-from nrbench.storage import leave_user_folder, open_regular, read_json, remove_folder, working_folder
+from nrbench.runs.store import FOLDERS, CellFolder
+from nrbench.storage import (
+    follow_no_link_below,
+    leave_user_folder,
+    open_regular,
+    read_json,
+    remove_folder,
+    working_folder,
+)
 from nrbench.suites.cell import Cell, Recipe, reader_of
 
 SCORER_ROOM = 256.0
@@ -105,6 +112,11 @@ class Request:
     group: str = ""
     user_folder: str = dataclasses.field(default_factory=working_folder)
     temporary: str = ""
+
+    def __post_init__(self) -> None:
+        cells = Path(self.folder).parent
+        if cells.name in FOLDERS:  # so it is in each process that has a part in a cell of a run
+            follow_no_link_below(cells.parent)
 
     @property
     def log(self) -> Path:

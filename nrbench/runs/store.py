@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Required, cast
 
 import psutil
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -26,8 +26,17 @@ from typing_extensions import TypedDict
 
 from nrbench import plugins
 from nrbench.errors import BadInput, strip_control
-from nrbench.plugins.forms import Value
-from nrbench.storage import NO_LINK, find_strange, open_regular, read_json, write_json
+from nrbench.storage import (
+    NO_LINK,
+    find_strange,
+    follow_no_link_below,
+    make_folder,
+    open_regular,
+    read_bytes,
+    read_json,
+    remove,
+    write_json,
+)
 from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.version import read_checkout
 
@@ -37,6 +46,8 @@ if TYPE_CHECKING:
 RUN_FILE = "run.json"
 TAIL = 1 << 16
 """Bytes at the end of a log that are read."""
+FOLDERS = ("cells", "lattices")
+"""The folders of a run that hold a folder for each cell, or each detection."""
 FAILED = ("error", "timeout", "memory", "crash", "invalid")
 """The statuses of a failed cell; the other statuses are ``ok`` and ``refused``."""
 
@@ -138,11 +149,15 @@ def is_result_part(content: Mapping[str, Any]) -> bool:
 class ScoreContent(TypedDict, total=False):
     """The content of a score's file, see :class:`~nrbench.plugins.forms.Score`; pictures are file names."""
 
-    metric: str
-    values: dict[str, Value]
-    reasons: dict[str, str]
-    records: dict[str, Any]
-    pictures: dict[str, str]
+    __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
+    metric: Required[str]
+    values: Required[dict[str, bool | _Number | None]]
+    reasons: Required[dict[str, str]]
+    records: Required[dict[str, Any]]
+    pictures: Required[dict[str, Annotated[str, Field(pattern=r"^[^/\\]+$")]]]
+
+
+_SCORE = TypeAdapter(ScoreContent)
 
 
 class _Part:
@@ -194,7 +209,7 @@ class CellFolder:
         """
         content = read_json(self.result_file)
         whole = content is not None and {"status", "message"} <= set(content) and is_result_part(content)
-        return cast("Result", content) if whole and not find_strange(self.path) else None
+        return strip_control(cast("Result", content)) if whole and not find_strange(self.path) else None
 
     def write_result(self, result: Result) -> Result:
         """Write how the synthesis ended, and return it."""
@@ -218,7 +233,8 @@ class CellFolder:
     def score(self, metric: str) -> ScoreContent:
         """Return a metric's score of this cell; empty where there is none yet, or its file is damaged."""
         content = read_json(self.score_file(metric)) or {}
-        return cast("ScoreContent", content) if _is_score(content, metric) else {}
+        whole = {**content, "reasons": strip_control(content["reasons"])} if _is_score(content, metric) else {}
+        return cast("ScoreContent", whole)
 
     def failure(self, key: str) -> str:
         """Return why a metric failed on this cell, by the key of its scores; empty if it did not, or has no score yet.
@@ -226,10 +242,10 @@ class CellFolder:
         The metric is not imported, and a score that did not fail is not parsed.
         """
         file = self.scores / f"{key}.json"
-        if b'"failed:' not in (file.read_bytes() if file.is_file() else b""):
+        if b'"failed:' not in (read_bytes(file) if file.is_file() else b""):
             return ""
         reasons = (read_json(file) or {}).get("reasons")
-        texts = list(map(str, reasons.values())) if isinstance(reasons, dict) else []
+        texts = [strip_control(str(why)) for why in reasons.values()] if isinstance(reasons, dict) else []
         return next((why for why in texts if why.startswith("failed:")), "")
 
     def missing_scores(self, metrics: Iterable[str]) -> list[str]:
@@ -248,16 +264,15 @@ class CellFolder:
 
     def clear(self) -> None:
         """Remove what an interrupted or failed attempt left, and a link or file in its place. No link is followed."""
-        with contextlib.suppress(OSError):
-            self.path.unlink()  # fails if it is a folder
-        shutil.rmtree(self.path, ignore_errors=True)
+        remove(self.path)
 
     def log_tail(self, lines: int = 12) -> str:
         """Return the log's last lines; of a long log only the end is read."""
         try:
             with open(open_regular(self.log), "rb") as log:  # noqa: PTH123
                 log.seek(max(0, os.fstat(log.fileno()).st_size - TAIL))
-                return "\n".join(log.read(TAIL).decode("utf-8", "replace").splitlines()[-lines:])
+                text = strip_control(log.read(TAIL).decode("utf-8", "replace"))
+                return "\n".join(text.splitlines()[-lines:])
         except (FileNotFoundError, BadInput):
             return ""
 
@@ -269,17 +284,13 @@ def _made(result: Result) -> dict[str, int]:
 
 
 def _is_score(content: Mapping[str, Any], metric: str) -> bool:
-    """Return whether the content of a file is a score of a metric: mappings, and a value or reason of each column."""
-    parts = [content.get(name) for name in ("values", "reasons", "records", "pictures")]
-    if not all(isinstance(part, dict) for part in parts):
+    """Return whether the content of a file is a score of a metric, with a value or a reason in each column."""
+    try:
+        score = _SCORE.validate_python(dict(content))
+    except ValidationError:
         return False
-    values, reasons, _, pictures = cast("list[dict[str, Any]]", parts)
-    known = all(
-        isinstance(reasons.get(name), str) if value is None else isinstance(value, bool | int | float)
-        for name, value in values.items()
-    )
-    local = all(isinstance(name, str) and name == Path(name).name for name in pictures.values())
-    return known and local and set(values) == _column_names(metric)
+    explained = all(value is not None or name in score["reasons"] for name, value in score["values"].items())
+    return explained and set(score["values"]) == _column_names(metric)
 
 
 @cache
@@ -316,10 +327,14 @@ class RunDirectory:
     Parameters
     ----------
     root
-        Its path.
+        Its path; links in it are followed. No link below it is, by this process, from now on.
     """
 
     root: Path
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "root", self.root.resolve())
+        follow_no_link_below(self.root)
 
     @property
     def cells(self) -> Path:
@@ -359,7 +374,7 @@ class RunDirectory:
             raise BadInput(f"{self.root / RUN_FILE}: has a cell with the key {odd!r}, which is no hash; run it again")
         if not _is_suite(content["suite"].get("content", {})):
             raise BadInput(f"{self.root / RUN_FILE}: suite.content is damaged; run the same command again")
-        return content
+        return strip_control(content)
 
     def write_info(self, plan: Plan, argv: Sequence[str], metrics: Iterable[str]) -> None:
         """Write ``run.json``: the suite, the versions, the metrics, and the cells. An equal file is left unchanged."""
@@ -403,7 +418,7 @@ class RunDirectory:
         if occupied and not self.cells.is_dir():
             raise BadInput(f"{self.root}: holds something that is no run; pass an empty or new directory as --out")
         self.check_links()
-        self.cells.mkdir(parents=True, exist_ok=True)
+        make_folder(self.cells)
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
@@ -457,7 +472,7 @@ class RunDirectory:
             if theirs.result() is not None and ours.result() is None:
                 ours.clear()
                 aside = ours.path.with_name(f".{key}")
-                shutil.rmtree(aside, ignore_errors=True)
+                remove(aside)
                 shutil.copytree(theirs.path, aside, symlinks=True)
                 aside.rename(ours.path)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import fnmatch
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, get_args
@@ -24,6 +24,8 @@ from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Cell, DetectorIdentity, Recipe
 from nrbench.suites.suite import Suite, TextureRow
 
+MOST_CELLS = 200_000
+"""Cells that a run may have at most: the process that plans them keeps each in memory."""
 Draw = Callable[[Recipe, Shape], tuple[Texture, Image | None]]
 """Draws a texture by its recipe, as :func:`draw_texture` does."""
 
@@ -271,7 +273,12 @@ class Plan:
     cells: list[tuple[Cell, PlannedSample]]
 
 
-def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = None) -> Plan:
+def make_plan(
+    suite: Suite,
+    textures: Sequence[str] = (),
+    draw: Draw | None = None,
+    progress: Callable[[float], None] = lambda done: None,
+) -> Plan:
     """Draw every sample and list every cell.
 
     Parameters
@@ -282,28 +289,44 @@ def make_plan(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = No
         Shell patterns of texture names. Empty: all textures.
     draw
         Draws the textures of datasets that are not part of nrbench; None draws them in this process.
+    progress
+        Called with the share of the samples that are drawn, in [0, 1].
 
     Raises
     ------
     BadInput
-        For unknown methods, parameters or lattice sources, or patterns that match no texture.
+        For unknown methods, parameters or lattice sources, patterns that match no texture, or too many cells.
     """
     methods = {spec: PlannedMethod.parse(spec) for spec in suite.all_methods}
     sources = list({source.name: source for source in map(LatticeSource.parse, suite.lattice)}.values())
     _check_labels(methods.values())
     if not methods:
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
+    _check_count(suite, textures, methods, len(sources))
     if not sources and any(method.uses_lattice for method in methods.values()):
         raise BadInput(f'suite {suite.name}: names no lattice source; add lattice = ["own"] or pass --lattice own')
     cells = [
         (_make_cell(suite, sample, method, source), planned)
-        for sample in _draw_each(suite, textures, draw)
+        for sample in _draw_each(suite, textures, draw, progress)
         for planned in [PlannedSample.of(sample)]
         for spec, method in methods.items()
         if suite.runs(spec, sample.row.name)
         for source in _sources_of(method, sample, sources, suite.references_once and method.reference)
     ]
     return Plan(suite, cells)
+
+
+def _check_count(suite: Suite, textures: Sequence[str], methods: Mapping[str, PlannedMethod], sources: int) -> None:
+    """Raise BadInput if a run would have more cells than :data:`MOST_CELLS`, before a sample is drawn."""
+    rows = _matching_rows(suite, textures)
+    lattices = {spec: sources if method.uses_lattice else 1 for spec, method in methods.items()}
+    count = suite.replicates * sum(lattices[spec] for row in rows for spec in methods if suite.runs(spec, row.name))
+    if count > MOST_CELLS:
+        parts = f"{len(rows):,} textures, {suite.replicates:,} replicates, {len(methods)} methods, {sources} lattices"
+        raise BadInput(
+            f"suite {suite.name}: a run has {MOST_CELLS:,} cells at most, this one would have {count:,} ({parts}); use "
+            "fewer replicates, or choose textures by -t and methods by -m"
+        )
 
 
 def _sources_of(method: PlannedMethod, sample: Sample, sources: list[LatticeSource], once: bool) -> list[LatticeSource]:
@@ -333,17 +356,26 @@ def draw_samples(suite: Suite, textures: Sequence[str] = (), draw: Draw | None =
     return list(_draw_each(suite, textures, draw))
 
 
-def _draw_each(suite: Suite, textures: Sequence[str], draw: Draw | None) -> Iterator[Sample]:
+def _matching_rows(suite: Suite, textures: Sequence[str]) -> list[TextureRow]:
+    """Return the textures whose names match a pattern; all if there is none. Raise BadInput if none matches."""
     rows = [row for row in suite.texture if not textures or any(fnmatch.fnmatch(row.name, each) for each in textures)]
     if not rows:
         names = ", ".join(row.name for row in suite.texture[:12])
         raise BadInput(f"-t {' '.join(textures)}: matches no texture of suite {suite.name} ({names}, ...)")
-    for row in rows:
+    return rows
+
+
+def _draw_each(
+    suite: Suite, textures: Sequence[str], draw: Draw | None, progress: Callable[[float], None] = lambda done: None
+) -> Iterator[Sample]:
+    rows = _matching_rows(suite, textures)
+    for number, row in enumerate(rows):
         try:
             first = _find_recipe(suite, row, draw)
         except BadInput as error:
             raise BadInput(f"suite {suite.name}, texture {row.name!r}: {error}") from None
         for replicate in range(suite.replicates):
+            progress((number + replicate / suite.replicates) / len(rows))
             recipe = dataclasses.replace(first, replicate=first.replicate + replicate)
             yield _draw(row, recipe, row.size or suite.size, _chosen(draw, recipe))
 

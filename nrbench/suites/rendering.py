@@ -20,11 +20,11 @@ from nrbench.imaging.files import read_image, write_image
 from nrbench.imaging.overlays import contact_sheet
 from nrbench.plugins.forms import Texture
 from nrbench.plugins.parameters import parse_spec, size_text
-from nrbench.storage import write_aside, write_json
+from nrbench.storage import write_json, write_text
 from nrbench.streams import pixels_hash
 from nrbench.suites.plan import Sample
 from nrbench.suites.suite import Suite, validated_suite
-from nrbench.truth import KNOWN_FILE, SHEET, TRUTH_FIELDS, TRUTH_FILE, TruthTable, write_table
+from nrbench.truth import KNOWN_FILE, SHEET, TRUTH_FIELDS, TRUTH_FILE, TruthTable, table_text
 
 _ELSEWHERE = "pass another -o, or move it away"
 _ByName = dict[str, tuple[Sample, Texture]]
@@ -143,7 +143,7 @@ class _Rendered:
 
     def write(self, folder: Path) -> None:
         """Write both truth files, each atomically."""
-        write_aside(folder / TRUTH_FILE, lambda aside: write_table(aside, self.fields, list(self.rows.values())))
+        write_text(folder / TRUTH_FILE, table_text(self.fields, list(self.rows.values())))
         write_json(folder / KNOWN_FILE, {"sheet": SHEET, "textures": self.textures})
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
@@ -31,7 +33,11 @@ PICTURE_SIZES = {"sample": "256x256", "size": "256x256"}
 """Sizes for those pictures of a directory whose rows have none."""
 
 
-_Name = Annotated[str, Field(pattern=r"^[^/\\\x00-\x1f]*[^/\\\x00-\x1f.][^/\\\x00-\x1f]*$", max_length=200)]
+MOST_ROWS = 20_000
+"""Textures that a suite may have at most."""
+
+_BAD = r"/\\\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069"
+_Name = Annotated[str, Field(pattern=rf"^[^{_BAD}]*[^{_BAD}.][^{_BAD}]*$", max_length=200)]
 
 
 class TextureRow(BaseModel):
@@ -97,6 +103,11 @@ class Grid(GridPart):
         ValueError
             When a text names a key that neither the grid nor its entries have, or when a key is not used.
         """
+        count = math.prod(map(len, self.axes))
+        if count > MOST_ROWS:
+            raise ValueError(
+                f"has {count:,} combinations; a suite has {MOST_ROWS:,} textures at most: use fewer values"
+            )
         for entries in itertools.product(*self.axes):
             row: dict[str, Any] = {}
             parameters: dict[str, Any] = {}
@@ -214,14 +225,19 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
     BadInput
         For an unknown key (the message names the nearest), a wrong value, no texture, or two textures of one name.
     """
+    place = next(_infinite_places(content), None)
+    if place is not None:
+        raise BadInput(f"{where}: {place}: is not a finite number; correct it")
     try:
         suite = Suite.model_validate(_without_grids(content, where))
     except ValidationError as error:
         raise BadInput(f"{where}: {_first(error)}") from error
     rows = [row.name for row in suite.texture]
-    twice = next((name for i, name in enumerate(rows) if name in rows[:i]), None)
+    twice = next((name for name, count in Counter(rows).items() if count > 1), None)
     if twice is not None:
         raise BadInput(f"{where}: two textures have the name {twice!r}; rename one")
+    if len(rows) > MOST_ROWS:
+        raise BadInput(f"{where}: has {len(rows):,} textures, the most are {MOST_ROWS:,}; make several suites of it")
     if not rows:
         raise BadInput(f"{where}: has no texture; add a [[texture]] table with name and dataset")
     if suite.claim and len(set(suite.lattice)) > 1:
@@ -237,6 +253,15 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
                         f"{', '.join(series.patterns_at(level) or claim.textures)}"
                     )
     return suite
+
+
+def _infinite_places(content: Any, place: str = "") -> Iterator[str]:
+    """Yield the keys, joined by dots, under which TOML holds ``nan`` or ``inf``, which JSON cannot hold."""
+    if isinstance(content, float) and not math.isfinite(content):
+        yield place
+    parts = content.items() if isinstance(content, Mapping) else enumerate(content) if isinstance(content, list) else ()
+    for key, part in parts:
+        yield from _infinite_places(part, f"{place}.{key}".lstrip("."))
 
 
 def _without_grids(content: dict[str, Any], where: str) -> dict[str, Any]:

@@ -19,8 +19,8 @@ from nrbench.imaging.overlays import contact_sheet, draw_overview, zoom_panels
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Alternative, Detection, Detector, NoLatticeFound
 from nrbench.plugins.parameters import parse_spec
-from nrbench.storage import write_aside
-from nrbench.truth import KNOWN_FILE, ORIGIN, SHEET, TRUTH_FILE, VECTORS, TruthRow, TruthTable, write_table
+from nrbench.storage import write_text
+from nrbench.truth import KNOWN_FILE, ORIGIN, SHEET, TRUTH_FILE, VECTORS, TruthRow, TruthTable, table_text
 
 SHOWN = 3
 """Number of candidates that are drawn and listed."""
@@ -300,7 +300,7 @@ class Survey:
         seen = {each.name for each in self.findings}
         others = [row.values for name, row in self._known.rows.items() if name not in seen]
         if len(rows) + len(others) > len(self._known.rows) or not self.table.exists():
-            write_aside(self.table, lambda aside: write_table(aside, fields, [*rows, *others]))
+            write_text(self.table, table_text(fields, [*rows, *others]))
 
     def _remove_old_pages(self) -> None:
         """Remove the pages of an earlier survey that had more of them."""

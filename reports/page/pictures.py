@@ -16,7 +16,7 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from nrbench.storage import read_arrays, write_bytes
+from nrbench.storage import open_file, read_arrays, read_bytes, write_bytes
 
 from ..plots.marks import find_marks, worst_place
 
@@ -109,7 +109,7 @@ class PictureStore:
         height, width = pixels.shape[:2]
         if self.single_file or width <= 64:
             return PagePicture(_webp(pixels, 30, lossless=True), width, height)
-        return PagePicture(_webp(pixels, _QUALITY, effort=2), width, height, self._keep(path.read_bytes(), ".png"))
+        return PagePicture(_webp(pixels, _QUALITY, effort=2), width, height, self._keep(read_bytes(path), ".png"))
 
     @_once
     def overlay(self, output: Path, layer: Path) -> PagePicture | None:
@@ -170,7 +170,7 @@ class PictureStore:
 
 
 def _read_pixels(path: Path) -> Pixels:
-    with PIL.Image.open(path) as image:
+    with open_file(path) as content, PIL.Image.open(content) as image:
         return np.asarray(image.convert("RGB"))
 
 

@@ -14,6 +14,7 @@ from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
 from nrbench.runs.records import CellRecord
+from nrbench.storage import open_file
 
 from ..statistics.format import break_name
 from ..statistics.method_comparison import Comparison, ComparisonRow
@@ -98,9 +99,9 @@ def _record(row: ComparisonRow, place: int, replicate: int) -> CellRecord | None
 
 def _read(path: Path) -> Pixels | None:
     try:
-        with PIL.Image.open(path) as image:
+        with open_file(path) as content, PIL.Image.open(content) as image:
             return np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError, PIL.Image.DecompressionBombError):
+    except (OSError, ValueError, SyntaxError, PIL.Image.DecompressionBombError):
         return None
 
 

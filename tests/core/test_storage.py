@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 
@@ -36,6 +37,7 @@ def test_folders_of_killed_processes_are_removed(tmp_path: Path, monkeypatch: py
 LITTER = """
 import os
 from pathlib import Path
+from typing import BinaryIO
 from nrbench.storage import remove_folder
 
 if hasattr(os, "setuid") and os.getuid() == 0:
@@ -94,7 +96,7 @@ def test_no_place_for_temporary_files(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_an_error_of_a_disk_names_the_file(tmp_path: Path) -> None:
     """An error that names no file, as that of a full disk, gets the file that was to be written."""
 
-    def fill(path: Path) -> None:
+    def fill(file: BinaryIO) -> None:
         raise OSError(28, "No space left on device")
 
     with pytest.raises(OSError, match=r"No space left on device: .*table.csv"):
@@ -105,7 +107,7 @@ def test_an_error_names_the_file_that_was_to_be_written(tmp_path: Path) -> None:
     """Where the new file cannot take its name, the error names the file, not the name beside it."""
     (tmp_path / "target" / "full").mkdir(parents=True)
     with pytest.raises(OSError) as caught:
-        write_aside(tmp_path / "target", lambda aside: aside.write_bytes(b"x"))
+        write_aside(tmp_path / "target", lambda file: file.write(b"x"))
     assert caught.value.filename == str(tmp_path / "target")
     assert [one.name for one in tmp_path.iterdir()] == ["target"]
 
@@ -114,6 +116,7 @@ PLUGIN = """
 import helper, sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 from nrbench.storage import user_path
 
 Path("litter.txt").touch()

@@ -6,6 +6,7 @@ import struct
 import warnings
 import zlib
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import PIL.Image
@@ -49,8 +50,8 @@ def test_interrupted_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytes
     """A write that fails half-way leaves the old picture whole, and no part beside it."""
     path = write_image(tmp_path / "out.png", np.zeros((8, 8, 3), np.float32))
 
-    def fail(self: PIL.Image.Image, target: Path, *_: object, **__: object) -> None:
-        target.write_bytes(b"half")
+    def fail(self: PIL.Image.Image, target: BinaryIO, *_: object, **__: object) -> None:
+        target.write(b"half")
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(PIL.Image.Image, "save", fail)
