@@ -359,6 +359,10 @@ class Sheet:
     pictures: Mapping[str, Image]
 
 
+MOST_SCORED = 2 * 2048 * 2048
+"""Pixels of the largest output that :func:`score` takes. It needs about 5 GiB."""
+
+
 def score(
     sample: Imagelike,
     output: Imagelike,
@@ -389,7 +393,8 @@ def score(
     Raises
     ------
     BadInput
-        For a bad image or lattice, an unknown metric, or if one image is gray and the other one in color.
+        For a bad image or lattice, an unknown metric, an output of more than :data:`MOST_SCORED` pixels, or if one
+        image is gray and the other one in color.
 
     Examples
     --------
@@ -401,6 +406,9 @@ def score(
     """
     pair = quantize(_image(sample, "sample")), quantize(_image(output, "output"))
     pair = match_channels(*pair), match_channels(*pair[::-1])
+    height, width, _ = pair[1].shape
+    if height * width > MOST_SCORED:
+        raise BadInput(f"output: {width}x{height} px; at most {MOST_SCORED} px in all are scored: crop it")
     if pair[0].shape[2] != pair[1].shape[2]:
         raise BadInput(f"output: has {pair[1].shape[2]} channels, the sample {pair[0].shape[2]}; convert one of them")
     given = lattice_in(pair[0], lattice)

@@ -365,6 +365,8 @@ class RunDirectory:
         self.check_links()
         content = read_json(self.root / RUN_FILE)
         if content is None or not (isinstance(content.get("suite"), dict) and isinstance(content.get("cells"), list)):
+            if (self.root / RUN_FILE).is_file():
+                raise BadInput(f"{self.root / RUN_FILE}: is damaged; run the same command again, which writes it anew")
             raise BadInput(
                 f"{self.root}: is no run (it has no {RUN_FILE}); pass the directory that `nrbench run` printed"
             )

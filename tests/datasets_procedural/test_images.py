@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,7 @@ from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Region, Shape
 from nrbench.suites.plan import draw_samples
-from nrbench.suites.suite import load_suite
+from nrbench.suites.suite import directory_suite, load_suite
 
 
 @pytest.fixture
@@ -281,3 +283,15 @@ def test_no_text(tmp_path: Path) -> None:
     (tmp_path / "truth.csv").write_bytes(b"\xff\xfe\x00\x00")
     with pytest.raises(BadInput, match="is no CSV text"):
         read_truth(tmp_path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="has no such names")
+def test_names_that_a_texture_cannot_have(tmp_path: Path) -> None:
+    """A name of 255 bytes, one that is no UTF-8 and one with an escape are those of ordinary pictures."""
+    write_image(tmp_path / "ok.png", np.zeros((16, 16, 3), np.float32))
+    for name in (b"x" * 251, b"\xff\xfe", b"a\xff", b"\x1b[31m"):
+        shutil.copy(tmp_path / "ok.png", os.fsencode(tmp_path) + b"/" + name + b".png")
+    suite = directory_suite(tmp_path)
+    assert len({row.name for row in suite.texture}) == 5 and all(len(row.name) <= 200 for row in suite.texture)
+    samples = draw_samples(suite)
+    assert [sample.fault for sample in samples] == [""] * 5

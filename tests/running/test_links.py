@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import json
 import os
+import shutil
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +17,7 @@ from nrbench.api import load, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.runs.store import RunDirectory, is_result_part
-from nrbench.storage import find_strange, open_regular, read_json
+from nrbench.storage import find_strange, make_folder, open_regular, read_json, write_json
 
 SECRET = "not of this run\n" * 100
 
@@ -92,6 +96,72 @@ def test_cells_with_links_are_not_reused(tmp_path: Path, secret: Path) -> None:
     ours.claim()
     ours.copy_cells(RunDirectory(tmp_path / "theirs"), [folder.name])
     assert not list(ours.cells.iterdir())
+
+
+@pytest.mark.parametrize("action", ["write", "read", "remove", "make"])
+def test_no_link_on_the_way_is_followed(action: str, tmp_path: Path, outside: Path) -> None:
+    """A folder of a run that a link has replaced is neither written, read nor emptied through the link."""
+    directory = RunDirectory(tmp_path / "run")
+    directory.claim()
+    (outside / "abc").mkdir()
+    (outside / "abc" / "result.json").write_text("{}", "utf-8")
+    put_link(directory.cells, outside)
+    file = directory.cell("abc").result_file
+    if action == "read":
+        assert read_json(file) is None
+    elif action == "remove":
+        directory.cell("abc").clear()
+    else:
+        with pytest.raises(BadInput, match="cells: is a link"):
+            write_json(file, {"a": 1}) if action == "write" else make_folder(directory.cells / "new")
+    assert [path.name for path in outside.rglob("*")] == ["abc", "result.json"]
+    assert (outside / "abc" / "result.json").read_text("utf-8") == "{}"
+
+
+def test_a_folder_that_turns_into_a_link_while_files_are_written_is_not_followed(tmp_path: Path, outside: Path) -> None:
+    """Whenever another process swaps the folder for a link, nothing arrives where the link leads."""
+    directory = RunDirectory(tmp_path / "run")
+    directory.claim()
+    folder, stop = directory.cells / "abc", threading.Event()
+
+    def swap() -> None:
+        while not stop.is_set():
+            shutil.rmtree(folder, ignore_errors=True)
+            with contextlib.suppress(OSError):  # the writer has made the folder meanwhile
+                folder.symlink_to(outside)
+                folder.unlink()
+
+    swapper = threading.Thread(target=swap)
+    swapper.start()
+    try:
+        for k in range(300):
+            with contextlib.suppress(BadInput, OSError):
+                write_json(folder / f"{k}.json", {"k": k})
+    finally:
+        stop.set()
+        swapper.join()
+    assert not list(outside.iterdir())
+
+
+def test_control_characters_of_a_foreign_run_are_not_read(tmp_path: Path) -> None:
+    """Escapes for the terminal and marks of direction in run.json, a result and a log reach no reader."""
+    folder, evil = run_one_cell(tmp_path / "run"), "a\x1b]52;c;aGFjaw==\x07\x1b[31mb\u202ec"
+    for path, change in ((tmp_path / "run" / "run.json", {"label": evil}), (folder / "result.json", {"note": evil})):
+        content = json.loads(path.read_text("utf-8"))
+        for part in content.get("cells", [content]):
+            part.update(change)
+        path.write_text(json.dumps(content), "utf-8")
+    (folder / "log.txt").write_text(evil, "utf-8")
+    [record] = load(tmp_path / "run").cells
+    assert (record.method, record.note, record.log_tail) == ("abc",) * 3
+
+
+def test_a_damaged_run_file_is_named(tmp_path: Path) -> None:
+    """A run.json that is no JSON is called damaged, not missing."""
+    RunDirectory(tmp_path).claim()
+    (tmp_path / "run.json").write_text("{", "utf-8")
+    with pytest.raises(BadInput, match=r"run\.json: is damaged"):
+        RunDirectory(tmp_path).info()
 
 
 def test_only_regular_files_are_opened(tmp_path: Path, secret: Path) -> None:

@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.parameters import parse_size
-from nrbench.suites.plan import Sample, draw_samples
+from nrbench.suites.plan import Sample, draw_samples, make_plan
 from nrbench.suites.suite import Suite, builtin, load_suite, validated_suite
 
 CORE = draw_samples(load_suite("core"))
@@ -158,3 +158,32 @@ def test_bad_grids(grid: Any, message: str) -> None:
 def test_installed_suites_keep_their_content(name: str, content: str) -> None:
     """The content hashes of the suites are pinned: a run is compared with an older one by them."""
     assert load_suite(name).hash == content
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"texture": [{"name": "w", "dataset": "brick", "level": float("nan")}]},
+            r"texture\.0\.level: is not a finite",
+        ),
+        (
+            {"texture": [{"name": "w", "dataset": "brick", "parameters": {"color": float("inf")}}]},
+            r"color: is not a fin",
+        ),
+        ({"grid": [{"name": "w", "axes": [[{}] * 20] * 7}]}, r"grid\.0: has 1,280,000,000 combinations"),
+        ({"texture": [{"name": f"w{k}", "dataset": "brick"} for k in range(20_001)]}, "20,001 textures"),
+        ({"texture": [{"name": "a\u202eb", "dataset": "brick"}]}, r"texture\.0\.name"),
+    ],
+)
+def test_wild_suites_are_refused(change: dict[str, Any], message: str) -> None:
+    """Numbers that JSON cannot hold, and grids that no machine could write out, are refused by their place."""
+    with pytest.raises(BadInput, match=message):
+        validated_suite({"name": "wild", "methods": ["tiling"], **change}, "wild.toml")
+
+
+def test_a_run_of_too_many_cells_is_refused_before_a_sample_is_drawn() -> None:
+    """The message has the number of cells and its factors."""
+    suite = load_suite("core").with_changes(replicates=100_000, methods=("tiling",))
+    with pytest.raises(BadInput, match=r"this one would have 3,600,000 \(18 textures, 100,000 replicates, 1 methods"):
+        make_plan(suite)
