@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
+from nrbench.bending.tileable import require_wrapping
 from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.imaging.mean_tile import fold
@@ -64,6 +65,7 @@ class Auto:
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     needs_lattice: ClassVar[bool] = False
+    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"threshold": 0.1, "regular": "tile-set:preset=paper", "other": "ann-pixel", "geometry": "as-is"}
@@ -92,6 +94,8 @@ class Auto:
             "ann-pixel": AnnPixel(),
         }
         method = methods[name]
+        if task.tileable:
+            require_wrapping(type(method))
         made = method.synthesize(replace(task, lattice=found.lattice if near_regular else None))
         seen = f"regularity {share:.2f}" if found.lattice else f"no lattice ({found.reason})"
         note = f"picked {name}: {seen}" + (f"; {made.note}" if made.note else "")

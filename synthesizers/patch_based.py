@@ -94,6 +94,7 @@ class PatchBased:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
+    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"zone": 4, "epsilon": 0.2, "search": "kdtree"},
@@ -124,7 +125,7 @@ class PatchBased:
             If the sample does not hold a patch.
         """
         patch = choose_size("patch", self.patch, "zone", self.zone, task.sample.shape)
-        grid = RasterGrid(task.shape, patch, self.zone)
+        grid = RasterGrid.of(task, patch, self.zone)
         canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
         tree = lru_cache(maxsize=3)(lambda hole: ZoneTree(matcher, hole))
 

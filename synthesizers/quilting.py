@@ -66,6 +66,7 @@ class Quilting:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
+    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {"overlap": 0, "tolerance": 0.1}}
     patch_shape: ClassVar[str] = "user defined, square block"
@@ -92,7 +93,7 @@ class Quilting:
             If the sample does not hold a block.
         """
         block = choose_size("block", self.block, "overlap", self.overlap, task.sample.shape)
-        grid = RasterGrid(task.shape, block, self.overlap or max(round(block / PARTS), 1))
+        grid = RasterGrid.of(task, block, self.overlap or max(round(block / PARTS), 1))
         canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
 
         def choose(old: NDArray[np.float32], hole: Box) -> Place:
