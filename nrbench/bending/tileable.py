@@ -15,6 +15,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .needed_part import synthesize_from_part
 from .straightening import pixel_places, read_spline, straighten_sample, trace_points
 
 _LITTLE = 0.0025
@@ -49,6 +50,10 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
         closes. Also if the method refuses the sample.
     """
     require_wrapping(type(method))
+    return synthesize_from_part(_synthesize_closed, method, task)
+
+
+def _synthesize_closed(method: Synthesizer, task: Task) -> Synthesis:
     found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
     if found.lattice is None:
         return method.synthesize(replace(task, tileable=True))
