@@ -14,6 +14,8 @@ from nrbench.synthesizers.sampling.torus import Torus
 SHAPE = (306, 231)
 SLOW = {"fftm-patch", "fftm-pixel"}
 """Their own tests make tileable outputs."""
+FROM_NOISE = {"gpnn", "texture-optimization"}
+"""They know no lattice, and lose it in any output."""
 ABLE = [one.name for one in plugins.inventory("synthesizers") if getattr(one.cls, "wraps", False)]
 
 
@@ -34,9 +36,11 @@ def step_across_edges(image: nrbench.Image) -> float:
 
 @pytest.mark.parametrize("name", sorted(set(ABLE) - SLOW))
 def test_opposite_edges_continue_each_other(name: str, hexagons: nrbench.Texture) -> None:
-    """The edges are no rougher than the inside, and the mean tile of the closed lattice explains the output."""
+    """The edges are no rougher than the inside, and the closed lattice explains the outputs that keep a lattice."""
     made = nrbench.synthesize(name, hexagons, SHAPE, hexagons.lattice, seed=1, tileable=True)
     assert step_across_edges(made.image) < 1.1
+    if name in FROM_NOISE:
+        return
     assert hexagons.lattice is not None
     closed = close_lattice(hexagons.lattice, SHAPE)
     assert closed is not None
