@@ -390,7 +390,8 @@ def cut_ring(old: NDArray[np.uint8], new: NDArray[np.uint8], hole: Box) -> Mask:
     fixed_new[y0:y1, x0:x1] = True
     fixed_old[0], fixed_old[-1], fixed_old[:, 0] = y0 > 0, y1 < size, x0 > 0
     fixed_old[:, -1] |= x1 < size
-    costs = link_costs(*(np.asarray(part / np.float32(255), np.float32) for part in (old, new)), True)
+    before, after = (np.asarray(part / np.float32(255), np.float32) for part in (old, new))
+    costs = link_costs(before, after, True)
     return cut_overlap(costs, np.zeros((2, size, size), np.float32), fixed_old & ~fixed_new, fixed_new)
 
 

@@ -12,8 +12,8 @@ from nrbench.lattice.closing import close_lattice
 from nrbench.synthesizers.sampling.torus import Torus
 
 SHAPE = (306, 231)
-SLOW = {"fftm-patch", "fftm-pixel"}
-"""Their own tests make tileable outputs."""
+OTHERS = {"fftm-patch", "fftm-pixel", "representative-tile"}
+"""Slow methods, whose own tests make tileable outputs, and one that refuses turned lattices."""
 FROM_NOISE = {"gpnn", "texture-optimization"}
 """They know no lattice, and lose it in any output."""
 ABLE = [one.name for one in plugins.inventory("synthesizers") if getattr(one.cls, "wraps", False)]
@@ -34,7 +34,7 @@ def step_across_edges(image: nrbench.Image) -> float:
     return float(max(ratios))
 
 
-@pytest.mark.parametrize("name", sorted(set(ABLE) - SLOW))
+@pytest.mark.parametrize("name", sorted(set(ABLE) - OTHERS))
 def test_opposite_edges_continue_each_other(name: str, hexagons: nrbench.Texture) -> None:
     """The edges are no rougher than the inside, and the closed lattice explains the outputs that keep a lattice."""
     made = nrbench.synthesize(name, hexagons, SHAPE, hexagons.lattice, seed=1, tileable=True)
@@ -46,6 +46,17 @@ def test_opposite_edges_continue_each_other(name: str, hexagons: nrbench.Texture
     assert closed is not None
     mean = fold(made.image, closed).unfold(SHAPE)
     assert np.square(made.image - mean).mean() < 0.35 * made.image.var()
+
+
+def test_a_representative_tile_repeats_a_whole_number_of_times(hexagons: nrbench.Texture) -> None:
+    """Upright tiles repeat at sizes that close; whole-pixel tiles at multiples of their size; turned tiles at none."""
+    brick = nrbench.texture("brick", shape=(128, 128), seed=3, color=0.3)
+    made = nrbench.synthesize("representative-tile", brick, (169, 189), brick.lattice, tileable=True)
+    assert step_across_edges(made.image) < 1.1
+    with pytest.raises(nrbench.Refused, match="--size 189x168"):
+        nrbench.synthesize("representative-tile:rescale=false", brick, (169, 189), brick.lattice, tileable=True)
+    with pytest.raises(nrbench.Refused, match="is turned"):
+        nrbench.synthesize("representative-tile", hexagons, SHAPE, hexagons.lattice, tileable=True)
 
 
 def test_other_outputs_have_edges(hexagons: nrbench.Texture) -> None:
