@@ -242,7 +242,8 @@ def synthesize(
     method
         A synthesizer plugin: its name, e.g. ``"rsgf"`` or ``"rsgf:preset=paper"``, its class, or an instance.
     image
-        The sample, an :data:`Imagelike`.
+        The sample, an :data:`Imagelike`. Methods that find a lattice get the middle of a sample larger than 1024 px, as
+        large as 16 periods or the output.
     shape
         (height, width) of the output in px, or ``"WIDTHxHEIGHT"``.
     lattice
@@ -276,6 +277,7 @@ def synthesize(
     >>> synthesize("quilting:block=24", brick, "160x128", seed=1).image.shape
     (128, 160, 3)
     """
+    from nrbench.bending.needed_part import synthesize_from_part
     from nrbench.bending.straightening import synthesize_in_geometry
     from nrbench.bending.tileable import require_wrapping, synthesize_tileable
     from nrbench.running.output_checks import checked_synthesis
@@ -291,7 +293,7 @@ def synthesize(
         raise Refused("the sample is constant; there is nothing to synthesize from")
     make = synthesize_tileable if tileable else synthesize_in_geometry
     with briefly_prepared(plugin, task, seed) as ready:
-        synthesis = checked_synthesis(make(plugin, ready), sample, task.shape)
+        synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape)
     given = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, given))
 

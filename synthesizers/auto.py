@@ -61,11 +61,11 @@ class Auto:
     other: Literal["rsgf", "ann-pixel"] = "rsgf"
     geometry: Geometry = "bent"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     needs_lattice: ClassVar[bool] = False
-    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"threshold": 0.1, "regular": "tile-set:preset=paper", "other": "ann-pixel", "geometry": "as-is"}

@@ -72,9 +72,9 @@ class Gpnn:
     coarsest: int = 28
     noise: float = 0.75
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
-    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"patch": 7, "alpha": 0.005, "iterations": 10, "first_iterations": 1, "noise": 0.75}

@@ -119,9 +119,9 @@ class GraphCuts:
     normalized: bool = True
     feather: float = 1.0
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
-    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -92,9 +92,9 @@ class PatchBased:
     epsilon: float = 0.01
     search: Search = "exhaustive"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
-    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"zone": 4, "epsilon": 0.2, "search": "kdtree"},

@@ -64,9 +64,9 @@ class Quilting:
     overlap: int = 0
     tolerance: float = 0.1
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
-    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {"overlap": 0, "tolerance": 0.1}}
     patch_shape: ClassVar[str] = "user defined, square block"

@@ -81,9 +81,9 @@ class RegularizedPatch:
     tolerance: float = 0.05
     geometry: Geometry = "bent"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
-    wraps: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     version: ClassVar[str] = "1"
     patch_shape: ClassVar[str] = "user identified lattice, quadrilateral patch"

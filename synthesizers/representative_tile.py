@@ -116,9 +116,9 @@ class RepresentativeTile:
     tolerance: float = 0.1
     geometry: Geometry = "straight"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
-    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -187,9 +187,7 @@ class RepresentativeTile:
         periods = frame.periods if self.rescale else np.diag([float(width), float(height)])
         counts = np.diag(shape[::-1]) @ np.linalg.inv(periods)
         if np.abs(frame.periods[[0, 1], [1, 0]]).max() > self.tolerance * min(frame.size):
-            raise Refused(
-                "the tile of this lattice is turned, so that no upright output repeats; choose another method"
-            )
+            raise Refused("the tile of this lattice is turned, so no upright output repeats; choose another method")
         if np.abs(counts - np.rint(counts)).max() > _WHOLE:
             tall, wide = (max(round(side / part), 1) * part for side, part in zip(shape, frame.size, strict=True))
             raise Refused(

@@ -117,9 +117,9 @@ class Rsgf:
     finder: Finder = "consensus"
     geometry: Geometry = "bent"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     needs_lattice: ClassVar[bool] = False
-    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -63,9 +63,9 @@ class TextureOptimization:
     iterations: int = 16
     exponent: float = 0.8
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
-    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"neighborhood": 32, "levels": 3, "iterations": 5, "exponent": 0.8}

@@ -137,9 +137,9 @@ class TileSet:
     finder: Literal["consensus", "dominance"] = "consensus"
     geometry: Geometry = "bent"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
-    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -34,7 +34,6 @@ from nrbench.views.deformed import find_deformation
 
 from .deformed_lattice import DeformedLattice, find_deformed_lattice, output_field, read_deformation
 from .free_form import REPEATS, FreeForm
-from .needed_part import synthesize_from_part
 
 LEAST_GAIN: Final = 1.25
 """Factor by which straightening must raise the share of the variance that the mean tile explains."""
@@ -189,8 +188,7 @@ def synthesize_in_geometry(method: Synthesizer, task: Task) -> Synthesis:
 
     The parameter ``geometry`` of the method says how (:data:`~nrbench.plugins.forms.Geometry`). If no lattice is given,
     the detector of the method finds one, or ``consensus`` if it names none. Where the detector finds none, a bent one
-    is looked for. Both warps interpolate by splines of order 5. A sample that is not bent reaches the method as it is;
-    of a sample larger than 1024 px, the part that the lattice needs does (:mod:`~nrbench.bending.needed_part`).
+    is looked for. Both warps interpolate by splines of order 5. A sample that is not bent reaches the method as it is.
 
     Parameters
     ----------
@@ -204,10 +202,6 @@ def synthesize_in_geometry(method: Synthesizer, task: Task) -> Synthesis:
     Refused
         If the method refuses the sample, or if the straightened sample does not show two periods.
     """
-    return synthesize_from_part(_synthesize_straightened, method, task)
-
-
-def _synthesize_straightened(method: Synthesizer, task: Task) -> Synthesis:
     geometry: Geometry = getattr(method, "geometry", "as-is")
     if geometry == "as-is" or not getattr(method, "uses_lattice", True):
         return method.synthesize(task)

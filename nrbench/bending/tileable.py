@@ -15,7 +15,6 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .needed_part import synthesize_from_part
 from .straightening import pixel_places, read_spline, straighten_sample, trace_points
 
 _LITTLE = 0.0025
@@ -50,10 +49,6 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
         closes. Also if the method refuses the sample.
     """
     require_wrapping(type(method))
-    return synthesize_from_part(_synthesize_closed, method, task)
-
-
-def _synthesize_closed(method: Synthesizer, task: Task) -> Synthesis:
     found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
     if found.lattice is None:
         return method.synthesize(replace(task, tileable=True))
@@ -68,7 +63,8 @@ def _synthesize_closed(method: Synthesizer, task: Task) -> Synthesis:
         points = strained.locate(np.nan_to_num(source[..., :2]))
         if straight is not None:
             points = straight.locate(points + straight.corner)
-        source = trace_points(points, task.sample.shape, source[..., 2])
+        traced = trace_points(points, task.sample.shape, source[..., 2])
+        source = np.where(np.isfinite(source), traced, np.float32(np.nan))
     note = "; ".join(filter(None, (made.note, bent, describe_strain(lattice, task.shape))))
     seconds = made.detection_seconds + found.seconds
     return replace(made, lattice=found.lattice, source=source, detection_seconds=seconds, note=note)
