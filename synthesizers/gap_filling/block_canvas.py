@@ -79,7 +79,13 @@ class BlockGrid:
 
     @classmethod
     def closing(cls, shape: tuple[int, int], size: int, border: int, sample: tuple[int, ...]) -> BlockGrid:
-        """Return a grid that wraps. Its blocks are about as large as ``size``, fit the sample, and overlap least."""
+        """Return a grid that wraps. Its blocks are about as large as ``size``, fit the sample, and overlap least.
+
+        Raises
+        ------
+        Refused
+            If there is none.
+        """
         evens = [range(2, 2 * math.ceil(side / size) + 3, 2) for side in shape]
         grids = []
         for counts in itertools.product(evens[0], evens[1]):
@@ -87,7 +93,12 @@ class BlockGrid:
             side = math.ceil(max(shares))
             if 2 * border <= side <= min(sample[:2]) - 2 * border:
                 grids.append((side - min(shares) + abs(side - size) / 4, cls(shape, side, border, counts)))
-        return min(grids, key=lambda rated: rated[0])[1] if grids else cls(shape, size, border)
+        if not grids:
+            raise Refused(
+                f"no even number of blocks from {2 * border} px to {min(sample[:2]) - 2 * border} px a side, which the "
+                f"sample holds with their borders, covers {shape[1]}x{shape[0]} px; choose a smaller border"
+            )
+        return min(grids, key=lambda rated: rated[0])[1]
 
     @cached_property
     def torus(self) -> Torus | None:

@@ -146,8 +146,11 @@ class NeighborField:
         add_votes(_flatten(other), self.grid, channels, self.matches, weights, falloff, sums, totals)
         image, weight = sums.reshape(rows, columns, channels), totals[..., np.newaxis]
         for votes in (image, weight) if beyond else ():
-            votes[:beyond] += votes[shape[0] :]
-            votes[:, :beyond] += votes[:, shape[1] :]
+            for axis, side in enumerate(shape):
+                lines = votes.swapaxes(0, axis)
+                for start in range(side, len(lines), side):
+                    part = lines[start : start + side]
+                    lines[: len(part)] += part
         return np.asarray(image[: shape[0], : shape[1]] / weight[: shape[0], : shape[1]])
 
 

@@ -79,6 +79,14 @@ def test_a_size_that_does_not_close_is_refused(hexagons: nrbench.Texture) -> Non
         nrbench.synthesize("rsgf", hexagons, (150, 170), hexagons.lattice, tileable=True)
 
 
+@pytest.mark.parametrize(("name", "reason"), [("rsgf", "even number of blocks"), ("tile-set", "at least as large")])
+def test_an_output_smaller_than_its_patches_is_refused(name: str, reason: str) -> None:
+    """A patch must not meet itself around the edges."""
+    brick = nrbench.texture("brick", shape=(128, 128), seed=3, width=28, height=24, bond="stack")
+    with pytest.raises(nrbench.Refused, match=reason):
+        nrbench.synthesize(name, brick, (24, 28), brick.lattice, tileable=True)
+
+
 def test_a_bent_sample_gives_a_straight_output_that_repeats() -> None:
     """The sample is straightened before its lattice is closed, and the source map leads to the bent sample."""
     bent = nrbench.texture("brick", shape=(160, 160), seed=1, bend=0.6, color=0.3)
