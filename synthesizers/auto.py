@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
-from nrbench.bending.tileable import require_wrapping
 from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.imaging.mean_tile import fold
@@ -94,8 +93,6 @@ class Auto:
             "ann-pixel": AnnPixel(),
         }
         method = methods[name]
-        if task.tileable:
-            require_wrapping(type(method))
         made = method.synthesize(replace(task, lattice=found.lattice if near_regular else None))
         seen = f"regularity {share:.2f}" if found.lattice else f"no lattice ({found.reason})"
         note = f"picked {name}: {seen}" + (f"; {made.note}" if made.note else "")

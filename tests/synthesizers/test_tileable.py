@@ -14,7 +14,7 @@ from nrbench.synthesizers.sampling.torus import Torus
 SHAPE = (306, 231)
 OTHERS = {"fftm-patch", "fftm-pixel", "representative-tile"}
 """Slow methods, whose own tests make tileable outputs, and one that refuses turned lattices."""
-FROM_NOISE = {"gpnn", "texture-optimization"}
+FROM_NOISE = {"ann-pixel", "gpnn", "texture-optimization"}
 """They know no lattice, and lose it in any output."""
 ABLE = [one.name for one in plugins.inventory("synthesizers") if getattr(one.cls, "wraps", False)]
 
