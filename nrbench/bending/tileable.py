@@ -21,6 +21,8 @@ _LITTLE = 0.0025
 """Strain at which the note names no better size."""
 _NEAR = 0.2
 """Largest change of a side, as a share of it, to a size that needs little strain."""
+_ROWS = 256
+"""Rows of an output whose sources are traced at a time."""
 _STILL = 0.05
 """px: a sample that would move by less anywhere stays as it is."""
 
@@ -60,11 +62,12 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
     made = method.synthesize(replace(task, sample=strained.image, lattice=strained.lattice, tileable=True))
     source = made.source
     if source is not None and (strained.image is not sample or straight is not None):
-        points = strained.locate(np.nan_to_num(source[..., :2]))
-        if straight is not None:
-            points = straight.locate(points + straight.corner)
-        traced = trace_points(points, task.sample.shape, source[..., 2])
-        source = np.where(np.isfinite(source), traced, np.float32(np.nan))
+        source = source.copy()
+        for rows in (source[top : top + _ROWS] for top in range(0, len(source), _ROWS)):
+            points = strained.locate(np.nan_to_num(rows[..., :2]))
+            if straight is not None:
+                points = straight.locate(points + straight.corner)
+            rows[:] = np.where(np.isfinite(rows), trace_points(points, task.sample.shape, rows[..., 2]), np.nan)
     note = "; ".join(filter(None, (made.note, bent, describe_strain(lattice, task.shape))))
     seconds = made.detection_seconds + found.seconds
     return replace(made, lattice=found.lattice, source=source, detection_seconds=seconds, note=note)
