@@ -232,6 +232,7 @@ def synthesize(
     lattice: Latticelike = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
+    tileable: bool = False,
     **parameters: Any,
 ) -> Synthesis:
     """Synthesize a larger texture from a sample.
@@ -241,7 +242,8 @@ def synthesize(
     method
         A synthesizer plugin: its name, e.g. ``"rsgf"`` or ``"rsgf:preset=paper"``, its class, or an instance.
     image
-        The sample, an :data:`Imagelike`.
+        The sample, an :data:`Imagelike`. Methods that find a lattice get the middle of a sample larger than 1024 px, as
+        large as 16 periods or the output.
     shape
         (height, width) of the output in px, or ``"WIDTHxHEIGHT"``.
     lattice
@@ -250,6 +252,9 @@ def synthesize(
         Equal seeds give equal pixels.
     progress
         Called with the fraction that is done, in [0, 1].
+    tileable
+        Make an output whose opposite edges continue each other. The sample is strained so that its lattice closes, by
+        at most 2.5 %; the note says by how much.
     **parameters
         The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -261,9 +266,9 @@ def synthesize(
     Raises
     ------
     Refused
-        When the method cannot be applied to the sample.
+        When the method cannot be applied to the sample, or if a tileable output would need a larger strain.
     BadInput
-        For a bad image, lattice, method or parameter.
+        For a bad image, lattice, method or parameter, or if the method cannot make tileable outputs.
 
     Examples
     --------
@@ -272,18 +277,23 @@ def synthesize(
     >>> synthesize("quilting:block=24", brick, "160x128", seed=1).image.shape
     (128, 160, 3)
     """
+    from nrbench.bending.needed_part import synthesize_from_part
     from nrbench.bending.straightening import synthesize_in_geometry
+    from nrbench.bending.tileable import require_wrapping, synthesize_tileable
     from nrbench.running.output_checks import checked_synthesis
     from nrbench.running.preparing import briefly_prepared
 
     plugin = _plugin("synthesizers", method, parameters)
+    if tileable:
+        require_wrapping(type(plugin))
     sample = quantize(_image(image))
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     task = Task(sample, _checked_shape(shape), lattice_in(sample, lattice), rng, progress or (lambda fraction: None))
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
+    make = synthesize_tileable if tileable else synthesize_in_geometry
     with briefly_prepared(plugin, task, seed) as ready:
-        synthesis = checked_synthesis(synthesize_in_geometry(plugin, ready), sample, task.shape)
+        synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape)
     given = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, given))
 

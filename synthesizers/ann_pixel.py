@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
 from nrbench.detectors.frdft import Frdft
 from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
@@ -49,6 +51,7 @@ class AnnPixel(SearchParameters):
 
     neighborhood: int = 8
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
@@ -68,12 +71,19 @@ class AnnPixel(SearchParameters):
             If the sample is smaller than a neighborhood.
         """
         neighborhood = Neighborhood.first_pass(self.neighborhood, masked=False)
+        around = Neighborhood.second_pass(self.neighborhood, masked=False) if task.tileable else neighborhood
         layers = stack_layers(task.sample)
-        candidates = list_candidates(layers, neighborhood, task.rng)
-        (height, width), (left, top, right, bottom) = task.shape, neighborhood.box
-        start = scatter_pixels(layers, (height + top + bottom, width + left + right), task.rng)
-        growth = Growth(task, start, (top, left))
+        candidates = list_candidates(layers, around, task.rng)
+        (height, width), (left, top, right, bottom) = task.shape, around.box
+        if task.tileable:
+            start = scatter_pixels(layers, task.shape, task.rng)
+            start = np.ascontiguousarray(np.pad(start, ((0, 0), (top, bottom), (left, right), (0, 0)), "wrap"))
+        else:
+            start = scatter_pixels(layers, (height + top + bottom, width + left + right), task.rng)
+        growth = Growth(task, start, (top, left), task.tileable)
         growth.grow(Stock(layers, candidates, neighborhood, self), range(height), range(width))
+        if task.tileable:
+            growth.grow_edges(Stock(layers, candidates, around, self), self.neighborhood)
         image, source = growth.result()
         task.progress(1.0)
         return Synthesis(image, source=source)

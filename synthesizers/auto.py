@@ -60,6 +60,7 @@ class Auto:
     other: Literal["rsgf", "ann-pixel"] = "rsgf"
     geometry: Geometry = "bent"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"

@@ -140,18 +140,10 @@ class FftmPixel(MaskParameters, SearchParameters):
         growth.grow(stock, range(height), range(width), groups)
         if self.tileable:
             stock = Stock(layers, candidates, Neighborhood.second_pass(size, masked), self, self.weight, norms)
-            for rows in _border(height, size):
-                growth.grow(stock, rows, range(width), groups)
-            for columns in _border(width, size):
-                growth.grow(stock, range(height), columns, groups)
+            growth.grow_edges(stock, size, groups)
         image, source = growth.result()
         task.progress(1.0)
         return Synthesis(image, mask.lattice, source, {"mask": bordered[top : top + height, left : left + width]})
-
-
-def _border(length: int, reach: int) -> tuple[range, range]:
-    """Return the last and the first ``reach`` pixels along a side, in the order in which tiled copies show them."""
-    return range(max(length - reach, 0), length), range(min(reach, length))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Synthesis, Task
 
-from .neighbor_fields.neighbor_field import NeighborField, make_grid
+from .neighbor_fields.neighbor_field import NeighborField, make_grid, wrap_around
 from .neighbor_fields.pyramid import cover_sample, list_resolutions, rescale, scale_shape
 
 RATIO: Final = 3 / 4
@@ -72,6 +72,7 @@ class Gpnn:
     coarsest: int = 28
     noise: float = 0.75
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
@@ -105,12 +106,12 @@ class Gpnn:
             shape, places = (scale_shape(each, factor) for each in (cover_sample(task), task.sample.shape[:2]))
             values = rescale(task.sample, factor, places)
             if search is None:
-                search, keys, count = _Search.draw(self, shape, places, task.rng), values, self.first_iterations
+                search, keys, count = _Search.draw(self, shape, places, task), values, self.first_iterations
                 grain = task.rng.standard_normal((*shape, values.shape[2]), np.float32)
                 image = values.mean((0, 1)) + np.float32(self.noise * UNIT) * grain
             else:
                 search, keys, count = search.move(shape, places), rescale(keys, 1 / RATIO, places), self.iterations
-                image = rescale(image, 1 / RATIO, shape)
+                image = rescale(image, 1 / RATIO, shape, task.tileable)
             for _ in range(count):
                 image = search.replace_patches(image, keys, values)
                 keys = values
@@ -129,24 +130,27 @@ class _Search:
     rng: np.random.Generator
 
     @classmethod
-    def draw(cls, method: Gpnn, shape: tuple[int, int], places: tuple[int, int], rng: np.random.Generator) -> _Search:
+    def draw(cls, method: Gpnn, shape: tuple[int, int], places: tuple[int, int], task: Task) -> _Search:
         """Return random matches, for an output of ``shape`` and a sample of ``places``."""
-        size = method.patch
-        forth, back = ((make_grid(own, size), size, other, rng) for own, other in ((shape, places), (places, shape)))
-        return cls(method, NeighborField.draw(*forth), NeighborField.draw(*back), shape, rng)
+        size, wrap = method.patch, task.tileable
+        forth = NeighborField.draw(make_grid(shape, size, wrap=wrap), size, places, task.rng, wrap)
+        back = NeighborField.draw(make_grid(places, size), size, _extended(shape, size, wrap), task.rng)
+        return cls(method, forth, back, shape, task.rng)
 
     def move(self, shape: tuple[int, int], places: tuple[int, int]) -> _Search:
         """Return the matches at the next finer resolution."""
         size = self.method.patch
-        forth = self.forth.move(make_grid(shape, size), size, places, 1 / RATIO)
-        back = self.back.move(make_grid(places, size), size, shape, 1 / RATIO)
+        wrap = self.forth.wrap
+        forth = self.forth.move(make_grid(shape, size, wrap=wrap), size, places, 1 / RATIO)
+        back = self.back.move(make_grid(places, size), size, _extended(shape, size, wrap), 1 / RATIO)
         return _Search(self.method, forth, back, shape, self.rng)
 
     def replace_patches(self, image: Image, keys: Image, values: Image) -> Image:
         """Return the output with all patches replaced by those of ``values`` with the most similar keys."""
         factors: NDArray[np.float32] | None = None
         if self.method.alpha:
-            self.back.search(keys, image, self.rng, SWEEPS)
+            around = wrap_around(image, self.method.patch) if self.forth.wrap else image
+            self.back.search(keys, around, self.rng, SWEEPS)
             alpha = self.method.alpha * UNIT**2 * self.method.patch**2 * image.shape[2]
             factors = (1 / (alpha + self.back.costs)).astype(np.float32)
         self.forth.search(image, keys, self.rng, SWEEPS, factors)
@@ -154,3 +158,8 @@ class _Search:
         bell = np.exp(-8 * (from_middle / self.method.patch) ** 2)  # a standard deviation of a quarter of the patch
         falloff = np.outer(bell, bell).astype(np.float32)
         return self.forth.average(values, self.shape, np.ones_like(self.forth.costs), falloff)
+
+
+def _extended(shape: tuple[int, int], size: int, wrap: bool) -> tuple[int, int]:
+    """Return the shape of an image in which patches are found: of one that wraps, with its first pixels repeated."""
+    return (shape[0] + size - 1, shape[1] + size - 1) if wrap else shape

@@ -119,6 +119,7 @@ class GraphCuts:
     normalized: bool = True
     feather: float = 1.0
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "2"
@@ -173,7 +174,7 @@ class GraphCuts:
         """Return the empty output, and what lays patches over it. Exceptions are those of :meth:`synthesize`."""
         size = self._region_size(task)
         colors = to_gray_levels(task.sample)
-        work = Patchwork(task.sample, colors, task.shape, self.normalized)
+        work = Patchwork(task.sample, colors, task.shape, self.normalized, wrap=task.tileable)
         margin = size[0] // MARGIN, size[1] // MARGIN
         return work, WholePatches(work, colors, size, self.placement, self.randomness, LEAST_OVERLAP, margin, task.rng)
 
@@ -187,7 +188,8 @@ class GraphCuts:
                 f"the sample is {width}x{height} px: a region of {self.region:g} of it is less than {LEAST_REGION} px "
                 f"high or wide; choose region >= {least:g}, or a larger sample"
             )
-        return min(rows, task.shape[0]), min(columns, task.shape[1])
+        ring = 2 if task.tileable else 0
+        return min(rows, task.shape[0] - ring), min(columns, task.shape[1] - ring)
 
     def _refine(self, work: Patchwork, patches: WholePatches, task: Task, steps: int, filled: float) -> None:
         """Cover regions again, pass by pass, until a pass does not pay."""
@@ -234,7 +236,7 @@ class WholePatches:
     Parameters
     ----------
     work
-        The output. It does not wrap.
+        The output.
     colors
         ``int32 (H, W, C)``: the values of the sample that are compared with known pixels.
     size
@@ -295,9 +297,20 @@ class WholePatches:
         column, row = draw_translation(costs, self.randomness * self._variance, self.rng)
         top, left = row + self._first(region)[0], column + self._first(region)[1]
         height, width = self.colors.shape[:2]
-        (bottom, right), (y, x) = (top + height, left + width), (max(top, 0), max(left, 0))
-        window = y, min(bottom, self.work.shape[0]), x, min(right, self.work.shape[1])
-        return self.work.lay_patch(window, (x - left, y - top), forced_pixel=forced_pixel)
+        window = self._inside((top, top + height, left, left + width), region)
+        return self.work.lay_patch(window, (window[2] - left, window[0] - top), forced_pixel=forced_pixel)
+
+    def _inside(self, window: Window, region: Window) -> Window:
+        """Return the part of a window around a region that lies inside the output, or does not meet itself."""
+        ends: list[int] = []
+        for axis in (0, 2):
+            side, (start, stop) = self.work.shape[axis // 2], window[axis : axis + 2]
+            if not self.work.wrap:
+                ends += [max(start, 0), min(stop, side)]
+            else:
+                reach = (side - 2 - (region[axis + 1] - region[axis])) // 2
+                ends += [max(start, region[axis] - reach), min(stop, region[axis + 1] + reach)]
+        return ends[0], ends[1], ends[2], ends[3]
 
     def _first(self, region: Window) -> tuple[int, int]:
         """Return the (y, x) in the output of the sample's first pixel at the first translation considered."""
@@ -325,7 +338,7 @@ class WholePatches:
         """Compare the sample with all known pixels that it overlaps, and its guide with that of the output."""
         top, left = self._first(region)
         ends = top + self._reach[0], left + self._reach[1]
-        inside = max(top, 0), min(ends[0], self.work.shape[0]), max(left, 0), min(ends[1], self.work.shape[1])
+        inside = self._inside((top, ends[0], left, ends[1]), region)
         part = slice(inside[0] - top, inside[1] - top), slice(inside[2] - left, inside[3] - left)
         pixels = self.work.pixels(inside)
 
@@ -348,22 +361,23 @@ class WholePatches:
         for axis in (0, 1):
             start, stop = region[2 * axis], region[2 * axis + 1]
             more = min(self.margin[axis], (self.colors.shape[axis] - self.size[axis]) // 2)
-            window += [max(start - more, 0), min(stop + more, self.work.shape[axis])]
-        y0, y1, x0, x1 = window
-        known = self.work.known[y0:y1, x0:x1]
-        sums = self._parts.compute_costs(self.work.read(self.colors, (y0, y1, x0, x1)), known)
+            window += [start - more, stop + more]
+        inside = self._inside((window[0], window[1], window[2], window[3]), region)
+        known = self.work.known[self.work.pixels(inside)]
+        sums = self._parts.compute_costs(self.work.read(self.colors, inside), known)
         costs = np.full(self._counts, np.inf)
         # A part that starts in row r of the sample lies there at translation y0 - r of the sample's first pixel.
         top, left = self._first(region)
-        rows, columns = y0 - top - np.arange(sums.shape[0]), x0 - left - np.arange(sums.shape[1])
+        rows, columns = inside[0] - top - np.arange(sums.shape[0]), inside[2] - left - np.arange(sums.shape[1])
         costs[np.ix_(rows, columns)] = sums / max(int(known.sum()), 1)
         return costs
 
     def _shown(self, region: Window) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the translations, as rows and columns of the costs, that are shown in a known region."""
-        pixels, (top, left) = self.work.pixels(region), self._first(region)
-        x, y = np.moveaxis(self.work.origin[pixels], -1, 0)
-        rows, columns = pixels[0] - y - top, pixels[1] - x - left
+        top, left = self._first(region)
+        x, y = np.moveaxis(self.work.origin[self.work.pixels(region)], -1, 0)
+        rows, columns = np.ogrid[region[0] : region[1], region[2] : region[3]]
+        rows, columns = rows - y - top, columns - x - left
         within = (rows >= 0) & (rows < self._counts[0]) & (columns >= 0) & (columns < self._counts[1])
         return rows[within], columns[within]
 

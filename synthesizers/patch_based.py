@@ -92,6 +92,7 @@ class PatchBased:
     epsilon: float = 0.01
     search: Search = "exhaustive"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
@@ -124,7 +125,7 @@ class PatchBased:
             If the sample does not hold a patch.
         """
         patch = choose_size("patch", self.patch, "zone", self.zone, task.sample.shape)
-        grid = RasterGrid(task.shape, patch, self.zone)
+        grid = RasterGrid.of(task, patch, self.zone)
         canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
         tree = lru_cache(maxsize=3)(lambda hole: ZoneTree(matcher, hole))
 

@@ -64,6 +64,7 @@ class Quilting:
     overlap: int = 0
     tolerance: float = 0.1
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
@@ -92,7 +93,7 @@ class Quilting:
             If the sample does not hold a block.
         """
         block = choose_size("block", self.block, "overlap", self.overlap, task.sample.shape)
-        grid = RasterGrid(task.shape, block, self.overlap or max(round(block / PARTS), 1))
+        grid = RasterGrid.of(task, block, self.overlap or max(round(block / PARTS), 1))
         canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
 
         def choose(old: NDArray[np.float32], hole: Box) -> Place:

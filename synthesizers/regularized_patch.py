@@ -81,6 +81,7 @@ class RegularizedPatch:
     tolerance: float = 0.05
     geometry: Geometry = "bent"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
@@ -125,7 +126,8 @@ class RegularizedPatch:
             )
         d_max = self.tolerance * math.sqrt(stock.power)
         extent = np.zeros(2), np.array(task.shape[::-1]) - 1.0
-        mosaic = TexelMosaic.grow(stock, extent, d_max, task.rng, task.progress)
+        periods = np.diag(task.shape[::-1]).astype(np.float64) if task.tileable else None
+        mosaic = TexelMosaic.grow(stock, extent, d_max, task.rng, task.progress, periods)
         image, source = paint(task.shape, mosaic, reader)
         task.progress(1.0)
         return Synthesis(image, lattice, source, detection_seconds=seconds)

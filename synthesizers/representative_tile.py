@@ -40,6 +40,8 @@ _LEVELS = (0.0, 0.5, 1.0)
 """Shares of the tolerance, tried in order: the first at which a rectangle fits the sample is used."""
 _TURNED = 4
 """A turned rectangle is used if the upright one holds more than this many times its cells, or if there is none."""
+_WHOLE = 1e-3
+"""Largest distance of a number of tiles from a whole number."""
 _LEAST_SIDE = 2
 
 
@@ -114,6 +116,7 @@ class RepresentativeTile:
     tolerance: float = 0.1
     geometry: Geometry = "straight"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     version: ClassVar[str] = "1"
@@ -155,10 +158,13 @@ class RepresentativeTile:
         Raises
         ------
         Refused
-            When no lattice is found, or the sample shows less than two periods or holds no rectangular tile.
+            When no lattice is found, or the sample shows less than two periods or holds no rectangular tile, or if a
+            tileable output is not a whole number of tiles.
         """
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there is no period to cut a tile by")
         frame = find_tile_frame(lattice, task.sample.shape, self.tolerance, self.scale_down)
+        if task.tileable:
+            self._require_whole_tiles(frame, task.shape)
         patches = Patches(task.sample)
         image, known = frame.scale_sample(task.sample, patches)
         best = self._find_best(image, known, frame)
@@ -175,6 +181,19 @@ class RepresentativeTile:
         note = f"a tile holds {frame.cells} cells" if frame.cells > 1 else ""
         laid = lattice if self.rescale else frame.lay_lattice(lattice, place)
         return Synthesis(output, laid, source, extras, seconds, note)
+
+    def _require_whole_tiles(self, frame: TileFrame, shape: Shape) -> None:
+        height, width = frame.size
+        periods = frame.periods if self.rescale else np.diag([float(width), float(height)])
+        counts = np.diag(shape[::-1]) @ np.linalg.inv(periods)
+        if np.abs(frame.periods[[0, 1], [1, 0]]).max() > self.tolerance * min(frame.size):
+            raise Refused("the tile of this lattice is turned, so no upright output repeats; choose another method")
+        if np.abs(counts - np.rint(counts)).max() > _WHOLE:
+            tall, wide = (max(round(side / part), 1) * part for side, part in zip(shape, frame.size, strict=True))
+            raise Refused(
+                f"a tile takes {width}x{height} px, and {shape[1]}x{shape[0]} px hold no whole number of them; use "
+                f"rescale=false and --size {wide}x{tall}"
+            )
 
     def _find_best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
         """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S (section 4). Of equal places the first comes first."""

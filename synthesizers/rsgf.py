@@ -117,6 +117,7 @@ class Rsgf:
     finder: Finder = "consensus"
     geometry: Geometry = "bent"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     needs_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "4"
@@ -161,7 +162,7 @@ class Rsgf:
         Refused
             If the sample does not hold a block with its borders, or no patch equal to one of the output's.
         """
-        grid = BlockGrid(task.shape, self.block, self.border)
+        grid = self.block_grid(task)
         grid.search_shape(task.sample.shape)
         found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, NamedDetector(self.finder))
         filler = GapFiller(self, task, found.lattice)
@@ -170,6 +171,12 @@ class Rsgf:
         image, source = filler.canvas.output()
         task.progress(1.0)
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=self._note(found))
+
+    def block_grid(self, task: Task) -> BlockGrid:
+        """Return the blocks of the output. Those of a tileable one are as large as its sides require."""
+        if not task.tileable:
+            return BlockGrid(task.shape, self.block, self.border)
+        return BlockGrid.closing(task.shape, self.block, self.border, task.sample.shape)
 
     def _note(self, found: FoundLattice) -> str:
         if found.lattice or self.search == "stochastic":
@@ -192,10 +199,10 @@ class GapFiller:
 
     def __init__(self, method: Rsgf, task: Task, lattice: Lattice | None) -> None:
         self.method, self.task, self.lattice = method, task, lattice
-        self.grid = BlockGrid(task.shape, method.block, method.border)
+        self.grid = method.block_grid(task)
         self.canvas = BlockCanvas(Patches(task.sample), self.grid, method.seam)
-        self.matcher = FrameMatcher(task.sample, method.block, method.match)
-        self.sampler = PlaceSampler(task.rng, method.block, method.prefer_unused)
+        self.matcher = FrameMatcher(task.sample, self.grid.size, method.match)
+        self.sampler = PlaceSampler(task.rng, self.grid.size, method.prefer_unused)
 
     @cached_property
     def tolerance(self) -> float:

@@ -31,17 +31,21 @@ class Supertile(LatticeBaseline):
     ``gncc``. The note gives the number of tiles in the crop.
     """
 
+    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
 
     def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:
         """Return the point of the sample that each output pixel shows, and the number of tiles in the crop."""
-        cell = largest_supercell(lattice, task.sample.shape)
+        periods = np.diag(task.shape[::-1]) if task.tileable else None
+        cell = largest_supercell(lattice, task.sample.shape, periods)
         middle = (np.array(task.sample.shape[1::-1]) - 1) / 2
         return lambda pixels: middle + cell.wrap(pixels - middle), f"repeats {round(cell.area / lattice.area)} tiles"
 
 
-def largest_supercell(lattice: Lattice, shape: tuple[int, ...]) -> Lattice:
+def largest_supercell(lattice: Lattice, shape: tuple[int, ...], periods: Points | None = None) -> Lattice:
     """Return the largest sublattice whose Voronoi cell fits an image of ``shape``; of equally large ones the squarest.
+
+    ``periods`` are vectors, ``(n, 2)``, that it must have.
 
     Raises
     ------
@@ -55,7 +59,10 @@ def largest_supercell(lattice: Lattice, shape: tuple[int, ...]) -> Lattice:
     vectors = vectors[np.abs(vectors).max(1) > 1e-6]
     across, down = (_nearest(vectors, side) for side in np.diag(room))
     pairs = _reduced_pairs(across, down)
-    fits = (2 * half_extents(pairs) <= room + 1e-6).all(1)
+    fits = np.asarray((2 * half_extents(pairs) <= room + 1e-6).all(1))
+    if periods is not None:
+        steps = periods @ np.asarray(np.linalg.inv(np.where(fits[:, np.newaxis, np.newaxis], pairs, np.eye(2))))
+        fits &= (np.abs(steps - np.rint(steps)) < 1e-6).all((1, 2))
     if not fits.any():
         x, y = half_extent(lattice)
         raise Refused(

@@ -63,6 +63,7 @@ class TextureOptimization:
     iterations: int = 16
     exponent: float = 0.8
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
@@ -105,13 +106,13 @@ class TextureOptimization:
         for number, (factor, size) in enumerate(steps):
             shape = scale_shape(cover_sample(task), factor)
             sample = rescale(task.sample, factor, scale_shape(task.sample.shape[:2], factor))
-            grid, places = make_grid(shape, size, size // 4), sample.shape[:2]
+            grid, places = make_grid(shape, size, size // 4, task.tileable), sample.shape[:2]
             if field is None or image is None:
-                field = NeighborField.draw(grid, size, places, task.rng)
+                field = NeighborField.draw(grid, size, places, task.rng, task.tileable)
                 image = _blend(field, sample, shape, np.ones_like(field.costs))
             else:
                 field = field.move(grid, size, places, factor / before)
-                image = rescale(image, factor / before, shape) if factor != before else image
+                image = rescale(image, factor / before, shape, task.tileable) if factor != before else image
             image, found = self._minimize(image, sample, field, task.rng)
             energies += found
             before = factor

@@ -16,7 +16,7 @@ from nrbench.plugins.forms import Geometry, Refused, Synthesis, Task, require_la
 from nrbench.plugins.registry import NamedDetector
 
 from .sampling.equal_places import require_two_periods
-from .tile_laying.tile_canvas import OverlapMeasure, ShiftedImages, TileCanvas, TilePlaces, TileStock
+from .tile_laying.tile_canvas import CoveredPixels, OverlapMeasure, ShiftedImages, TileCanvas, TilePlaces, TileStock
 from .tile_laying.tile_kernels import FEATHER
 from .tile_laying.tile_shape import AnchorKind, ElementWeights, TileKind, TileShape, anchor_lattice, tile_shape
 
@@ -137,6 +137,7 @@ class TileSet:
     finder: Literal["consensus", "dominance"] = "consensus"
     geometry: Geometry = "bent"
 
+    wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     version: ClassVar[str] = "4"
@@ -186,6 +187,9 @@ class TileSet:
         self._require_within_s(lattice.s)
         unanchored = self.anchor == "given" and (task.lattice is None or lattice.origin == (0.0, 0.0))
         laying = TileLaying(replace(self, anchor="quiet") if unanchored else self, task, lattice)
+        across, down = np.ptp(laying.tile.box, axis=0) + 1
+        if task.tileable and (across > task.shape[1] or down > task.shape[0]):
+            raise Refused(f"a tile takes {across}x{down} px; choose a tileable output that is at least as large")
         laying.lay_tiles()
         image, source = laying.canvas.output()
         note = "the lattice has no origin: tiles are anchored where their borders are quiet" if unanchored else ""
@@ -222,7 +226,7 @@ class TileLaying:
         self.stock = TileStock(self.tile, ShiftedImages.of(task.sample, parts), self.lattice)
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
         weights = ElementWeights.of(task.sample, self.lattice) if method.stitch == "graphcut" else None
-        self.canvas = TileCanvas(task.shape, self.stock, weights)
+        self.canvas = TileCanvas(task.shape, self.stock, weights, task.tileable)
 
     def lay_tiles(self) -> None:
         """Lay every tile that touches the output, row by row (step 2)."""
@@ -263,6 +267,8 @@ class TileLaying:
         tiles = self.stock.cut(self.sets[i % 2, j % 2] + (pixel - place))
         left, top = (pixel.astype(int) + self.canvas.margin).tolist()
         overlap = self.canvas.overlap(left, top)
+        if self._repeats_others(pixel, overlap):
+            return
         if not len(overlap.values):
             self.canvas.lay(left, top, self.draw(tiles, np.arange(len(tiles.row))))
             return
@@ -271,6 +277,11 @@ class TileLaying:
         candidates = np.flatnonzero(differences <= max(threshold * size, int(differences.min())))
         drawn = self.draw(tiles, candidates)
         self.canvas.lay(left, top, self.stock.register(overlap, drawn, self.radius) if self.radius else drawn)
+
+    def _repeats_others(self, pixel: Points, overlap: CoveredPixels) -> bool:
+        """Return whether a tile is needless: it lies outside an output that wraps, where others are repeated."""
+        inside = ((pixel >= 0) & (pixel < self.task.shape[::-1])).all()
+        return self.task.tileable and not inside and len(overlap.values) == len(self.tile.pixels)
 
     def draw(self, tiles: TilePlaces, candidates: NDArray[np.int64]) -> TilePlaces:
         """Return one of the candidates at random."""

@@ -56,7 +56,7 @@ def read_spline(image: Image, points: Points) -> Image:
     return np.asarray(np.clip(np.stack(planes, -1), 0, 1), np.float32)
 
 
-def _pixels(height: int, width: int, top: int = 0) -> Points:
+def pixel_places(height: int, width: int, top: int = 0) -> Points:
     """Return the (x, y) of each pixel of some rows, ``(height, width, 2)``."""
     return np.stack(np.meshgrid(np.arange(width), np.arange(top, top + height)), -1).astype(np.float64)
 
@@ -111,7 +111,7 @@ class StraightSample:
     @cached_property
     def _box(self) -> tuple[Points, tuple[int, int, int, int]]:
         height, width = self.sample.shape[:2]
-        sources = self.locate(_pixels(height, width))
+        sources = self.locate(pixel_places(height, width))
         inside = np.asarray(((sources >= 0) & (sources <= (width - 1, height - 1))).all(-1))
         box = largest_box(inside)
         return sources[box[0] : box[1], box[2] : box[3]], box
@@ -177,7 +177,7 @@ class Bend:
         ends = [
             (points.min((0, 1)), points.max((0, 1)))
             for top in range(0, height, _ROWS)
-            for points in [self.locate(_pixels(min(_ROWS, height - top), width, top))]
+            for points in [self.locate(pixel_places(min(_ROWS, height - top), width, top))]
         ]
         lows, highs = zip(*ends, strict=True)
         return np.min(lows, 0), np.max(highs, 0)
@@ -220,7 +220,7 @@ def _synthesize_bent(method: Synthesizer, task: Task, straight: StraightSample, 
     if geometry == "argmax":
         straight = replace(straight, repeats=1)
     lattice, (height, width) = straight.deformed.lattice, straight.image.shape[:2]
-    if min(np.ptp(straight.lattice.to_cell(_pixels(height, width)), axis=(0, 1))) < _LEAST_PERIODS:
+    if min(np.ptp(straight.lattice.to_cell(pixel_places(height, width)), axis=(0, 1))) < _LEAST_PERIODS:
         raise Refused(
             f"the sample is bent so much that only {width}x{height} px of it can be straightened, less than two "
             "periods; choose a larger sample, or geometry=as-is"
@@ -232,7 +232,7 @@ def _synthesize_bent(method: Synthesizer, task: Task, straight: StraightSample, 
     shape = int(rows), int(columns)
     made = method.synthesize(replace(task, sample=straight.image, shape=shape, lattice=straight.lattice))
     # The output continues the phase of the straightened sample, whose corner is elsewhere on the plane.
-    places = bend.locate(_pixels(*task.shape)) - low + lattice.wrap(low - straight.corner)
+    places = bend.locate(pixel_places(*task.shape)) - low + lattice.wrap(low - straight.corner)
     image = read_spline(made.image, places)
     source = None if made.source is None else _trace(straight, made.source, places)
     extras = {**made.extras, "straightened": straight.image}
@@ -302,12 +302,12 @@ def _trace(straight: StraightSample, source: SourceMap, places: Points) -> Sourc
     pixels = np.rint(places).astype(np.intp)
     near = source[pixels[..., 1], pixels[..., 0]]
     points = near[..., :2] + (places - pixels) + straight.corner
-    traced = _trace_points(straight.locate(np.nan_to_num(points)), straight.sample.shape, near[..., 2])
+    traced = trace_points(straight.locate(np.nan_to_num(points)), straight.sample.shape, near[..., 2])
     traced[~np.isfinite(near).all(-1)] = np.nan
     return traced
 
 
-def _trace_points(points: Points, shape: tuple[int, ...], weight: NDArray[np.floating[Any]]) -> SourceMap:
+def trace_points(points: Points, shape: tuple[int, ...], weight: NDArray[np.floating[Any]]) -> SourceMap:
     """Return the source map of pixels that were interpolated at points of a sample.
 
     Parameters

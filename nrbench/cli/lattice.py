@@ -15,7 +15,7 @@ from nrbench.errors import BadInput
 @click.argument("image", type=click.Path(path_type=Path), metavar="IMAGE|FOLDER")
 @click.option("-d", "--detector", metavar="DETECTOR[:param=value,...]", help="The detector.  [default: consensus]")
 @click.option("--all", "every", is_flag=True, help="Compare all detectors.")
-@click.option("--pick", is_flag=True, help="Pick a lattice in a window by clicking its origin and the ends of t1, t2.")
+@click.option("--pick", is_flag=True, help="Pick a lattice in the browser by three clicks.")
 @click.option("--lattice", metavar="x1,y1,x2,y2[,x,y]", help="Use this lattice; -o draws it.")
 @click.option(
     "-o",

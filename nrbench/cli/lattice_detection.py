@@ -64,11 +64,11 @@ def survey_folder(folder: Path, detector: str, output: Path | None, least: float
 
 
 def print_given(image: Image, numbers: str | None, output: Path | None, as_json: bool) -> None:
-    """Print and draw the user's lattice, given as numbers or picked in a window."""
+    """Print and draw the user's lattice, given as numbers or picked on a page."""
     if numbers is None:
-        from nrbench.cli.lattice_figures import pick
+        from nrbench.cli.lattice_picking import pick
 
-        lattice, has_origin = pick(image), True
+        lattice, has_origin = pick(image, lambda address: click.echo(f"open in a browser: {address}", err=True)), True
         _print_numbers(lattice)
     else:
         lattice, has_origin = Lattice.parse(numbers), numbers.count(",") == 5

@@ -19,7 +19,11 @@ if TYPE_CHECKING:
     from nrbench.suites.suite import Suite
 
 _PATH = click.Path(path_type=Path)
-_COLUMNS = 5
+_COLUMNS = (4, 5, 6)
+"""Numbers of columns of which one is chosen."""
+_LETTERS = 15
+"""px; height of the letters."""
+_PERILS = ("regularity", "integrity", "randomness", "appearance")
 
 
 @click.command("sheet")
@@ -71,7 +75,7 @@ def sheet_command(
         if made:
             write_image(output, _draw(made))
     for one in made:
-        print(_caption(one).replace("\n", "  "))
+        print(_caption(one).rstrip().replace("\n", "  "))
     for one in records:
         if one.status != "ok":
             print(f"{one.method}  {one.status}: {one.message}")
@@ -118,11 +122,17 @@ def _quality(one: CellRecord) -> float:
 
 
 def _caption(one: CellRecord) -> str:
-    """Return the method, its quality and its seconds, in two lines."""
+    """Return the method, its quality and its seconds, and what limits the quality, in three lines."""
     value = one.values.get("quality.score")
-    bound = "≤ " if one.values.get("quality.complete") is False else ""
+    bound = "at most " if one.values.get("quality.complete") is False else ""
     quality = "quality not measured" if value is None else f"quality {bound}{value:.2f}"
-    return f"{one.method}\n{quality}, {one.seconds or 0:.1f} s"
+    perils = {name: one.values.get(f"quality.{name}") for name in _PERILS}
+    scores = {name: float(score) for name, score in perils.items() if score is not None}
+    lost = [name for name, score in scores.items() if score == min(scores.values()) < 1]
+    missing = [name for name in perils if name not in scores] if bound else []
+    words = (("lost: ", lost), ("not measured: ", missing))
+    why = "; ".join(title + ", ".join(names) for title, names in words if names)
+    return f"{one.method}\n{quality}, {one.seconds or 0:.1f} s\n{why}"
 
 
 def _draw(made: Sequence[CellRecord]) -> Image:
@@ -133,6 +143,7 @@ def _draw(made: Sequence[CellRecord]) -> Image:
     sample = read_image(made[0].folder / "sample.png")
     lattice = next((one.cell.lattice_given for one in made if one.cell.lattice_given), None)
     first = sample if lattice is None else draw_lattice(sample, lattice)
-    found = "no lattice" if lattice is None else "lattice " + ",".join(f"{x:.4g}" for x in (*lattice.t1, *lattice.t2))
+    found = "no lattice" if lattice is None else "lattice " + ",".join(f"{x:.2f}" for x in (*lattice.t1, *lattice.t2))
+    columns = min(_COLUMNS, key=lambda count: (-(len(made) + 1) % count, count))  # the fewest empty places
     outputs = [read_image(one.folder / "output.png") for one in made]
-    return contact_sheet([first, *outputs], [f"sample\n{found}", *map(_caption, made)], _COLUMNS)
+    return contact_sheet([first, *outputs], [f"sample\n{found}", *map(_caption, made)], columns, _LETTERS)

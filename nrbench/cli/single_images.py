@@ -33,6 +33,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Equal seeds give equal outputs.")
 @click.option("-o", "--output", required=True, type=_PATH, metavar="OUT.png", help="The output.")
 @click.option("--tileable", is_flag=True, help="Make an output that repeats without a seam, if the method can.")
+@click.option("--extras", is_flag=True, help="Also write the pictures that the method returns beside the output.")
 def synth_command(
     image: Path,
     method: str,
@@ -41,12 +42,16 @@ def synth_command(
     seed: int,
     output: Path,
     tileable: bool,
+    extras: bool,
 ) -> None:
     """Synthesize a texture of any size from IMAGE.
 
-    A method can make tileable outputs if it has the parameter `tileable`. It synthesizes around the edges of the
-    output, and refuses sizes that are no period of the texture; the message names the nearest size that is. Pictures
-    that the method returns beside the output are written as OUT-NAME.png, and printed.
+    With --tileable, methods that can wrap synthesize around the edges of the output. The sample is strained, by at most
+    2.5 %, so that the lattice closes; the strain is printed, and a size nearby that needs less. If the strain would be
+    larger, the command stops, and the message names the nearest size that closes.
+
+    Some methods return pictures beside the output: a tile, a mask, the elements. --extras writes them as OUT-NAME.png;
+    without it, their names are printed.
     """
     from nrbench import plugins
     from nrbench.api import synthesize
@@ -56,36 +61,22 @@ def synth_command(
 
     name, parameters = parse_spec(method)
     check_output(output)
-    if tileable:
-        _require_tileable(name)
-        parameters = {**parameters, "tileable": True}
     if output.resolve() == image.resolve():
         raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
     finder = getattr(plugins.build("synthesizers", name, parameters), "finder", "")
     shape, sample = parse_size(size), read_image(image)
     given = _given_lattice(sample, lattice)
     with waiting(f"{name}, {size}") as progress:
-        synthesis = synthesize(name, sample, shape, given, seed, progress, **parameters)
+        synthesis = synthesize(name, sample, shape, given, seed, progress, tileable, **parameters)
     write_image(output, synthesis.image)
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
-    for title, array in synthesis.extras.items():
-        if is_picture(array):
-            click.echo(f"{write_image(output.with_name(f'{output.stem}-{title}.png'), array)} ({title})", err=True)
+    pictures = {title: array for title, array in synthesis.extras.items() if is_picture(array)}
+    if pictures and not extras:
+        click.echo(f"not written: {', '.join(pictures)}; --extras writes them", err=True)
+    for title, array in pictures.items() if extras else ():
+        click.echo(f"{write_image(output.with_name(f'{output.stem}-{title}.png'), array)} ({title})", err=True)
     if given is None and synthesis.lattice is not None and finder != "consensus":
         _warn_of_another_lattice(sample, name, synthesis.lattice)
-
-
-def _require_tileable(name: str) -> None:
-    """Raise BadInput unless a method has the parameter ``tileable``."""
-    from nrbench import plugins
-
-    able = [
-        each.name
-        for each in plugins.inventory("synthesizers")
-        if "tileable" in getattr(each.cls, "__dataclass_fields__", ())
-    ]
-    if name not in able:
-        raise BadInput(f"--tileable: {name} cannot make an output that repeats without a seam; {', '.join(able)} can")
 
 
 def _given_lattice(sample: Image, text: str | None) -> Lattice | None:

@@ -31,8 +31,8 @@ _LARGEST = 2048
 """px; no overlay is enlarged beyond it."""
 _ROWS = 256
 """Number of rows that are drawn at a time: arrays of the whole image would need much memory."""
-_LINE = 13
-"""Height of a line of a caption, px."""
+_SIZE = 11
+"""Height of a letter, px."""
 _MARGIN = 8
 """px; space between images."""
 _LETTERS = 30
@@ -197,7 +197,7 @@ def stack(upper: Image, lower: Image) -> Image:
     return np.concatenate(parts)
 
 
-def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: int = 8) -> Image:
+def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: int = 8, letters: int = _SIZE) -> Image:
     """Return all images in rows, each below its caption.
 
     Parameters
@@ -208,26 +208,34 @@ def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: i
         One for each image; lines that are too long for their column are cut.
     columns
         Largest number of images in a row.
+    letters
+        Height of a letter, px.
     """
+    line = _line_height(letters)
     columns = min(columns, len(pictures))
     lines = max(caption.count("\n") + 1 for caption in captions)
     width = max(6 * _LETTERS, *(picture.shape[1] for picture in pictures)) + _MARGIN
     rows = [range(i, min(i + columns, len(pictures))) for i in range(0, len(pictures), columns)]
-    heights = [max(pictures[k].shape[0] for k in row) + lines * _LINE + _MARGIN for row in rows]
+    heights = [max(pictures[k].shape[0] for k in row) + lines * line + _MARGIN for row in rows]
     sheet = PIL.Image.new("RGB", (columns * width + _MARGIN, sum(heights) + _MARGIN), "white")
     pen, top = PIL.ImageDraw.Draw(sheet), _MARGIN
     for row, height in zip(rows, heights, strict=True):
         for column, k in enumerate(row):
             left = _MARGIN + column * width
-            _write(pen, (left, top), captions[k], width - _MARGIN)
-            sheet.paste(to_pil(pictures[k]).convert("RGB"), (left, top + lines * _LINE))
+            _write(pen, (left, top), captions[k], width - _MARGIN, letters)
+            sheet.paste(to_pil(pictures[k]).convert("RGB"), (left, top + lines * line))
         top += height
     return np.asarray(sheet, np.float32) / np.float32(255)
 
 
-def _write(pen: PIL.ImageDraw.ImageDraw, corner: tuple[int, int], caption: str, width: int) -> None:
-    font = PIL.ImageFont.load_default(size=11)
+def _line_height(letters: int) -> int:
+    """Return the height of a line of a caption, px."""
+    return round(1.4 * letters) - 2
+
+
+def _write(pen: PIL.ImageDraw.ImageDraw, corner: tuple[int, int], caption: str, width: int, letters: int) -> None:
+    font = PIL.ImageFont.load_default(size=letters)
     for i, line in enumerate(caption.split("\n")):
         while font.getlength(line) > width:
             line = line[:-1]
-        pen.text((corner[0], corner[1] + i * _LINE), line, fill="black", font=font)
+        pen.text((corner[0], corner[1] + i * _line_height(letters)), line, fill="black", font=font)

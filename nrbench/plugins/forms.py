@@ -354,6 +354,9 @@ class Task:
         the method declares ``reference = True`` and the dataset has a method ``recompose``.
     cache
         The folder that the method's ``prepare`` has filled for this sample; None unless the method has ``prepare``.
+    tileable
+        Whether the opposite edges of the output must continue each other. It is True only if the class variable
+        ``wraps`` of the method is. If there is a lattice, (width, 0) and (0, height) are vectors of it.
 
     Examples
     --------
@@ -371,6 +374,7 @@ class Task:
     again: Again | None = None
     recompose: Again | None = None
     cache: Path | None = None
+    tileable: bool = False
 
 
 @dataclass(frozen=True)
@@ -547,6 +551,8 @@ class Synthesizer(Protocol):
     ``needs_lattice``
         False: the method runs without a lattice if the detector of the lattice axis finds none. Otherwise the cell is
         refused.
+    ``wraps``
+        True: the method can make an output that repeats, and does so where ``task.tileable`` is True.
     ``right_on``
         The kinds of texture on which a baseline is valid.
     ``always_shown``

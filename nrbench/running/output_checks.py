@@ -17,6 +17,8 @@ COPY_TOLERANCE = 1.5 / 255
 """Largest difference between a copied pixel and its source: the rounding to 8 bits."""
 RANGE_TOLERANCE = 0.1
 """How far values of an output may lie outside [0, 1]. Interpolation overshoots by less; they are clipped."""
+_BAND = 1 << 20
+"""Number of pixels that are checked at a time: a large output leaves no room for copies."""
 
 
 class InvalidOutput(Exception):
@@ -102,6 +104,15 @@ def check_source(source: SourceMap, image: Image, sample: Image) -> None:
     shape = (*image.shape[:2], 3)
     if source.shape != shape:
         raise InvalidOutput(f"returned a source map of the wrong shape: expected {shape}, got {source.shape}")
+    rows = max(1, _BAND // source.shape[1])
+    starts = range(0, len(source), rows)
+    wrong = sum(_count_wrong(source[top : top + rows], image[top : top + rows], sample) for top in starts)
+    if wrong:
+        raise InvalidOutput(f"returned a source map that is not true: {wrong} copied pixels differ from their source")
+
+
+def _count_wrong(source: SourceMap, image: Image, sample: Image) -> int:
+    """Return how many pixels of some rows are copies that differ from their sources."""
     known = np.isfinite(source).all(-1)
     x, y, weight = np.moveaxis(source[known], -1, 0)
     inside = (x >= -0.5) & (x <= sample.shape[1] - 0.5) & (y >= -0.5) & (y <= sample.shape[0] - 0.5)
@@ -109,6 +120,4 @@ def check_source(source: SourceMap, image: Image, sample: Image) -> None:
         raise InvalidOutput("returned a source map that points outside the sample, or has weights outside (0, 1]")
     copy = (weight > 1 - 1e-6) & (x == np.rint(x)) & (y == np.rint(y))
     pixels = sample[y[copy].astype(int), x[copy].astype(int)]
-    wrong = int((np.abs(image[known][copy] - pixels) > COPY_TOLERANCE).any(-1).sum())
-    if wrong:
-        raise InvalidOutput(f"returned a source map that is not true: {wrong} copied pixels differ from their source")
+    return int((np.abs(image[known][copy] - pixels) > COPY_TOLERANCE).any(-1).sum())

@@ -7,10 +7,11 @@ each has the shape of a wedge. The patch of a gap is joined to the borders by bl
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ from nrbench.plugins.forms import Refused
 
 from ..sampling.equal_places import SearchShape, search_shape
 from ..sampling.patches import Patches, Source
+from ..sampling.torus import Torus
 from ..seams.seam_kernels import cut_overlap, link_costs, record_seams
 
 Box = tuple[int, int, int, int]
@@ -65,15 +67,49 @@ class BlockGrid:
         Side of a block in px.
     border
         Width in px of what the patch of a placed block shows beyond its square, at most half a block.
+    wrap
+        (rows, columns) of blocks, even numbers, if opposite edges of the output are adjacent; blocks that are larger
+        than their share of a side then overlap their neighbors by the rest. None: nothing wraps.
     """
 
     shape: tuple[int, int]
     size: int
     border: int
+    wrap: tuple[int, int] | None = None
+
+    @classmethod
+    def closing(cls, shape: tuple[int, int], size: int, border: int, sample: tuple[int, ...]) -> BlockGrid:
+        """Return a grid that wraps. Its blocks are about as large as ``size``, fit the sample, and overlap least.
+
+        Raises
+        ------
+        Refused
+            If there is none.
+        """
+        evens = [range(2, 2 * math.ceil(side / size) + 3, 2) for side in shape]
+        grids = []
+        for counts in itertools.product(evens[0], evens[1]):
+            shares = [side / count for side, count in zip(shape, counts, strict=True)]
+            side = math.ceil(max(shares))
+            if 2 * border <= side <= min(sample[:2]) - 2 * border:
+                grids.append((side - min(shares) + abs(side - size) / 4, cls(shape, side, border, counts)))
+        if not grids:
+            raise Refused(
+                f"no even number of blocks from {2 * border} px to {min(sample[:2]) - 2 * border} px a side, which the "
+                f"sample holds with their borders, covers {shape[1]}x{shape[0]} px; choose a smaller border"
+            )
+        return min(grids, key=lambda rated: rated[0])[1]
+
+    @cached_property
+    def torus(self) -> Torus | None:
+        """The canvas of an output that wraps; patches reach up to half a block beyond their blocks."""
+        return Torus(self.shape, (2 * self.size, 2 * self.size)) if self.wrap else None
 
     @property
     def counts(self) -> tuple[int, int]:
         """Rows and columns of blocks."""
+        if self.wrap:
+            return self.wrap
         height, width = self.shape
         return -(-height // self.size), -(-width // self.size)
 
@@ -126,6 +162,9 @@ class Block:
     @property
     def corner(self) -> Points:
         """(x, y) px of the first pixel."""
+        if self.grid.wrap:
+            (height, width), (rows, columns) = self.grid.shape, self.grid.wrap
+            return np.rint([self.column * width / columns, self.row * height / rows])
         return np.array([self.column, self.row], np.float64) * self.grid.size
 
     @property
@@ -134,13 +173,16 @@ class Block:
         return 0, self.grid.size, 0, self.grid.size
 
     def window(self, box: Box | None = None) -> tuple[slice, slice]:
-        """Return the rows and columns of the output under the block, or under a box, px from its first pixel."""
-        size = self.grid.size
-        return box_slices(box or self.box, self.row * size, self.column * size)
+        """Return the rows and columns of the canvas under the block, or under a box, px from its first pixel."""
+        (left, top), torus = self.corner.astype(int).tolist(), self.grid.torus
+        down, across = torus.margin if torus else (0, 0)
+        return box_slices(box or self.box, top + down, left + across)
 
     @property
     def sides(self) -> Sides:
         """Which neighbors the block has."""
+        if self.grid.wrap:
+            return True, True, True, True
         rows, columns = self.grid.counts
         return self.column > 0, self.row > 0, self.column < columns - 1, self.row < rows - 1
 
@@ -258,7 +300,7 @@ class BlockCanvas:
 
     def __init__(self, patches: Patches, grid: BlockGrid, seam: SeamMethod = "blend") -> None:
         rows, columns = grid.counts
-        height, width = rows * grid.size, columns * grid.size
+        height, width = grid.torus.canvas if grid.torus else (rows * grid.size, columns * grid.size)
         self.patches, self.grid, self.seam = patches, grid, seam
         self.places: Places = np.zeros((rows, columns, 2))
         self.image: Image = np.zeros((height, width, patches.sample.shape[2]), np.float32)
@@ -270,7 +312,12 @@ class BlockCanvas:
     def output(self) -> tuple[Image, Source]:
         """Return the output and its source map: the (x, y) that has the largest weight, and that weight."""
         height, width = self.grid.shape
-        return self.image[:height, :width], self.source[:height, :width]
+        window = self.grid.torus.output if self.grid.torus else (slice(height), slice(width))
+        return self.image[window], self.source[window]
+
+    def _repeat(self, window: tuple[slice, slice]) -> None:
+        if self.grid.torus:
+            self.grid.torus.repeat(window, self.image, self.source, self.known, *self._seams)
 
     def place_block(self, block: Block, place: Points) -> None:
         """Place a block. Its borders must lie inside the sample, too."""
@@ -278,6 +325,7 @@ class BlockCanvas:
         window = block.window()
         self.image[window], self.source[window] = self.cut_patch(place, block.box)
         self.known[window] = True
+        self._repeat(window)
 
     def extend_placed(self) -> None:
         """Show, in the border of every gap, the patches of the placed blocks around, each in its wedge."""
@@ -290,6 +338,7 @@ class BlockCanvas:
             self.known[window][y, x] = True
             if self.seam == "graphcut":
                 self._record_corner_seams(gap, image)
+            self._repeat(window)
 
     def fill_gap(self, gap: Block, place: Points) -> None:
         """Fill a gap with the patch whose first pixel lies at a place (x, y), and join it to what is known around."""
@@ -301,11 +350,14 @@ class BlockCanvas:
         else:
             self._cut(gap, box, patch)
         self.known[gap.window()] = True
+        self._repeat(gap.window(box))
 
     def _patch_box(self, gap: Block, place: Points) -> Box:
         """Return the largest box, px from the gap's first pixel, that a gap's patch may show and the sample holds."""
         size = self.grid.size
         reach = 0 if self.seam == "blend" else size // 2
+        if self.grid.wrap:
+            reach = min(reach, (min(self.grid.shape) - size) // 2)
         left, top, right, bottom = (reach if side else 0 for side in gap.sides)
         height, width = self.patches.sample.shape[:2]
         x, y = (float(value) for value in place)
@@ -332,7 +384,8 @@ class BlockCanvas:
         image = np.zeros((5, size, size, self.image.shape[2]), np.float32)
         source = np.ones((5, size, size, 3), np.float32)
         for side, neighbor, strip in gap.neighbors():
-            origin = self.places[neighbor.row, neighbor.column] - (neighbor.corner - gap.corner)
+            rows, columns = self.grid.counts
+            origin = self.places[neighbor.row % rows, neighbor.column % columns] - (neighbor.corner - gap.corner)
             part = box_slices(strip)
             image[side][part], source[side][part] = self.cut_patch(origin, strip)
         return image, source

@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import skimage
@@ -50,7 +50,8 @@ class MaskParameters:
     tileable
         Whether copies of the output can be laid side by side without a seam (section 4.3). The mask is then fitted to
         the output's size, which must be a period of the mask up to a tenth of s. Other sizes are refused; the message
-        names the nearest valid size.
+        names the nearest valid size. ``nrbench synth --tileable`` sets it, and strains the sample first, so that more
+        sizes are valid.
     threshold
         Least amplitude of a wave of the mask, in units of 1/255; 0: automatic. With 0, tied waves must exceed the
         irregular structure at their frequency, and free waves must exceed the amplitude that noise reaches with
@@ -72,6 +73,8 @@ class MaskParameters:
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper
         and for a tileable output.
     """
+
+    wraps: ClassVar[bool] = True
 
     tileable: bool = False
     threshold: float = 0.0
@@ -127,6 +130,8 @@ class MaskParameters:
         Refused
             If the sample has no regular part or is too small, or if the output cannot tile.
         """
+        if task.tileable and not self.tileable:
+            return replace(self, tileable=True).synthesize(task)
         start = time.perf_counter()
         mask = self.find_mask(task.sample, task.lattice)
         seconds = 0.0 if task.lattice else time.perf_counter() - start

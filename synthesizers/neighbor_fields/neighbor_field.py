@@ -19,10 +19,20 @@ Grid = tuple[NDArray[np.int64], NDArray[np.int64]]
 """Rows and columns of the first pixels of patches, ascending."""
 
 
-def make_grid(shape: Shape, size: int, spacing: int = 1) -> Grid:
-    """Return the grid of patches of ``size`` px that cover an image, at most ``spacing`` px apart."""
+def make_grid(shape: Shape, size: int, spacing: int = 1, wrap: bool = False) -> Grid:
+    """Return the grid of patches of ``size`` px that cover an image, at most ``spacing`` px apart.
+
+    With ``wrap`` they may cross its lower and its right edge.
+    """
+    if wrap:
+        return np.arange(0, shape[0], spacing), np.arange(0, shape[1], spacing)
     rows, columns = (np.unique(np.append(np.arange(0, side - size, spacing), side - size)) for side in shape)
     return rows, columns
+
+
+def wrap_around(image: Image, size: int) -> Image:
+    """Return an image with its first rows and columns repeated at its end, for patches that cross its edges."""
+    return np.pad(image, ((0, size - 1), (0, size - 1), (0, 0)), "wrap")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +55,8 @@ class NeighborField:
         ``int32 (rows, columns, 2)``: row and column of each match. :meth:`search` overwrites it.
     costs
         ``(rows, columns)``: the cost of each match. :meth:`search` overwrites it.
+    wrap
+        Whether opposite edges of the image whose patches search are adjacent.
 
     References
     ----------
@@ -57,14 +69,15 @@ class NeighborField:
     places: Shape
     matches: NDArray[np.int32]
     costs: NDArray[np.float32]
+    wrap: bool = False
 
     @classmethod
-    def draw(cls, grid: Grid, size: int, shape: Shape, rng: np.random.Generator) -> NeighborField:
+    def draw(cls, grid: Grid, size: int, shape: Shape, rng: np.random.Generator, wrap: bool = False) -> NeighborField:
         """Return a field of random matches in an image of ``shape``."""
         rows, columns = places = shape[0] - size + 1, shape[1] - size + 1
         extent = len(grid[0]), len(grid[1])
         matches = np.stack([rng.integers(rows, size=extent), rng.integers(columns, size=extent)], -1)
-        return cls(grid, size, places, matches.astype(np.int32), np.zeros(extent, np.float32))
+        return cls(grid, size, places, matches.astype(np.int32), np.zeros(extent, np.float32), wrap)
 
     def move(self, grid: Grid, size: int, shape: Shape, factor: float = 1.0) -> NeighborField:
         """Return a field of other patches, each with the match of the nearest old patch, shifted as the patch is.
@@ -85,7 +98,7 @@ class NeighborField:
         shifts = factor * (self.matches[np.ix_(*nearest)] - old)
         moved = np.stack(np.meshgrid(*grid, indexing="ij"), -1) + np.rint(shifts)
         matches = np.clip(moved, 0, np.array(places) - 1).astype(np.int32)
-        return NeighborField(grid, size, places, matches, np.zeros(matches.shape[:2], np.float32))
+        return NeighborField(grid, size, places, matches, np.zeros(matches.shape[:2], np.float32), self.wrap)
 
     def search(
         self,
@@ -110,7 +123,7 @@ class NeighborField:
         """
         factors = np.ones(self.places, np.float32) if factors is None else factors
         draws, channels = rng.random(DRAWS, np.float32), image.shape[2]
-        pictures = _flatten(image), _flatten(other)
+        pictures = _flatten(wrap_around(image, self.size) if self.wrap else image), _flatten(other)
         improve_matches(*pictures, self.grid, channels, self.size, factors, self.matches, self.costs, draws, sweeps)
 
     def average(self, other: Image, shape: Shape, weights: NDArray[np.float32], falloff: NDArray[np.float32]) -> Image:
@@ -127,10 +140,18 @@ class NeighborField:
         falloff
             ``(size, size)``: the weight of each pixel of a match.
         """
-        channels = other.shape[2]
-        sums, totals = np.zeros((shape[0], shape[1] * channels), np.float32), np.zeros(shape, np.float32)
+        channels, beyond = other.shape[2], self.size - 1 if self.wrap else 0
+        rows, columns = shape[0] + beyond, shape[1] + beyond
+        sums, totals = np.zeros((rows, columns * channels), np.float32), np.zeros((rows, columns), np.float32)
         add_votes(_flatten(other), self.grid, channels, self.matches, weights, falloff, sums, totals)
-        return np.asarray(sums.reshape(*shape, channels) / totals[..., np.newaxis])
+        image, weight = sums.reshape(rows, columns, channels), totals[..., np.newaxis]
+        for votes in (image, weight) if beyond else ():
+            for axis, side in enumerate(shape):
+                lines = votes.swapaxes(0, axis)
+                for start in range(side, len(lines), side):
+                    part = lines[start : start + side]
+                    lines[: len(part)] += part
+        return np.asarray(image[: shape[0], : shape[1]] / weight[: shape[0], : shape[1]])
 
 
 def _flatten(image: Image) -> NDArray[np.float32]:

@@ -42,7 +42,12 @@ def list_resolutions(shape: Shape, ratio: float, coarsest: int, patch: int) -> l
 
 
 def cover_sample(task: Task) -> Shape:
-    """Return the least height and width that hold the output and the sample, so that patches fit in at all levels."""
+    """Return the least height and width that hold the output and the sample, so that patches fit in at all levels.
+
+    A tileable output needs no room: its patches may cross its edges.
+    """
+    if task.tileable:
+        return task.shape
     return max(task.shape[0], task.sample.shape[0]), max(task.shape[1], task.sample.shape[1])
 
 
@@ -52,7 +57,7 @@ def scale_shape(shape: Shape, factor: float) -> Shape:
     return height, width
 
 
-def rescale(image: Image, factor: float, shape: Shape) -> Image:
+def rescale(image: Image, factor: float, shape: Shape, wrap: bool = False) -> Image:
     """Return an image at another resolution, by cubic interpolation, blurred first where it becomes smaller.
 
     The upper left corner of the image stays in place, and the scale is exact whatever the shape: no lattice drifts.
@@ -65,18 +70,21 @@ def rescale(image: Image, factor: float, shape: Shape) -> Image:
         The new resolution over the old one.
     shape
         Height and width of the result in px. Beyond the image its border is repeated.
+    wrap
+        Whether opposite edges are adjacent. The scale then follows from both shapes, so that they stay adjacent.
     """
     step = 1 / factor
+    steps = np.divide(image.shape[:2], shape) if wrap else np.array([step, step])
     sigma = math.sqrt(max(step**2 - 1, 0)) / 2
     planes = [
         scipy.ndimage.affine_transform(
-            scipy.ndimage.gaussian_filter(plane, sigma, mode="nearest"),
-            [step, step],
-            (step - 1) / 2,
+            scipy.ndimage.gaussian_filter(plane, sigma, mode="wrap" if wrap else "nearest"),
+            steps,
+            (steps - 1) / 2,
             shape,
             output=np.float32,
             order=3,
-            mode="nearest",
+            mode="grid-wrap" if wrap else "nearest",
         )
         for plane in np.moveaxis(image, -1, 0)
     ]

@@ -16,7 +16,8 @@ from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
 from ..gap_filling.block_canvas import Box
 from ..sampling.patches import Source
-from ..seams.seam_kernels import cheapest_path, cut_corner, squared_differences
+from ..sampling.torus import Torus
+from ..seams.seam_kernels import cheapest_path, cut_corner, cut_overlap, link_costs, squared_differences
 
 Place = tuple[int, int]
 """(x, y) of a patch's first pixel in the sample."""
@@ -42,14 +43,16 @@ class Spot(NamedTuple):
     ----------
     y, x
         Row and column of its first pixel.
-    left, top
-        Whether it overlaps earlier patches on these sides.
+    left, top, right, bottom
+        Whether it overlaps earlier patches on these sides; on the last two only where the output wraps.
     """
 
     y: int
     x: int
     left: bool
     top: bool
+    right: bool = False
+    bottom: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,29 +66,48 @@ class RasterGrid:
     size
         Side of a patch, px.
     overlap
-        Width of the overlap of adjacent patches, px; less than ``size``.
+        Width of the overlap of adjacent patches, px; less than ``size``. Where the output wraps it may be wider.
+    wrap
+        Whether opposite edges of the output are adjacent. The spots are then evenly spread.
     """
 
     shape: Shape
     size: int
     overlap: int
+    wrap: bool = False
+
+    @classmethod
+    def of(cls, task: Task, size: int, overlap: int) -> RasterGrid:
+        """Return the grid of a task. Patches of a tileable output are smaller than the output by an overlap."""
+        if not task.tileable:
+            return cls(task.shape, size, overlap)
+        size = min(size, min(task.shape) - overlap)
+        if size < max(2 * overlap, LEAST):
+            raise Refused(f"a tileable output needs {3 * overlap} px a side or more; choose a larger one")
+        return cls(task.shape, size, overlap, True)
 
     @property
     def counts(self) -> tuple[int, int]:
         """Rows and columns of patches."""
         step = self.size - self.overlap
-        height, width = (max(-(-(side - self.overlap) // step), 1) for side in self.shape)
+        covered = 0 if self.wrap else self.overlap
+        height, width = (max(-(-(side - covered) // step), 1) for side in self.shape)
         return height, width
 
     def spots(self) -> Iterator[Spot]:
         """Yield the spots line by line."""
         rows, columns = self.counts
         step = self.size - self.overlap
+        if self.wrap:
+            tops = [i * self.shape[0] // rows for i in range(rows)]
+            lefts = [j * self.shape[1] // columns for j in range(columns)]
+            return (Spot(y, x, x > 0, y > 0, x == lefts[-1], y == tops[-1]) for y in tops for x in lefts)
         return (Spot(i * step, j * step, j > 0, i > 0) for i in range(rows) for j in range(columns))
 
-    def hole(self, left: bool, top: bool) -> Box:
+    def hole(self, spot: Spot) -> Box:
         """Return the part of a patch that overlaps no earlier one, as (y0, y1, x0, x1) px from its first pixel."""
-        return self.overlap if top else 0, self.size, self.overlap if left else 0, self.size
+        left, top, right, bottom = (self.overlap * there for there in spot[2:])
+        return top, self.size - bottom, left, self.size - right
 
 
 def check_patch(what: str, size: int, margin: str, overlap: int) -> None:
@@ -184,14 +206,19 @@ class RasterCanvas:
         self.sample, self.grid = to_bytes(sample), grid
         step = grid.size - grid.overlap
         rows, columns = (count * step + grid.overlap for count in grid.counts)
+        self.torus = Torus(grid.shape, (grid.size, grid.size)) if grid.wrap else None
+        if self.torus:
+            rows, columns = self.torus.canvas
         self.image = np.zeros((rows, columns, sample.shape[2]), np.uint8)
         self.source: Source = np.ones((rows, columns, 3), np.float32)
         y, x = np.indices((grid.size, grid.size))
         self._steps = np.stack([x, y], -1).astype(np.float32)
 
     def window(self, spot: Spot) -> tuple[slice, slice]:
-        """Return the rows and columns of a spot."""
-        return slice(spot.y, spot.y + self.grid.size), slice(spot.x, spot.x + self.grid.size)
+        """Return the rows and columns of a spot in :attr:`image`."""
+        size = self.grid.size
+        y, x = (spot.y + size, spot.x + size) if self.torus else spot[:2]
+        return slice(y, y + size), slice(x, x + size)
 
     def cut_patch(self, place: Place) -> NDArray[np.uint8]:
         """Return the patch at a place (x, y) of the sample, ``(size, size, C)``."""
@@ -201,14 +228,17 @@ class RasterCanvas:
     def join_along_seam(self, spot: Spot, place: Place) -> None:
         """Lay the patch at a place (x, y) of the sample into a spot, cut along the seams of least error."""
         window, patch = self.window(spot), self.cut_patch(place)
-        mask = cut_sides(self.image[window], patch, self.grid.overlap, spot.left, spot.top)[..., np.newaxis]
+        if spot.right or spot.bottom:
+            mask = cut_ring(self.image[window], patch, self.grid.hole(spot))[..., np.newaxis]
+        else:
+            mask = cut_sides(self.image[window], patch, self.grid.overlap, spot.left, spot.top)[..., np.newaxis]
         np.copyto(self.image[window], patch, where=mask)
         np.copyto(self.source[window][..., :2], self._steps + np.array(place, np.float32), where=mask)
 
     def join_by_feathering(self, spot: Spot, place: Place) -> None:
         """Lay the patch at a place (x, y) of the sample into a spot, and blend it with the patches it overlaps."""
         window, patch, zone = self.window(spot), self.cut_patch(place), self.grid.overlap
-        weights = feather_weights(self.grid.size, zone, spot.left, spot.top)
+        weights = feather_weights(self.grid.size, zone, *spot[2:])
         self.image[window] = blend(self.image[window], patch, weights, zone)
         source, share = self.source[window], (weights / (zone + 1)).astype(np.float32)
         kept = source[..., 2] * (1 - share)
@@ -241,8 +271,10 @@ class RasterCanvas:
             if number == 0:
                 y, x = divmod(int(task.rng.integers(places[0] * places[1])), places[1])
             else:
-                x, y = choose(self.image[self.window(spot)].astype(np.float32), self.grid.hole(spot.left, spot.top))
+                x, y = choose(self.image[self.window(spot)].astype(np.float32), self.grid.hole(spot))
             join(spot, (x, y))
+            if self.torus:
+                self.torus.repeat(self.window(spot), self.image, self.source)
             if spot.x == 0:
                 task.progress(spot.y / task.shape[0])
         task.progress(1.0)
@@ -252,12 +284,13 @@ class RasterCanvas:
     def result(self) -> tuple[Image, Source]:
         """Return the output and its source map."""
         height, width = self.grid.shape
-        image = self.image[:height, :width] / np.float32(255)
-        return np.asarray(image, np.float32), np.ascontiguousarray(self.source[:height, :width])
+        window = self.torus.output if self.torus else (slice(height), slice(width))
+        image = self.image[window] / np.float32(255)
+        return np.asarray(image, np.float32), np.ascontiguousarray(self.source[window])
 
 
 @lru_cache(maxsize=64)
-def feather_weights(size: int, zone: int, left: bool, top: bool) -> Weights:
+def feather_weights(size: int, zone: int, left: bool, top: bool, right: bool = False, bottom: bool = False) -> Weights:
     """Return the weights of a square patch that overlaps earlier patches on some of its sides.
 
     The weight of a pixel is its distance to the nearest overlapped side, and is largest from ``zone`` on (Szeliski and
@@ -269,7 +302,7 @@ def feather_weights(size: int, zone: int, left: bool, top: bool) -> Weights:
         Side of the patch, px.
     zone
         Width of the overlap, px.
-    left, top
+    left, top, right, bottom
         Whether the patch overlaps earlier patches on these sides.
 
     Examples
@@ -278,7 +311,11 @@ def feather_weights(size: int, zone: int, left: bool, top: bool) -> Weights:
     [1, 2, 3, 3]
     """
     ramp, full = np.minimum(np.arange(size) + 1, zone + 1), np.full(size, zone + 1)
-    weights = np.minimum((ramp if top else full)[:, np.newaxis], ramp if left else full)
+    down, across = (
+        np.minimum(ramp if first else full, ramp[::-1] if last else full)
+        for first, last in ((top, bottom), (left, right))
+    )
+    weights = np.minimum(down[:, np.newaxis], across)
     weights.flags.writeable = False
     return weights
 
@@ -331,6 +368,31 @@ def cut_sides(old: NDArray[np.uint8], new: NDArray[np.uint8], overlap: int, left
         error = _strip_error(old.swapaxes(0, 1), new.swapaxes(0, 1), overlap)
         mask[:overlap] = np.arange(overlap)[:, np.newaxis] >= cheapest_path(error)
     return mask
+
+
+def cut_ring(old: NDArray[np.uint8], new: NDArray[np.uint8], hole: Box) -> Mask:
+    """Compute where a patch is shown that overlaps the picture on three or four sides, by an exact minimum cut.
+
+    Parameters
+    ----------
+    old, new
+        ``(h, w, C)``: the picture and the patch.
+    hole
+        The part of the patch, as (y0, y1, x0, x1) px, around which the picture is known.
+
+    Returns
+    -------
+    Mask
+        ``bool (h, w)``: True where the patch is shown, which includes the hole.
+    """
+    size, (y0, y1, x0, x1) = new.shape[0], hole
+    fixed_old, fixed_new = np.zeros((2, size, size), np.bool_)
+    fixed_new[y0:y1, x0:x1] = True
+    fixed_old[0], fixed_old[-1], fixed_old[:, 0] = y0 > 0, y1 < size, x0 > 0
+    fixed_old[:, -1] |= x1 < size
+    before, after = (np.asarray(part / np.float32(255), np.float32) for part in (old, new))
+    costs = link_costs(before, after, True)
+    return cut_overlap(costs, np.zeros((2, size, size), np.float32), fixed_old & ~fixed_new, fixed_new)
 
 
 def _strip_error(old: NDArray[np.uint8], new: NDArray[np.uint8], overlap: int) -> NDArray[np.float64]:

@@ -226,7 +226,13 @@ class Patchwork:
             return image, source
         distance = np.arange(-math.ceil(2 * sigma), math.ceil(2 * sigma) + 1)
         weights = np.exp(-(distance**2) / (2 * sigma**2))
-        return feather_seams(self.sample.copy(), self.origin, image, np.outer(weights, weights))
+        reach = len(distance) // 2 if self.wrap else 0
+        around = [(reach, reach), (reach, reach), (0, 0)]
+        padded = np.pad(self.origin, around, "wrap"), np.pad(image, around, "wrap")
+        made = feather_seams(self.sample.copy(), *padded, np.outer(weights, weights))
+        height, width = self.shape
+        image, source = (part[reach : reach + height, reach : reach + width] for part in made)
+        return image, source
 
     def read(self, values: NDArray[Any], window: Window) -> NDArray[Any]:
         """Return the values of a window's source pixels, ``(h, w, ...)``, from those of the sample's pixels.

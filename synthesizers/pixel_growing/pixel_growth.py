@@ -315,6 +315,17 @@ class Growth:
             self.progress = max(self.progress, float(box[1]) / self.task.shape[0])
             self.task.progress(self.progress)
 
+    def grow_edges(self, stock: Stock, reach: int, groups: Integers | None = None) -> None:
+        """Synthesize the pixels within ``reach`` px of the edges again, in the order in which tiled copies show them.
+
+        Other parameters as in :meth:`grow`.
+        """
+        height, width = self.task.shape
+        for rows in (range(max(height - reach, 0), height), range(min(reach, height))):
+            self.grow(stock, rows, range(width), groups)
+        for columns in (range(max(width - reach, 0), width), range(min(reach, width))):
+            self.grow(stock, range(height), columns, groups)
+
     def result(self) -> tuple[Image, SourceMap]:
         """Return the output and its source map."""
         (top, left), (height, width) = self.corner, self.task.shape

@@ -12,6 +12,7 @@ from nrbench.imaging.convert import Image, to_bytes
 from nrbench.lattice.geometry import Lattice, Points
 
 from ..sampling.patches import Patches
+from ..sampling.torus import Torus
 from ..seams.seam_kernels import cheapest_path, corner_paths
 from .tile_kernels import (
     absolute_differences,
@@ -207,6 +208,8 @@ class TileCanvas:
     weights
         Tiles are joined along exact minimum cuts of the overlap: how much a seam counts at each place of the cell.
         None: along two seams by dynamic programming, blended where they conflict.
+    wrap
+        Whether opposite edges of the output are adjacent.
 
     Attributes
     ----------
@@ -218,11 +221,14 @@ class TileCanvas:
         Width of the margin along x and y, px.
     """
 
-    def __init__(self, shape: tuple[int, int], stock: TileStock, weights: ElementWeights | None) -> None:
+    def __init__(
+        self, shape: tuple[int, int], stock: TileStock, weights: ElementWeights | None, wrap: bool = False
+    ) -> None:
         tile, images = stock.tile, stock.images
         self.shape, self.tile, self.images, self.weights = shape, tile, images, weights
         self.margin = np.ceil(3 * tile.reach).astype(int) + 2
-        size = shape[0] + 2 * self.margin[1], shape[1] + 2 * self.margin[0]
+        self.torus = Torus(shape, (int(self.margin[1]), int(self.margin[0])))
+        self.wrap, size = wrap, self.torus.canvas
         _, width, channels = images.shape
         self.values = np.zeros((*size, channels), np.uint8)
         self.filled = np.zeros(size, np.uint8)
@@ -264,11 +270,14 @@ class TileCanvas:
             weights = blend_weights(self.filled, self.pixels, left, top, *find_seams(surface))
         place = self._nearest[row] + (x, y, 0)
         paste(self.values, self.filled, self.origins, source, first, self.pixels, left, top, weights, place)
+        if self.wrap:
+            (x0, y0), (x1, y1) = self.tile.box.tolist()
+            window = slice(top + y0, top + y1 + 1), slice(left + x0, left + x1 + 1)
+            self.torus.repeat(window, self.values, self.filled, self.origins, *self.seams[:, : len(self.filled)])
 
     def output(self) -> tuple[Image, NDArray[np.float32]]:
         """Return the output and its source map."""
-        (height, width), (x, y) = self.shape, self.margin
-        window = np.s_[y : y + height, x : x + width]
+        window = self.torus.output
         return np.asarray(self.values[window] / np.float32(255), np.float32), self.origins[window]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import skimage.io
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.api import synthesize, texture
-from nrbench.cli.lattice_figures import lattice_of
+from nrbench.cli.lattice_picking import lattice_of
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
@@ -38,7 +37,6 @@ def pictures() -> None:
         ("brick.png -d gncc --lattice 20,0,0,20", "-d and --lattice: choose one"),
         ("brick.png --all --diagnostics d.png", "leave --all out"),
         ("brick.png --diagnostics d.jpg", "outputs are PNG"),
-        ("brick.png --pick", "no window can be opened"),
         ("brick.png -o ./brick.png", "is the picture itself"),
         ("walls --all", "--all: needs one picture"),
         ("walls --pick", "--pick: needs one picture"),
@@ -53,7 +51,6 @@ def pictures() -> None:
 )
 def test_misuse(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Each, for one picture or for a folder, is one line that says what to do, with exit code 2; nothing is written."""
-    plt.switch_backend("Agg")
     Path("walls").mkdir()
     assert call(f"lattice {line}") == 2
     shown = capsys.readouterr()
@@ -77,7 +74,7 @@ def test_the_clicked_anchor_is_carried_through(
     x, y = wall.lattice.points((64, 64))[0] + 0.25
     (x1, y1), (x2, y2) = wall.lattice.t1, wall.lattice.t2
     clicked = lattice_of([(x, y), (x + x1, y + y1), (x + x2, y + y2)])
-    monkeypatch.setattr("nrbench.cli.lattice_figures.pick", lambda image: clicked)
+    monkeypatch.setattr("nrbench.cli.lattice_picking.pick", lambda image, announce: clicked)
     assert call("lattice wall.png --pick -o over.png --json") == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["origin"] == list(clicked.origin)

@@ -35,21 +35,11 @@ def test_a_sheet_shows_each_method_and_tells_why_one_is_missing(
     assert np.ptp(spots) > 96 + 64, "two pictures side by side"
 
 
-def test_a_tileable_output_has_no_seam_at_its_edges(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:
-    """Rolled by half its size, a tileable output is no rougher where its edges meet than elsewhere; others are."""
-    rough = {}
-    for words in ("", "--tileable"):
-        assert call(f"synth wall.png -m fftm-patch --size 128x96 -o out.png {words}") == 0
-        image = np.roll(nrbench.read_image(Path("out.png")), (48, 64), (0, 1))
-        steps = np.abs(np.diff(image, axis=1)).mean((0, 2))
-        rough[words] = steps[63] / np.median(steps[::32])
-    assert rough["--tileable"] < 1.3 < rough[""]
-    assert "out-mask.png (mask)" in capsys.readouterr().err
-
-
-def test_methods_that_cannot_tile_say_so(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:
-    """A method without the parameter refuses a tileable output, and the error names the methods that can."""
-    assert call("synth wall.png -m rsgf --tileable --size 128x96 -o out.png") == 2
-    assert (
-        "rsgf cannot make an output that repeats without a seam; fftm-patch, fftm-pixel can" in capsys.readouterr().err
-    )
+def test_a_tileable_output_tells_its_strain(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command prints the strain and a better size; wrong methods and sizes exit with 2."""
+    assert call("synth wall.png -m tiling --lattice 32,0,16,16 --tileable --size 130x96 -o out.png") == 0
+    assert "closes by a strain of 1.5 %, 128x96 would need 0 %" in capsys.readouterr().err
+    assert call("synth wall.png -m scatter --tileable --size 128x96 -o out.png") == 2
+    assert "scatter cannot make an output that repeats without a seam; ann-pixel, auto, " in capsys.readouterr().err
+    assert call("synth wall.png -m rsgf --lattice 32,0,16,16 --tileable --size 144x96 -o out.png") == 2
+    assert "use --size 128x96" in capsys.readouterr().err

@@ -34,7 +34,7 @@ def test_spots_cover_the_output_once_and_overlap(height: int, width: int, size: 
     covered = np.zeros((height + size, width + size), bool)
     for spot in grid.spots():
         window = covered[spot.y : spot.y + size, spot.x : spot.x + size]
-        np.testing.assert_array_equal(window, frame_mask(grid.hole(spot.left, spot.top), size))
+        np.testing.assert_array_equal(window, frame_mask(grid.hole(spot), size))
         window[:] = True
         assert spot.y == 0 or spot.y + overlap < height
         assert spot.x == 0 or spot.x + overlap < width

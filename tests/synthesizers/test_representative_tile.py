@@ -251,11 +251,14 @@ def test_the_tolerance_decides_on_the_size_of_the_tile() -> None:
 
 
 def test_the_command_line_writes_the_tile_beside_the_output(tmp_path: Path) -> None:
-    """``synth`` writes the tile as a picture of its own: repeated, it is the paper's output."""
+    """``synth --extras`` writes the tile as a picture of its own; without the option, it prints the name alone."""
     sample = noise(60, 66, 1)
     arguments = [write_image(tmp_path / "sample.png", sample), "-m", "representative-tile:rescale=false"]
     arguments += ["--size", "40x30", "--lattice", "11,0,0,9", "-o", tmp_path / "out.png"]
     done = CliRunner().invoke(synth_command, [str(word) for word in arguments])
+    assert done.exit_code == 0 and "not written: tile; --extras writes them" in done.output
+    assert not (tmp_path / "out-tile.png").exists()
+    done = CliRunner().invoke(synth_command, [*map(str, arguments), "--extras"])
     assert done.exit_code == 0, done.output
     tile, output = read_image(tmp_path / "out-tile.png"), read_image(tmp_path / "out.png")
     windows = (output[y : y + 9, x : x + 11] for y, x in np.ndindex(9, 11))

@@ -1,0 +1,152 @@
+"""Outputs that repeat without a seam: the sample is strained so that its lattice closes, and the method wraps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nrbench import plugins
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.largest_box import largest_box
+from nrbench.lattice.closing import MOST_STRAIN, close_lattice, closing_strain, nearest_closing_shape
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
+from nrbench.plugins.registry import NamedDetector
+
+from .straightening import pixel_places, read_spline, straighten_sample, trace_points
+
+_LITTLE = 0.0025
+"""Strain at which the note names no better size."""
+_NEAR = 0.2
+"""Largest change of a side, as a share of it, to a size that needs little strain."""
+_ROWS = 256
+"""Rows of an output whose sources are traced at a time."""
+_STILL = 0.05
+"""px: a sample that would move by less anywhere stays as it is."""
+
+
+def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
+    """Return a synthesis whose opposite edges continue each other.
+
+    The sides of the output must be vectors of the lattice. The sample is therefore stretched and sheared by the
+    smallest change that makes them so, and the method gets the strained sample with its lattice, and a task whose
+    ``tileable`` is True. Where the sample is bent and the method has a ``geometry``, it is straightened first, and the
+    output stays straight. If the sample has no lattice, it is not changed.
+
+    Parameters
+    ----------
+    method
+        A method whose class variable ``wraps`` is True.
+    task
+        The task.
+
+    Raises
+    ------
+    BadInput
+        If the method cannot wrap; the message names those that can.
+    Refused
+        If the strain would exceed :data:`~nrbench.lattice.closing.MOST_STRAIN`; the message names the nearest size that
+        closes. Also if the method refuses the sample.
+    """
+    require_wrapping(type(method))
+    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
+    if found.lattice is None:
+        return method.synthesize(replace(task, tileable=True))
+    straight, bent = None, ""
+    if getattr(method, "geometry", "as-is") != "as-is":
+        straight, bent = straighten_sample(task.sample, found.lattice, task.lattice is not None)
+    sample, lattice = (task.sample, found.lattice) if straight is None else (straight.image, straight.lattice)
+    strained = StrainedSample.of(sample, lattice, task.shape)
+    made = method.synthesize(replace(task, sample=strained.image, lattice=strained.lattice, tileable=True))
+    source = made.source
+    if source is not None and (strained.image is not sample or straight is not None):
+        source = source.copy()
+        for rows in (source[top : top + _ROWS] for top in range(0, len(source), _ROWS)):
+            points = strained.locate(np.nan_to_num(rows[..., :2]))
+            if straight is not None:
+                points = straight.locate(points + straight.corner)
+            rows[:] = np.where(np.isfinite(rows), trace_points(points, task.sample.shape, rows[..., 2]), np.nan)
+    note = "; ".join(filter(None, (made.note, bent, describe_strain(lattice, task.shape))))
+    seconds = made.detection_seconds + found.seconds
+    return replace(made, lattice=found.lattice, source=source, detection_seconds=seconds, note=note)
+
+
+def require_wrapping(method: type) -> None:
+    """Raise :class:`BadInput` unless methods of a class can make an output that repeats."""
+    if not getattr(method, "wraps", False):
+        able = ", ".join(one.name for one in plugins.inventory("synthesizers") if getattr(one.cls, "wraps", False))
+        name = plugins.name_of("synthesizers", method) or method.__name__
+        raise BadInput(f"--tileable: {name} cannot make an output that repeats without a seam; {able} can")
+
+
+def describe_strain(lattice: Lattice, shape: Shape) -> str:
+    """Return by how much the sample was strained, and a size nearby that needs less."""
+    strain, better = closing_strain(lattice, shape), _better_shape(lattice, shape)
+    less = closing_strain(lattice, better)
+    other = f", {better[1]}x{better[0]} would need {100 * less:.2g} %" if less < strain / 2 else ""
+    return f"the lattice closes by a strain of {100 * strain:.2g} %" + (other if strain > _LITTLE else "")
+
+
+def _better_shape(lattice: Lattice, shape: Shape) -> Shape:
+    """Return the nearest shape that needs little strain; if it is not near, the nearest that needs more."""
+    for strain in (_LITTLE, 2 * _LITTLE, MOST_STRAIN / 2, MOST_STRAIN):
+        better = nearest_closing_shape(lattice, shape, strain)
+        if max(abs(new - old) / old for new, old in zip(better, shape, strict=True)) < _NEAR:
+            break
+    return better
+
+
+@dataclass(frozen=True, eq=False)
+class StrainedSample:
+    """A sample whose lattice closes on an output.
+
+    Parameters
+    ----------
+    image
+        ``(h, w, C)``: the strained sample, rounded to 8 bits; the sample itself if it would hardly move.
+    lattice
+        The lattice that closes, in pixels of ``image``.
+    corner
+        (x, y) px of the first pixel of ``image`` on the strained plane.
+    back
+        ``(2, 2)``: the linear map from the strained plane to the sample.
+    """
+
+    image: Image
+    lattice: Lattice
+    corner: Points
+    back: Points
+
+    @classmethod
+    def of(cls, sample: Image, lattice: Lattice, shape: Shape) -> StrainedSample:
+        """Return the sample, strained so that the lattice closes on an output of ``shape``.
+
+        Raises
+        ------
+        Refused
+            If the strain is too large.
+        """
+        closed, strain = close_lattice(lattice, shape), closing_strain(lattice, shape)
+        if closed is None or strain > MOST_STRAIN:
+            height, width = _better_shape(lattice, shape)
+            raise Refused(
+                f"a tileable output of {shape[1]}x{shape[0]} px would need a strain of {100 * strain:.2g} % to close "
+                f"the lattice, more than {100 * MOST_STRAIN:g} %; use --size {width}x{height}"
+            )
+        height, width = sample.shape[:2]
+        back = np.asarray(np.linalg.solve(closed.matrix, lattice.matrix), np.float64)
+        ends = np.array([(width, 0), (0, height), (width, height)])
+        if np.abs(ends @ back - ends).max() < _STILL:
+            return cls(sample, closed, np.zeros(2), np.eye(2))
+        reach = np.ceil((ends @ np.linalg.inv(back)).max(0)).astype(int)
+        places = pixel_places(int(reach[1]), int(reach[0])) @ back
+        box = largest_box(np.asarray(((places >= 0) & (places <= (width - 1, height - 1))).all(-1)))
+        image = quantize(read_spline(sample, places[box[0] : box[1], box[2] : box[3]]))
+        corner = np.array([box[2], box[0]], np.float64)
+        return cls(image, closed.shifted(-corner), corner, back)
+
+    def locate(self, points: Points) -> Points:
+        """Return the places (x, y) px in the sample of points of :attr:`image`, ``(..., 2)``."""
+        return np.asarray((points + self.corner) @ self.back)

@@ -1,0 +1,116 @@
+"""Outputs that repeat without a seam, by each method that can make them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import nrbench
+from nrbench import plugins
+from nrbench.imaging.mean_tile import fold
+from nrbench.lattice.closing import close_lattice
+from nrbench.synthesizers.sampling.torus import Torus
+
+SHAPE = (306, 231)
+OTHERS = {"fftm-patch", "fftm-pixel", "representative-tile"}
+"""Slow methods, whose own tests make tileable outputs, and one that refuses turned lattices."""
+FROM_NOISE = {"ann-pixel", "gpnn", "texture-optimization"}
+"""They know no lattice, and lose it in any output."""
+ABLE = [one.name for one in plugins.inventory("synthesizers") if getattr(one.cls, "wraps", False)]
+
+
+@pytest.fixture(scope="module")
+def hexagons() -> nrbench.Texture:
+    """Return turned hexagons, whose lattice closes on ``SHAPE`` by a strain of 1.1 %."""
+    return nrbench.texture("hexagon", shape=(128, 128), seed=3, color=0.3, rotation=17)
+
+
+def step_across_edges(image: nrbench.Image) -> float:
+    """Return the mean step across the edges over the 0.99 quantile of the steps inside, the larger one of both axes."""
+    ratios = []
+    for axis in (0, 1):
+        steps = np.abs(np.roll(image, -1, axis) - image).mean((1 - axis, 2))
+        ratios.append(steps[-1] / np.quantile(steps[:-1], 0.99))
+    return float(max(ratios))
+
+
+@pytest.mark.parametrize("name", sorted(set(ABLE) - OTHERS))
+def test_opposite_edges_continue_each_other(name: str, hexagons: nrbench.Texture) -> None:
+    """The edges are no rougher than the inside, and the closed lattice explains the outputs that keep a lattice."""
+    made = nrbench.synthesize(name, hexagons, SHAPE, hexagons.lattice, seed=1, tileable=True)
+    assert step_across_edges(made.image) < 1.1
+    if name in FROM_NOISE:
+        return
+    assert hexagons.lattice is not None
+    closed = close_lattice(hexagons.lattice, SHAPE)
+    assert closed is not None
+    mean = fold(made.image, closed).unfold(SHAPE)
+    assert np.square(made.image - mean).mean() < 0.35 * made.image.var()
+
+
+def test_a_representative_tile_repeats_a_whole_number_of_times(hexagons: nrbench.Texture) -> None:
+    """Upright tiles repeat at sizes that close; whole-pixel tiles at multiples of their size; turned tiles at none."""
+    brick = nrbench.texture("brick", shape=(128, 128), seed=3, color=0.3)
+    made = nrbench.synthesize("representative-tile", brick, (169, 189), brick.lattice, tileable=True)
+    assert step_across_edges(made.image) < 1.1
+    with pytest.raises(nrbench.Refused, match="--size 189x168"):
+        nrbench.synthesize("representative-tile:rescale=false", brick, (169, 189), brick.lattice, tileable=True)
+    with pytest.raises(nrbench.Refused, match="is turned"):
+        nrbench.synthesize("representative-tile", hexagons, SHAPE, hexagons.lattice, tileable=True)
+
+
+def test_other_outputs_have_edges(hexagons: nrbench.Texture) -> None:
+    """Without the option, the edges are rougher than the inside, also at a size at which the lattice closes."""
+    assert step_across_edges(nrbench.synthesize("rsgf", hexagons, SHAPE, hexagons.lattice, seed=1).image) > 1.8
+
+
+@pytest.mark.parametrize("name", ["rsgf", "quilting", "graph-cuts"])
+def test_a_texture_without_a_lattice_repeats(name: str) -> None:
+    """A stochastic texture is not strained, and its opposite edges continue each other."""
+    noise = np.random.default_rng(0).random((100, 100, 1))
+    smooth = np.mean([np.roll(noise, (i, j), (0, 1)) for i in range(5) for j in range(5)], 0)
+    sample = (smooth - smooth.min()) / np.ptp(smooth)
+    assert step_across_edges(nrbench.synthesize(name, sample, (150, 170), seed=1, tileable=True).image) < 1.1
+
+
+def test_a_size_that_does_not_close_is_refused(hexagons: nrbench.Texture) -> None:
+    """The message names a size that closes."""
+    with pytest.raises(nrbench.Refused, match=r"strain of 7.5 % to close .*; use --size \d+x\d+"):
+        nrbench.synthesize("rsgf", hexagons, (150, 170), hexagons.lattice, tileable=True)
+
+
+@pytest.mark.parametrize(("name", "reason"), [("rsgf", "even number of blocks"), ("tile-set", "at least as large")])
+def test_an_output_smaller_than_its_patches_is_refused(name: str, reason: str) -> None:
+    """A patch must not meet itself around the edges."""
+    brick = nrbench.texture("brick", shape=(128, 128), seed=3, width=28, height=24, bond="stack")
+    with pytest.raises(nrbench.Refused, match=reason):
+        nrbench.synthesize(name, brick, (24, 28), brick.lattice, tileable=True)
+
+
+def test_a_bent_sample_gives_a_straight_output_that_repeats() -> None:
+    """The sample is straightened before its lattice is closed, and the source map leads to the bent sample."""
+    bent = nrbench.texture("brick", shape=(160, 160), seed=1, bend=0.6, color=0.3)
+    made = nrbench.synthesize("rsgf", bent, (244, 273), bent.lattice, tileable=True)
+    assert "straightened" in made.note
+    assert step_across_edges(made.image) < 1.2
+    assert made.source is not None
+    x, y = np.rint(made.source[..., :2]).astype(int).transpose(2, 0, 1)
+    assert np.abs(bent.image[y, x] - made.image).mean() < 0.1
+
+
+def test_methods_that_cannot_repeat_say_so(hexagons: nrbench.Texture) -> None:
+    """The message names the methods that can."""
+    with pytest.raises(nrbench.BadInput, match=r"scatter cannot make an output that repeats without a seam; .*rsgf"):
+        nrbench.synthesize("scatter", hexagons, SHAPE, tileable=True)
+
+
+def test_a_torus_shows_what_is_written_everywhere() -> None:
+    """A window across an edge is copied to all places that show the same pixels."""
+    torus = Torus((7, 5), (9, 6))
+    canvas, output = np.zeros(torus.canvas), np.zeros((7, 5))
+    window = slice(13, 18), slice(4, 8)
+    canvas[window] = np.arange(1, 21).reshape(5, 4)
+    output[np.ix_(np.arange(4, 9) % 7, np.arange(-2, 2) % 5)] = canvas[window]
+    torus.repeat(window, canvas)
+    rows, columns = (np.arange(-margin, side + margin) % side for margin, side in zip((9, 6), (7, 5), strict=True))
+    np.testing.assert_array_equal(canvas, output[np.ix_(rows, columns)])
