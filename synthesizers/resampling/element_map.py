@@ -201,7 +201,7 @@ def segment(sample: Values, residual: Values, lattice: Lattice, whole_cells: boo
     pixels, power = np.bincount(owner.ravel()), (sample.astype(float) ** 2).sum(-1)
     level = np.bincount(owner.ravel(), power.ravel()) / np.maximum(pixels, 1)
     energy = np.array([colors.energy() for colors in regions.mean_colors(residual)]) / (level + 1e-4)
-    large = size >= _SMALL * size.max()
+    large = size * energy >= _SMALL * (size * energy).max()
     return _without_ground(regions, ~large | (energy < _GROUND * energy[large].max()))
 
 
