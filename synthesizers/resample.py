@@ -18,12 +18,10 @@ from nrbench.plugins.registry import NamedDetector
 from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
 from .resampling.element_colors import ElementColors
 from .resampling.element_detail import ElementDetail
-from .resampling.element_map import map_grid, segment
+from .resampling.element_map import FEWEST, map_grid, segment
 from .sampling.equal_places import require_two_periods
 from .tile_set import TileSet
 
-FEWEST: Final = 6
-"""Whole instances of each element that the sample must show; with fewer, the method copies tiles."""
 MOST_VARIATION: Final = 4.0
 """Largest parameter ``variation``."""
 _EXPLAINED = 0.05
@@ -79,7 +77,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6.d10635"
 
     def __post_init__(self) -> None:
         require_ranges(self, variation=(0, MOST_VARIATION))
