@@ -27,7 +27,7 @@ _ROUNDS = 3
 """Fits of colors, with a fit of gains between two of them."""
 _MOST_GAIN = 1.6
 _LINKED = (0.3, 2.0)
-"""Instances of an element whose colors correlate at a lag and at its multiples by a + b / sqrt(pairs) are one thread."""
+"""Instances of an element whose colors correlate at a lag and its multiples by a + b / sqrt(pairs) are one thread."""
 _LINKED_ELEMENTS = (0.5, 1.0)
 """The same for different elements at one lag."""
 _MULTIPLES = (1, 2, 3, 4)

@@ -308,12 +308,13 @@ def _with_overlooked(elements: ElementMap, residual: Values) -> ElementMap:
 
 
 def _read_places(elements: ElementMap, residual: Values, box: Numbers) -> tuple[Values, NDArray[np.bool_]]:
-    """Return the residual at each place of each cell, ``(I, J, P, C)``, 0 outside the sample, and whether it is inside."""
+    """Return the residual at each place of each cell, ``(I, J, P, C)``, and whether the sample shows the place."""
     v, u = elements.label.shape
     height, width, channels = residual.shape
     smooth = scipy.ndimage.gaussian_filter(residual, (_SMOOTHED, _SMOOTHED, 0), mode="nearest")
     place = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1).reshape(-1, 2)
-    points = elements.lattice.from_cell((box[:, :, np.newaxis] + place).reshape(-1, 2))
+    corners = elements.lattice.from_cell(box.reshape(-1, 2).astype(float))[:, np.newaxis]
+    points = (corners + place @ elements.lattice.matrix).reshape(-1, 2)
     x, y = np.moveaxis(points.round().astype(np.int64), -1, 0)
     inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
     values = np.where(inside[:, np.newaxis], smooth[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], 0)
@@ -328,9 +329,7 @@ def _moved(table: Values, lag: Lag) -> Values:
     return moved
 
 
-def _go_together(
-    rest: Values, known: Values, shape: Shape
-) -> tuple[NDArray[np.float64], Numbers, NDArray[np.float64]]:
+def _go_together(rest: Values, known: Values, shape: Shape) -> tuple[NDArray[np.float64], Numbers, NDArray[np.float64]]:
     """Return how the rest of each place goes with that of the strongest place, or of those that went with it before.
 
     The three results are the excess of their correlation over the least one, the lag in cells at which it is largest,
