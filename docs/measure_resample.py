@@ -80,8 +80,8 @@ THREADS = (
     ((0.3, 2.0), (0.6, 1.0)),
     ((0.3, 2.0), (0.8, 0.0)),
 )
-CONTINUOUS = (0.4, 0.5, 0.6, 0.65, 0.7, 0.8, 0.9)
-ALIKE = (0.2, 0.4, 0.6, 0.8, 1.2, 1.6, 99.0)
+CONTINUOUS = (0.5, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 1.0)
+ALIKE = (0.2, 0.4, 0.8, 1.2, 1.6, 2.4, 99.0)
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 DEFECTS = (
     ("none", 0.0),
@@ -147,12 +147,14 @@ class Known:
         return number
 
 
-def draw_known(choosing: bool) -> Iterator[Known]:
+def draw_known(choosing: bool, jitter: float = 0.0) -> Iterator[Known]:
     """Yield draws of the textures of two suites, those on which limits are chosen, or the others."""
     for suite in map(load_suite, ("core", "report2004")):
         for row in suite.texture:
-            given = dict(row.parameters)
-            varies = (given.get("color") or given.get("intensity")) and not (given.get("jitter") or given.get("bend"))
+            given = dict(row.parameters) | ({"jitter": jitter} if jitter else {})
+            varies = (given.get("color") or given.get("intensity")) and not (
+                row.parameters.get("jitter") or row.parameters.get("bend")
+            )
             if (row.dataset in CHOOSING) != choosing or not varies:
                 continue
             shape, model = row.sample or suite.sample, build("datasets", row.dataset, given)
@@ -196,15 +198,13 @@ def print_elements() -> None:
     """Print how far the elements and threads agree with the model's, with some choices of limits."""
     for choosing in (True, False):
         known = [(k, k.residual(k.made.image), k.true_elements()) for k in draw_known(choosing)]
-        for choice in ELEMENTS if choosing else ELEMENTS[:1]:
+        for choice in (*ELEMENTS[1:], ELEMENTS[0]) if choosing else ELEMENTS[:1]:
             for limit, value in zip(("_SAME", "_SALIENT", "_DOUBT", "_GROUND", "_SMALL"), choice, strict=True):
                 setattr(element_map, limit, value)
             maps = [element_map.segment(k.made.image, residual, k.lattice) for k, residual, _ in known]
             print_agreement(f"choosing: {choosing}, elements {choice}", known, maps)
-        for choice in THREADS[1:] if choosing else THREADS[1:2]:
-            for limit, value in zip(("_LINKED", "_LINKED_ELEMENTS"), choice, strict=True):
-                setattr(element_colors, limit, value)
-            maps = [element_map.segment(k.made.image, residual, k.lattice) for k, residual, _ in known]
+        for choice in THREADS if choosing else THREADS[:2]:
+            element_colors._LINKED, element_colors._LINKED_ELEMENTS = choice
             print_agreement(f"choosing: {choosing}, threads {choice}", known, maps)
         element_colors._LINKED, element_colors._LINKED_ELEMENTS = THREADS[0]
 

@@ -28,7 +28,7 @@ _EXPLAINED = 0.05
 """Least share of the residual's variance that the colors of elements explain; with less, elements are whole cells."""
 _BY_CHANCE = 5.0
 """Pixels of noise whose variance one more color, and its gains, explain by chance."""
-_CONTINUOUS = 0.65
+_CONTINUOUS = 0.8
 """Coarse residuals are drawn as one field if they step less than this share of what independent elements would."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
@@ -50,7 +50,7 @@ class Resample:
     5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
        color are more likely. Where elements meet, rests are mixed so that their variance stays.
     6. Stains, prints and panes run on across the elements that are found. Where the coarse residual of the sample steps
-       at their borders by less than 0.65 of what the draws do, it is drawn as one field: the spot noise of the lattice,
+       at their borders by less than 0.8 of what the draws do, it is drawn as one field: the spot noise of the lattice,
        with the covariance of the sample. Where only the rest runs on, so is the coarse part of the rest.
 
     The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of

@@ -18,7 +18,7 @@ Colors = tuple[NDArray[np.float64], NDArray[np.float64]]
 _SOFTNESS = 1.0
 """px, standard deviation of the Gaussian that softens the borders between the details of elements."""
 _AROUND: tuple[Lag, ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
-_ALIKE = 0.8
+_ALIKE = 1.6
 """How far, in standard deviations, the color of a new element differs from that of the one whose detail it copies."""
 _REDRAWS = 20
 """Times that copies beside an equal one are drawn again."""

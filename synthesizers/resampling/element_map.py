@@ -90,8 +90,8 @@ class InstanceColors:
 def _overlap(a: NDArray[Any], b: NDArray[Any], lag: Lag) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the parts of two arrays of cells that lie ``lag`` apart."""
     steps = list(zip(lag, a.shape, strict=False))
-    here = tuple(slice(max(0, -d), n - max(0, d)) for d, n in steps)
-    there = tuple(slice(max(0, d), n - max(0, -d)) for d, n in steps)
+    here = tuple(slice(max(0, -d), max(0, n - max(0, d))) for d, n in steps)
+    there = tuple(slice(max(0, d), max(0, n - max(0, -d))) for d, n in steps)
     return a[here], b[there]
 
 

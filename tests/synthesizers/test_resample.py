@@ -17,7 +17,7 @@ from nrbench.synthesizers.resample import Resample, VariationModel
 from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
 from nrbench.synthesizers.resampling.element_colors import draw_field, link_threads, match_distribution
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
-from nrbench.synthesizers.resampling.element_map import InstanceColors
+from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _with_overlooked, _without_few
 from nrbench.synthesizers.tile_set import TileSet
 
 
@@ -86,6 +86,50 @@ def chain(count: int, length: int, along: float, between: float, seed: int) -> l
     for i in range(1, count):
         values[:, i] = along * values[:, i - 1] + np.sqrt(1 - along**2) * values[:, i]
     return [InstanceColors(one, np.ones((count, length))) for one in values]
+
+
+def test_threads_are_linked_across_two_cells() -> None:
+    """In a twill a thread comes up again two cells on along one direction, which is farther than the nearest cells."""
+    model = model_of(drawn("weave", color=0.3, noise=0, warp=7.7, weft=7.1, gap=1.3, draft="twill"))
+    assert all(max(map(abs, thread.turn)) == 2 for thread in model.colors.threads)
+
+
+def test_few_pairs_have_to_agree_more() -> None:
+    """Colors that correlate by 0.6 at all lags are threads if 12 times 12 instances say so, and none if nine do."""
+    rng = np.random.default_rng(16)
+    shared, own = rng.standard_normal((12, 1, 3)), rng.standard_normal((12, 12, 3))
+    values = np.sqrt(0.6) * shared + np.sqrt(0.4) * own
+    many, few = (InstanceColors(values[:n, :n], np.ones((n, n))) for n in (12, 3))
+    assert [thread.turn for thread in link_threads([many])] == [(0, 1)]
+    assert [thread.turn for thread in link_threads([few])] == [(0, 0)]
+
+
+def test_thin_elements_are_found() -> None:
+    """A frame of three pixels around each pane, which varies for itself, is found as an element of its own."""
+    rng = np.random.default_rng(17)
+    y, x = np.indices((160, 160))
+    framed = (x % 20 < 3) | (y % 20 < 3)
+    frames, panes = (0.1 * rng.standard_normal((8, 8, 3))[y // 20, x // 20] for _ in range(2))
+    residual = np.where(framed[..., np.newaxis], frames, panes) + 0.01 * rng.standard_normal((160, 160, 1))
+    lattice = Lattice.from_basis(np.array([[20.0, 0], [0, 20.0]]), (-0.5, -0.5))
+    cell = ElementMap(lattice, np.zeros((30, 30), np.int64), np.zeros((30, 30, 2), np.int64))
+    elements = _with_overlooked(cell, residual.astype(np.float32))
+    label = elements.instances((160, 160))[0]
+    assert max(np.mean((label == k) == framed) for k in range(elements.count)) > 0.9
+
+
+def test_elements_that_are_seldom_whole_join_their_neighbors() -> None:
+    """An element that a sample shows whole only four times joins the other one, which it shows six times."""
+    lattice = Lattice.from_basis(np.array([[12.0, 0], [0, 12.0]]), (-0.5, -0.5))
+    label = np.zeros((18, 18), np.int64)
+    label[6:, :3] = 1
+    elements = ElementMap(lattice, label, np.zeros((18, 18, 2), np.int64))
+    label[0] = 0
+    assert _without_few(elements, (120, 120)).count == 2
+    assert [int((c.shown >= 0.97).sum()) for c in elements.mean_colors(np.zeros((24, 38, 1)))] == [6, 8]
+    assert _without_few(elements, (24, 38)).count == 2
+    assert [int((c.shown >= 0.97).sum()) for c in elements.mean_colors(np.zeros((24, 34, 1)))] == [4, 6]
+    assert _without_few(elements, (24, 34)).count == 1
 
 
 def test_threads_are_linked_under_detail() -> None:
