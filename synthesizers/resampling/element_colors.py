@@ -22,7 +22,7 @@ Table = NDArray[np.float64]
 _SOFTNESS = 0.5
 """px, standard deviation of the Gaussian that softens the borders between the colors of elements."""
 _CORE = 0.95
-"""Share, over the largest one, from which a place is inside its element, where its color is measured."""
+"""Share from which a place is inside its element, where its color is measured."""
 _ROUNDS = 3
 """Fits of colors, with a fit of gains between two of them."""
 _MOST_GAIN = 1.6
@@ -154,8 +154,7 @@ class ElementColors:
         shape, grid = residual.shape[:2], elements.label.shape
         shares = ElementShares.of(elements, _SOFTNESS)
         threads = link_threads(elements.mean_colors(residual))
-        most = scipy.ndimage.maximum(shares.share[0], elements.label, np.arange(elements.count))
-        core = shares.share[0] > _CORE * np.asarray(most)[elements.label]
+        core = shares.share[0] > _CORE
         row, column, _ = elements.places(shape)
         label, instance = elements.instances(shape)
         numbers = np.stack([thread.number(instance) for thread in threads])

@@ -36,12 +36,14 @@ _DOUBT = 3.0
 _GROUND = 0.2
 """Regions whose color varies less than this share of the largest variance are ground between elements."""
 _SMALL = 0.15
-"""Regions whose size times variance is smaller than this share of the largest one are ground, or not worth finding."""
+"""Regions smaller than this share of the largest one are ground."""
+_STILL = 0.05
+"""The largest region is looked for among those whose color varies at least this share of the largest variance."""
+_STILL = 0.05
+"""The largest region is looked for among those whose color varies at least this share of the largest variance."""
 _ALIKE = (0.5, 1.0)
 """Places whose rests correlate by a + b / sqrt(pairs) are one element that has been overlooked."""
 _MOST_OVERLOOKED = 3
-_SMOOTHED = 0.7
-"""px, standard deviation of the Gaussian after which the rests of places are compared."""
 _SHOWN = 0.5
 """Least share of an element that the sample must show, for its color to count."""
 _LEAST_SHARE = 0.02
@@ -210,11 +212,11 @@ def segment(sample: Values, residual: Values, lattice: Lattice, whole_cells: boo
     pixels, power = np.bincount(owner.ravel()), (sample.astype(float) ** 2).sum(-1)
     level = np.bincount(owner.ravel(), power.ravel()) / np.maximum(pixels, 1)
     energy = np.array([colors.energy() for colors in regions.mean_colors(residual)]) / (level + 1e-4)
-    large = size * energy >= _SMALL * (size * energy).max()
+    large = size >= _SMALL * size[energy >= _STILL * energy.max()].max()
     elements = _without_ground(regions, ~large | (energy < _GROUND * energy[large].max()))
     if whole_cells:
         return elements
-    return _without_few(_with_overlooked(elements, residual), residual.shape[:2])
+    return _without_few(elements, residual.shape[:2])
 
 
 def _watersheds(sample: Values, lattice: Lattice) -> tuple[ElementMap, NDArray[np.float64]]:
@@ -272,97 +274,6 @@ def _without_few(elements: ElementMap, shape: Shape) -> ElementMap:
         if few.all() or not few.any():
             return elements
         elements = _without_ground(elements, few)
-
-
-def _with_overlooked(elements: ElementMap, residual: Values) -> ElementMap:
-    """Return the map with elements that were overlooked, since they are thin or have no edge: frames, wires.
-
-    The rest is the residual without the colors of elements, times a gain for each place. An element is looked for
-    around the place of the strongest rest: the places whose rests go with its own from cell to cell.
-    """
-    box = elements.cells(residual.shape[:2])
-    values, known = _read_places(elements, residual, box)
-    shown = known.any(-1)
-    trim = tuple(slice(int(np.flatnonzero(a)[0]), int(np.flatnonzero(a)[-1]) + 1) for a in (shown.any(1), shown.any(0)))
-    values, known = values[trim], known[trim].astype(np.float32)
-    for _ in range(_MOST_OVERLOOKED):
-        label, offset = elements.label.ravel(), elements.offset.reshape(-1, 2)
-        rest, power = values.copy(), np.zeros(elements.count)
-        for k, color in enumerate(elements.mean_colors(residual)):
-            table = (color.values * color.known[..., np.newaxis])[trim].astype(np.float32)
-            for lag in np.unique(offset[label == k], axis=0):
-                here = (label == k) & (offset == lag).all(-1)
-                moved = _moved(table, tuple(lag))[:, :, np.newaxis] * known[:, :, here, np.newaxis]
-                product, square = (moved * rest[:, :, here]).sum((0, 1, 3)), (moved * moved).sum((0, 1, 3))
-                own = moved * np.clip(product / np.maximum(square, 1e-12), 0, None)[:, np.newaxis]
-                rest[:, :, here] -= own
-                power[k] += np.square(own).sum()
-        excess, lag, r = _go_together(rest, known, elements.label.shape)
-        found = excess >= 0
-        if (np.square(rest).sum((0, 1, 3)) * r**2)[found].sum() < _SMALL * power.max():
-            break
-        label, offset = np.where(found, elements.count, label), np.where(found[:, np.newaxis], -lag, offset)
-        shape = elements.label.shape
-        elements = ElementMap(elements.lattice, _renumbered(label.reshape(shape)), offset.reshape(*shape, 2))
-    return elements
-
-
-def _read_places(elements: ElementMap, residual: Values, box: Numbers) -> tuple[Values, NDArray[np.bool_]]:
-    """Return the residual at each place of each cell, ``(I, J, P, C)``, and whether the sample shows the place."""
-    v, u = elements.label.shape
-    height, width, channels = residual.shape
-    smooth = scipy.ndimage.gaussian_filter(residual, (_SMOOTHED, _SMOOTHED, 0), mode="nearest")
-    place = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1).reshape(-1, 2)
-    corners = elements.lattice.from_cell(box.reshape(-1, 2).astype(float))[:, np.newaxis]
-    points = (corners + place @ elements.lattice.matrix).reshape(-1, 2)
-    x, y = np.moveaxis(points.round().astype(np.int64), -1, 0)
-    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
-    values = np.where(inside[:, np.newaxis], smooth[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], 0)
-    return values.reshape(*box.shape[:2], -1, channels), inside.reshape(*box.shape[:2], -1)
-
-
-def _moved(table: Values, lag: Lag) -> Values:
-    """Return the values ``lag`` cells on, 0 beyond the table."""
-    moved = np.zeros_like(table)
-    here, there = _overlap(moved, table, lag)
-    here[...] = there
-    return moved
-
-
-def _go_together(rest: Values, known: Values, shape: Shape) -> tuple[NDArray[np.float64], Numbers, NDArray[np.float64]]:
-    """Return how the rest of each place goes with that of the strongest place, or of those that went with it before.
-
-    The three results are the excess of their correlation over the least one, the lag in cells at which it is largest,
-    and the correlation.
-    """
-    places = known.shape[2]
-    lags = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-    power = np.square(rest).sum(-1)
-    strength = power.sum((0, 1)) / np.maximum(known.sum((0, 1)), 1)
-    strongest = int(scipy.ndimage.gaussian_filter(strength.reshape(shape), 1, mode="wrap").argmax())
-    seed, sure = rest[:, :, strongest], known[:, :, strongest]
-    flat_known, flat_power = known.reshape(-1, places), power.reshape(-1, places)
-    planes = np.ascontiguousarray(np.moveaxis(rest, -1, 0)).reshape(rest.shape[-1], -1, places)
-    for _ in range(3):
-        seeds = np.stack([_moved(seed, (-i, -j)) for i, j in lags]).reshape(len(lags), -1, rest.shape[-1])
-        there = np.stack([_moved(sure, (-i, -j)) for i, j in lags]).reshape(len(lags), -1)
-        pairs = there @ flat_known
-        product = np.sum([seeds[..., c] @ plane for c, plane in enumerate(planes)], 0)
-        square = (np.square(seeds).sum(-1) @ flat_known) * (there @ flat_power)
-        r = product / np.sqrt(square + 1e-20)
-        excess = np.where(pairs < FEWEST, -1, r - _ALIKE[0] - _ALIKE[1] / np.sqrt(np.maximum(pairs, 1)))
-        best, at = excess.argmax(0), np.arange(places)
-        found, lag = excess[best, at] >= 0, np.array(lags)[best]
-        if not found.any():
-            break
-        total, count = np.zeros_like(seed), np.zeros_like(sure)
-        for k, step in enumerate(lags):
-            here = found & (best == k)
-            total += _moved(rest[:, :, here].sum(2), step)
-            count += _moved(known[:, :, here].sum(2), step)
-        sure = (count >= 0.5 * found.sum()).astype(np.float32)
-        seed = total / np.maximum(count, 1)[..., np.newaxis] * sure[..., np.newaxis]
-    return excess[best, at], lag, r[best, at]
 
 
 @dataclass(frozen=True)
