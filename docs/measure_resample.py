@@ -58,18 +58,20 @@ CHOOSING = frozenset(
 """Models on which limits are chosen. Both they and the other models have threads, walls and prints."""
 SEEDS = {True: (911, 912, 913), False: (921, 922, 923)}
 """Seeds of the draws on which limits are chosen, and of those of the other models, on which they are reported."""
+ELEMENT_LIMITS = ("_SAME", "_SALIENT", "_DOUBT", "_GROUND", "_SMALL", "_STILL")
 ELEMENTS = (
-    (0.7, 0.8, 3.0, 0.2, 0.15),
-    (0.6, 0.8, 3.0, 0.2, 0.15),
-    (0.8, 0.8, 3.0, 0.2, 0.15),
-    (0.7, 0.7, 3.0, 0.2, 0.15),
-    (0.7, 0.9, 3.0, 0.2, 0.15),
-    (0.7, 0.8, 2.0, 0.2, 0.15),
-    (0.7, 0.8, 5.0, 0.2, 0.15),
-    (0.7, 0.8, 3.0, 0.1, 0.15),
-    (0.7, 0.8, 3.0, 0.3, 0.15),
-    (0.7, 0.8, 3.0, 0.2, 0.05),
-    (0.7, 0.8, 3.0, 0.2, 0.3),
+    (0.7, 0.8, 3.0, 0.2, 0.15, 0.05),
+    (0.6, 0.8, 3.0, 0.2, 0.15, 0.05),
+    (0.8, 0.8, 3.0, 0.2, 0.15, 0.05),
+    (0.7, 0.7, 3.0, 0.2, 0.15, 0.05),
+    (0.7, 0.9, 3.0, 0.2, 0.15, 0.05),
+    (0.7, 0.8, 5.0, 0.2, 0.15, 0.05),
+    (0.7, 0.8, 3.0, 0.1, 0.15, 0.05),
+    (0.7, 0.8, 3.0, 0.3, 0.15, 0.05),
+    (0.7, 0.8, 3.0, 0.2, 0.05, 0.05),
+    (0.7, 0.8, 3.0, 0.2, 0.3, 0.05),
+    (0.7, 0.8, 3.0, 0.2, 0.15, 0.0),
+    (0.7, 0.8, 3.0, 0.2, 0.15, 0.1),
 )
 THREADS = (
     ((0.3, 2.0), (0.5, 1.0)),
@@ -139,7 +141,8 @@ class Known:
         assert self.made.lattice
         frame = Frame(self.made.lattice.origin, self.model.rotation)
         number, count = np.full(self.shape, -1), 0
-        for layer in self.model.colored_pattern(*frame.grid(self.shape)).layers:
+        grid = frame.grid(self.shape, moved=self.made.displacement)
+        for layer in self.model.colored_pattern(*grid).layers:
             row = np.broadcast_to(layer.census().row, self.shape)
             inside = np.broadcast_to(layer.coverage, self.shape) > 0.5
             number[inside] = row[inside] + count
@@ -196,16 +199,18 @@ def mean_of_textures(rows: Iterable[tuple[str, Any]]) -> np.ndarray:
 
 def print_elements() -> None:
     """Print how far the elements and threads agree with the model's, with some choices of limits."""
-    for choosing in (True, False):
-        known = [(k, k.residual(k.made.image), k.true_elements()) for k in draw_known(choosing)]
-        for choice in (*ELEMENTS[1:], ELEMENTS[0]) if choosing else ELEMENTS[:1]:
-            for limit, value in zip(("_SAME", "_SALIENT", "_DOUBT", "_GROUND", "_SMALL"), choice, strict=True):
+    for choosing, jitter in ((True, 0.0), (True, 0.3), (False, 0.0), (False, 0.3)):
+        tried = choosing and not jitter
+        title = f"choosing: {choosing}, jitter {jitter}"
+        known = [(k, k.residual(k.made.image), k.true_elements()) for k in draw_known(choosing, jitter)]
+        for choice in (*ELEMENTS[1:], ELEMENTS[0]) if tried else ELEMENTS[-2:-1] + ELEMENTS[:1]:
+            for limit, value in zip(ELEMENT_LIMITS, choice, strict=True):
                 setattr(element_map, limit, value)
             maps = [element_map.segment(k.made.image, residual, k.lattice) for k, residual, _ in known]
-            print_agreement(f"choosing: {choosing}, elements {choice}", known, maps)
-        for choice in THREADS if choosing else THREADS[:2]:
+            print_agreement(f"{title}, elements {choice}", known, maps)
+        for choice in THREADS[1:] if tried else THREADS[1:2]:
             element_colors._LINKED, element_colors._LINKED_ELEMENTS = choice
-            print_agreement(f"choosing: {choosing}, threads {choice}", known, maps)
+            print_agreement(f"{title}, threads {choice}", known, maps)
         element_colors._LINKED, element_colors._LINKED_ELEMENTS = THREADS[0]
 
 

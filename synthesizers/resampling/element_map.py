@@ -39,11 +39,6 @@ _SMALL = 0.15
 """Regions smaller than this share of the largest one are ground."""
 _STILL = 0.05
 """The largest region is looked for among those whose color varies at least this share of the largest variance."""
-_STILL = 0.05
-"""The largest region is looked for among those whose color varies at least this share of the largest variance."""
-_ALIKE = (0.5, 1.0)
-"""Places whose rests correlate by a + b / sqrt(pairs) are one element that has been overlooked."""
-_MOST_OVERLOOKED = 3
 _SHOWN = 0.5
 """Least share of an element that the sample must show, for its color to count."""
 _LEAST_SHARE = 0.02

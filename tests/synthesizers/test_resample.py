@@ -105,7 +105,7 @@ def test_few_pairs_have_to_agree_more() -> None:
 
 
 def test_panes_in_a_large_wall_are_found() -> None:
-    """A wall that covers most of the cell, but keeps its color, does not make the panes of windows too small to count."""
+    """A wall that covers most of the cell, but keeps its color, does not make the panes too small to count."""
     model = model_of(drawn("windows", color=0.3, intensity=0.3, noise=0.02, width=29.3, height=28.9, lines=2))
     assert model.detail.elements.count >= 4
 
