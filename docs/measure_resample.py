@@ -265,12 +265,11 @@ def compare_fields(k: Known) -> Iterator[tuple[float, float]]:
 
 def print_detail() -> None:
     """Print the energy score of details given colors, over that of details drawn regardless of colors."""
-    for choosing in (True, False):
-        scores = mean_of_textures(
-            (k.name, score) for k in draw_known(choosing) if (score := score_detail(k)) is not None
-        )
+    for choosing, jitter in ((True, 0.0), (True, 0.3), (False, 0.0), (False, 0.3)):
+        known = draw_known(choosing, jitter)
+        scores = mean_of_textures((k.name, score) for k in known if (score := score_detail(k)) is not None)
         for limit, score in zip(ALIKE, scores, strict=True):
-            print(f"choosing: {choosing}, {limit} sigma: {score:.4f}", flush=True)
+            print(f"choosing: {choosing}, jitter {jitter}, {limit} sigma: {score:.4f}", flush=True)
 
 
 def score_detail(k: Known) -> np.ndarray | None:
