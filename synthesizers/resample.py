@@ -18,17 +18,17 @@ from nrbench.plugins.registry import NamedDetector
 from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
 from .resampling.element_colors import ElementColors
 from .resampling.element_detail import ElementDetail
-from .resampling.element_map import map_grid, segment
+from .resampling.element_map import FEWEST, map_grid, segment
 from .sampling.equal_places import require_two_periods
 from .tile_set import TileSet
 
-FEWEST: Final = 6
-"""Whole instances of each element that the sample must show; with fewer, the method copies tiles."""
 MOST_VARIATION: Final = 4.0
 """Largest parameter ``variation``."""
 _EXPLAINED = 0.05
 """Least share of the residual's variance that the colors of elements explain; with less, elements are whole cells."""
-_CONTINUOUS = 0.65
+_BY_CHANCE = 5.0
+"""Pixels of noise whose variance one more color, and its gains, explain by chance."""
+_CONTINUOUS = 0.8
 """Coarse residuals are drawn as one field if they step less than this share of what independent elements would."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
@@ -50,7 +50,7 @@ class Resample:
     5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
        color are more likely. Where elements meet, rests are mixed so that their variance stays.
     6. Stains, prints and panes run on across the elements that are found. Where the coarse residual of the sample steps
-       at their borders by less than 0.65 of what the draws do, it is drawn as one field: the spot noise of the lattice,
+       at their borders by less than 0.8 of what the draws do, it is drawn as one field: the spot noise of the lattice,
        with the covariance of the sample. Where only the rest runs on, so is the coarse part of the rest.
 
     The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
@@ -79,7 +79,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6"
 
     def __post_init__(self) -> None:
         require_ranges(self, variation=(0, MOST_VARIATION))
@@ -148,26 +148,39 @@ class VariationModel:
             elements = segment(sample, residual, lattice, whole_cells)
             colors = ElementColors.fit(elements, residual)
             rest = residual - colors.render(colors.of_sample((height, width)), (height, width))
-            if rest.var() < (1 - _EXPLAINED) * residual.var():
+            fitted = sum(int(color.known.sum()) for color in colors.colors.values())
+            if rest.var() < (1 - _EXPLAINED - _BY_CHANCE * fitted / (height * width)) * residual.var():
                 break
         return cls(mean, colors, ElementDetail(elements, rest), whole_cells)._join(residual)
 
     def _join(self, residual: Values) -> VariationModel:
         """Return the model with a field, if the residual, or the detail, runs on across the borders of elements."""
-        elements, shape = self.detail.elements, residual.shape[:2]
         if min(map(len, self.detail.whole)) < FEWEST:
             return self
-        rng, twice = np.random.default_rng(0), (2 * shape[0], 2 * shape[1])
-        detail = self.detail.render(self.detail.draw(twice, rng), twice)
-        colors = self.colors.render(self.colors.draw(twice, rng), twice)
         threads = any(thread.turn != (0, 0) for thread in self.colors.threads)  # they are longer than a field's memory
-        for own, drawn, colored in ((residual, colors + detail, False), (self.detail.rest, detail, True)):
-            if threads and not colored:
-                continue
-            if measure_steps(own, elements) < _CONTINUOUS * measure_steps(drawn, elements):
-                rest = ElementDetail(elements, own - smooth_coarsely(own, elements))
-                return replace(self, detail=rest, field=CellField.fit(elements, own), colored=colored)
+        steps = self.compare_steps(residual)
+        for colored in (True,) if threads else (False, True):
+            if steps[colored] < _CONTINUOUS:
+                return self.with_field(residual, colored)
         return self
+
+    def compare_steps(self, residual: Values) -> dict[bool, float]:
+        """Return the steps at borders of elements, over those of independent elements: of residuals and of details.
+
+        The keys are False for the residuals, True for the details.
+        """
+        elements, shape, rng = self.detail.elements, residual.shape[:2], np.random.default_rng(0)
+        detail = self.detail.render(self.detail.draw(shape, rng), shape)
+        both = detail + self.colors.render(self.colors.draw(shape, rng), shape)
+        pairs = ((residual, both), (self.detail.rest, detail))
+        ratios = [measure_steps(own, elements) / measure_steps(drawn, elements) for own, drawn in pairs]
+        return dict(zip((False, True), ratios, strict=True))
+
+    def with_field(self, residual: Values, colored: bool) -> VariationModel:
+        """Return the model with a field of the residual; with ``colored``, of the detail."""
+        own = self.detail.rest if colored else residual
+        rest = ElementDetail(self.detail.elements, own - smooth_coarsely(own, self.detail.elements))
+        return replace(self, detail=rest, field=CellField.fit(self.detail.elements, own), colored=colored)
 
     def draw(self, task: Task, variation: float) -> Image:
         """Return a new texture of the task's shape, its departures from the mean tile times ``variation``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,10 +26,11 @@ _CORE = 0.95
 _ROUNDS = 3
 """Fits of colors, with a fit of gains between two of them."""
 _MOST_GAIN = 1.6
-_LINKED = 0.6
-"""Instances of an element whose colors correlate this much at a lag and at twice the lag are one thread."""
-_LINKED_ELEMENTS = 0.85
-"""Different elements whose colors correlate this much at a lag are one thread."""
+_LINKED = (0.3, 2.0)
+"""Instances of an element whose colors correlate at a lag and its multiples by a + b / sqrt(pairs) are one thread."""
+_LINKED_ELEMENTS = (0.5, 1.0)
+"""The same for different elements at one lag."""
+_MULTIPLES = (1, 2, 3, 4)
 _REACH = 2
 """Largest lag, in cells, at which colors are correlated."""
 _CHANCE = 2.5
@@ -70,22 +72,24 @@ class ElementThread:
 
 
 def link_threads(colors: Sequence[InstanceColors]) -> list[ElementThread]:
-    """Return the thread of each element. Elements whose colors agree at a lag of one cell at most are linked.
+    """Return the thread of each element. Elements whose colors agree at a lag are linked.
 
     The closest links come first. A thread that has a turn takes no further one. Detail hides a part of a thread's
-    correlation, at all lags alike. Stains fade with the lag, so that an element is compared at twice the lag as well.
+    correlation, at all lags alike. Stains fade with the lag, so that an element is compared at its multiples as well.
+    Few pairs agree by chance, so that they have to agree more.
     """
-    near = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-    links = [
-        (color.correlation(colors[b], lag)[0] - _LINKED_ELEMENTS, a, b, lag)
-        for a, color in enumerate(colors)
-        for b in range(a + 1, len(colors))
-        for lag in near
-    ]
+    reach = range(-_REACH, _REACH + 1)
+    links = []
     for a, color in enumerate(colors):
-        for i, j in (lag for lag in near if lag > (0, 0)):
-            found, pairs = zip(*(color.correlation(color, (n * i, n * j)) for n in (1, 2)), strict=True)
-            links.append((float(np.average(found, weights=np.add(pairs, 1e-9))) - _LINKED, a, a, (i, j)))
+        for lag in ((i, j) for i in reach for j in reach):
+            if lag > (0, 0) and math.gcd(*lag) == 1:
+                found = [color.correlation(color, (n * lag[0], n * lag[1])) for n in _MULTIPLES]
+                links.append((_excess(found, _LINKED), a, a, lag))
+            if max(map(abs, lag)) <= 1:
+                links += [
+                    (_excess([color.correlation(colors[b], lag)], _LINKED_ELEMENTS), a, b, lag)
+                    for b in range(a + 1, len(colors))
+                ]
     threads = [ElementThread(k) for k in range(len(colors))]
     for excess, a, b, lag in sorted(links, reverse=True):
         if excess < 0:
@@ -104,6 +108,12 @@ def link_threads(colors: Sequence[InstanceColors]) -> list[ElementThread]:
                 elif thread.first == one.first:
                     threads[k] = replace(thread, turn=turn)
     return threads
+
+
+def _excess(found: Sequence[tuple[float, int]], limit: tuple[float, float]) -> float:
+    """Return by how much the mean of some correlations of so many pairs each exceeds a limit."""
+    pairs = max(sum(count for _, count in found), 1)
+    return sum(r * count for r, count in found) / pairs - limit[0] - limit[1] / math.sqrt(pairs)
 
 
 @dataclass(frozen=True)

@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from nrbench.plugins.forms import Shape
 
-from .element_map import ElementMap, ElementShares, Lag, Numbers
+from .element_map import WHOLE, ElementMap, ElementShares, Lag, Numbers
 
 Colors = tuple[NDArray[np.float64], NDArray[np.float64]]
 
-_WHOLE = 0.97
-"""Share of an element that the sample shows if it shows the element whole."""
 _SOFTNESS = 1.0
 """px, standard deviation of the Gaussian that softens the borders between the details of elements."""
 _AROUND: tuple[Lag, ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
-_ALIKE = 0.8
+_ALIKE = 1.6
 """How far, in standard deviations, the color of a new element differs from that of the one whose detail it copies."""
 _REDRAWS = 20
 """Times that copies beside an equal one are drawn again."""
@@ -45,7 +43,7 @@ class ElementDetail:
     def whole(self) -> list[Numbers]:
         """The cells in which the sample shows each element whole, ``(n, 2)`` each."""
         corner = self.elements.cells(self.rest.shape[:2])[0, 0]
-        return [np.argwhere(c.shown >= _WHOLE) + corner for c in self.elements.mean_colors(self.rest)]
+        return [np.argwhere(c.shown >= WHOLE) + corner for c in self.elements.mean_colors(self.rest)]
 
     @cached_property
     def _shares(self) -> ElementShares:

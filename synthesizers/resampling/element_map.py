@@ -21,6 +21,10 @@ Lag = tuple[int, int]
 Pair = tuple[int, int, Lag]
 """Regions a and b and a lag in cells: b's instance of cell c + lag belongs to a's instance of cell c."""
 
+FEWEST = 6
+"""Whole instances of each element that the sample must show."""
+WHOLE = 0.97
+"""Share of an element that the sample shows if it shows the element whole."""
 GRID = 1.5
 """Places of the map per px."""
 _SAME = 0.7
@@ -33,6 +37,8 @@ _GROUND = 0.2
 """Regions whose color varies less than this share of the largest variance are ground between elements."""
 _SMALL = 0.15
 """Regions smaller than this share of the largest one are ground."""
+_STILL = 0.05
+"""The largest region is looked for among those whose color varies at least this share of the largest variance."""
 _SHOWN = 0.5
 """Least share of an element that the sample must show, for its color to count."""
 _LEAST_SHARE = 0.02
@@ -81,8 +87,8 @@ class InstanceColors:
 def _overlap(a: NDArray[Any], b: NDArray[Any], lag: Lag) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the parts of two arrays of cells that lie ``lag`` apart."""
     steps = list(zip(lag, a.shape, strict=False))
-    here = tuple(slice(max(0, -d), n - max(0, d)) for d, n in steps)
-    there = tuple(slice(max(0, d), n - max(0, -d)) for d, n in steps)
+    here = tuple(slice(max(0, -d), max(0, n - max(0, d))) for d, n in steps)
+    there = tuple(slice(max(0, d), max(0, n - max(0, -d))) for d, n in steps)
     return a[here], b[there]
 
 
@@ -201,8 +207,11 @@ def segment(sample: Values, residual: Values, lattice: Lattice, whole_cells: boo
     pixels, power = np.bincount(owner.ravel()), (sample.astype(float) ** 2).sum(-1)
     level = np.bincount(owner.ravel(), power.ravel()) / np.maximum(pixels, 1)
     energy = np.array([colors.energy() for colors in regions.mean_colors(residual)]) / (level + 1e-4)
-    large = size >= _SMALL * size.max()
-    return _without_ground(regions, ~large | (energy < _GROUND * energy[large].max()))
+    large = size >= _SMALL * size[energy >= _STILL * energy.max()].max()
+    elements = _without_ground(regions, ~large | (energy < _GROUND * energy[large].max()))
+    if whole_cells:
+        return elements
+    return _without_few(elements, residual.shape[:2])
 
 
 def _watersheds(sample: Values, lattice: Lattice) -> tuple[ElementMap, NDArray[np.float64]]:
@@ -250,6 +259,16 @@ def _without_ground(regions: ElementMap, ground: NDArray[np.bool_]) -> ElementMa
     rows, columns = nearest[:, v : 2 * v, u : 2 * u]
     offset = regions.offset[rows % v, columns % u] + np.stack([columns // u - 1, rows // v - 1], -1)
     return ElementMap(regions.lattice, _renumbered(regions.label[rows % v, columns % u]), offset)
+
+
+def _without_few(elements: ElementMap, shape: Shape) -> ElementMap:
+    """Return the map in which elements that the sample shows whole too seldom are given to the nearest other ones."""
+    while True:
+        shown = elements.mean_colors(np.zeros((*shape, 1)))
+        few = np.array([(element.shown >= WHOLE).sum() < FEWEST for element in shown])
+        if few.all() or not few.any():
+            return elements
+        elements = _without_ground(elements, few)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from nrbench.synthesizers.resample import Resample, VariationModel
 from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
 from nrbench.synthesizers.resampling.element_colors import draw_field, link_threads, match_distribution
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
-from nrbench.synthesizers.resampling.element_map import InstanceColors
+from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
 from nrbench.synthesizers.tile_set import TileSet
 
 
@@ -86,6 +86,42 @@ def chain(count: int, length: int, along: float, between: float, seed: int) -> l
     for i in range(1, count):
         values[:, i] = along * values[:, i - 1] + np.sqrt(1 - along**2) * values[:, i]
     return [InstanceColors(one, np.ones((count, length))) for one in values]
+
+
+def test_threads_are_linked_across_two_cells() -> None:
+    """In a twill a thread comes up again two cells on along one direction, which is farther than the nearest cells."""
+    model = model_of(drawn("weave", color=0.3, noise=0, warp=7.7, weft=7.1, gap=1.3, draft="twill"))
+    assert all(max(map(abs, thread.turn)) == 2 for thread in model.colors.threads)
+
+
+def test_few_pairs_have_to_agree_more() -> None:
+    """Colors that correlate by 0.6 at all lags are threads if 12 times 12 instances say so, and none if nine do."""
+    rng = np.random.default_rng(16)
+    shared, own = rng.standard_normal((12, 1, 3)), rng.standard_normal((12, 12, 3))
+    values = np.sqrt(0.6) * shared + np.sqrt(0.4) * own
+    many, few = (InstanceColors(values[:n, :n], np.ones((n, n))) for n in (12, 3))
+    assert [thread.turn for thread in link_threads([many])] == [(0, 1)]
+    assert [thread.turn for thread in link_threads([few])] == [(0, 0)]
+
+
+def test_panes_in_a_large_wall_are_found() -> None:
+    """A wall that covers most of the cell, but keeps its color, does not make the panes too small to count."""
+    model = model_of(drawn("windows", color=0.3, intensity=0.3, noise=0.02, width=29.3, height=28.9, lines=2))
+    assert model.detail.elements.count >= 4
+
+
+def test_elements_that_are_seldom_whole_join_their_neighbors() -> None:
+    """An element that a sample shows whole only four times joins the other one, which it shows six times."""
+    lattice = Lattice.from_basis(np.array([[12.0, 0], [0, 12.0]]), (-0.5, -0.5))
+    label = np.zeros((18, 18), np.int64)
+    label[6:, :3] = 1
+    elements = ElementMap(lattice, label, np.zeros((18, 18, 2), np.int64))
+    label[0] = 0
+    assert _without_few(elements, (120, 120)).count == 2
+    assert [int((c.shown >= 0.97).sum()) for c in elements.mean_colors(np.zeros((24, 38, 1)))] == [6, 8]
+    assert _without_few(elements, (24, 38)).count == 2
+    assert [int((c.shown >= 0.97).sum()) for c in elements.mean_colors(np.zeros((24, 34, 1)))] == [4, 6]
+    assert _without_few(elements, (24, 34)).count == 1
 
 
 def test_threads_are_linked_under_detail() -> None:
