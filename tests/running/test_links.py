@@ -73,6 +73,29 @@ def test_a_cell_with_a_link_is_computed_again(name: str, tmp_path: Path, secret:
     assert secret.read_text() == SECRET and not list(outside.iterdir())
 
 
+def test_a_link_in_place_of_the_prepared_folders_is_refused(tmp_path: Path, outside: Path) -> None:
+    """Nothing is removed where the link leads to: names with a dot there are no unfinished preparations."""
+    (outside / ".kept").mkdir()
+    (tmp_path / "run" / "cells").mkdir(parents=True)
+    put_link(tmp_path / "run" / "prepared", outside)
+    with pytest.raises(BadInput, match="prepared: is a link"):
+        run_one_cell(tmp_path / "run")
+    assert (outside / ".kept").is_dir()
+
+
+def test_a_log_with_another_name_elsewhere_is_not_cut(tmp_path: Path) -> None:
+    """A cell whose scores are missing writes a log of its own; a hard link is not written through."""
+    folder = run_one_cell(tmp_path / "run")
+    other = tmp_path / "long.txt"
+    other.write_bytes(b"kept\n" * (4 << 20))
+    (folder / "log.txt").unlink(missing_ok=True)
+    os.link(other, folder / "log.txt")
+    for score in (folder / "scores").glob("cost-*.json"):
+        score.unlink()
+    assert run_one_cell(tmp_path / "run") == folder
+    assert other.stat().st_size == 20 << 20 and load(tmp_path / "run").cells[0].status == "ok"
+
+
 def test_a_named_pipe_does_not_stop_a_reader(tmp_path: Path) -> None:
     """``status`` ends where a pipe stands for the result of a cell."""
     folder = run_one_cell(tmp_path / "run")
