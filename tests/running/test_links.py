@@ -13,7 +13,7 @@ from nrbench.api import load, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.runs.store import RunDirectory, is_result_part
-from nrbench.storage import find_strange, open_regular, read_json
+from nrbench.storage import find_strange, open_regular, read_json, write_json
 
 SECRET = "not of this run\n" * 100
 
@@ -163,3 +163,13 @@ def test_forged_entries_of_a_result_are_refused(part: dict[str, Any]) -> None:
     """An entry of a wrong type, an unknown status and a number without bounds make no result."""
     good = {"status": "ok", "message": "", "seconds": 1, "peak_mib": 2.5, "made": {"output.png": 7}}
     assert is_result_part(good) and not is_result_part({**good, **part})
+
+
+def test_no_control_characters_of_a_run_reach_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Escapes and marks of direction in the message of a cell of somebody else are not printed."""
+    folder = run_one_cell(tmp_path / "run")
+    content = read_json(folder / "result.json") or {}
+    write_json(folder / "result.json", {**content, "status": "error", "message": "a\x1b]52;c;aGk=\x07\u202eb"})
+    with pytest.raises(SystemExit):
+        main(["status", str(tmp_path / "run")])
+    assert "a]52;c;aGk=b" in capsys.readouterr().out
