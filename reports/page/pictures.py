@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
+import os
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -16,9 +17,9 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from nrbench.storage import read_arrays, write_bytes
+from nrbench.storage import open_regular, read_arrays, write_bytes
 
-from ..plots.marks import find_marks, worst_place
+from ..plots.marks import find_marks, read_pixels, worst_place
 
 SMALLEST, LARGEST = 192, 384
 """Widths on the page, px: smaller pictures are magnified, larger ones are reduced."""
@@ -100,7 +101,7 @@ class PictureStore:
     single_file: bool = False
     _files: set[str] = field(default_factory=set)
     _made: dict[tuple[object, ...], PagePicture | None] = field(default_factory=dict)
-    _pixels: Callable[[Path], Pixels] = field(default_factory=lambda: lru_cache(maxsize=8)(_read_pixels))
+    _pixels: Callable[[Path], Pixels] = field(default_factory=lambda: lru_cache(maxsize=8)(read_pixels))
 
     @_once
     def load(self, path: Path) -> PagePicture | None:
@@ -122,6 +123,7 @@ class PictureStore:
     @_once
     def source_map(self, source: Path) -> PagePicture | None:
         """Return the map of the sample's places that the pixels of an output come from, by color."""
+        os.close(open_regular(source))
         colors = _place_colors(np.asarray(read_arrays(source)["source"][..., :2], np.float32))
         return PagePicture(_webp(colors, _MAP_QUALITY), colors.shape[1], colors.shape[0])
 
@@ -167,11 +169,6 @@ class PictureStore:
         for file in folder.glob("*") if folder.is_dir() else ():
             if file.name not in self._files and file.suffix in (".webp", ".png"):
                 file.unlink(missing_ok=True)
-
-
-def _read_pixels(path: Path) -> Pixels:
-    with PIL.Image.open(path) as image:
-        return np.asarray(image.convert("RGB"))
 
 
 def _webp(pixels: Pixels, quality: int, effort: int = 0, lossless: bool = False) -> bytes:

@@ -20,7 +20,7 @@ from ..statistics.method_comparison import Comparison, ComparisonRow
 from ..statistics.summaries import Method
 from ..statistics.verdicts import MARKS, bound_sign, verdict
 from .figure_file import GRAY, INK, add_axes, make_figure, returns_file
-from .marks import DEFECTS, worst_place
+from .marks import DEFECTS, read_pixels, worst_place
 
 _INSET = 0.4
 """Side of an inset, as a share of the output's."""
@@ -98,9 +98,8 @@ def _record(row: ComparisonRow, place: int, replicate: int) -> CellRecord | None
 
 def _read(path: Path) -> Pixels | None:
     try:
-        with PIL.Image.open(path) as image:
-            return np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError, PIL.Image.DecompressionBombError):
+        return read_pixels(path)
+    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError):
         return None
 
 

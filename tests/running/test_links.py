@@ -12,6 +12,8 @@ import pytest
 from nrbench.api import load, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
+from nrbench.reports.page.pictures import PictureStore
+from nrbench.reports.plots.marks import read_pixels
 from nrbench.runs.store import RunDirectory, is_result_part
 from nrbench.storage import find_strange, open_regular, read_json, write_json
 
@@ -173,3 +175,27 @@ def test_no_control_characters_of_a_run_reach_the_terminal(tmp_path: Path, capsy
     with pytest.raises(SystemExit):
         main(["status", str(tmp_path / "run")])
     assert "a]52;c;aGk=b" in capsys.readouterr().out
+
+
+def test_reports_show_no_picture_that_a_link_leads_to(tmp_path: Path) -> None:
+    """The sample of a cell is no link to a private picture, nor a pipe that never ends."""
+    folder = run_one_cell(tmp_path / "run")
+    before, other = read_pixels(folder / "sample.png"), tmp_path / "private.png"
+    (folder / "sample.png").rename(other)
+    (folder / "sample.png").symlink_to(other)
+    os.mkfifo(folder / "pipe.png")
+    for name in ("sample.png", "pipe.png"):
+        with pytest.raises(BadInput, match="no regular file"):
+            read_pixels(folder / name)
+    assert before.shape[2] == 3 and PictureStore(tmp_path).load(folder / "sample.png") is None
+
+
+def test_a_name_of_a_megabyte_is_no_cell(tmp_path: Path) -> None:
+    """Tables are not laid out for names that no suite has."""
+    folder = run_one_cell(tmp_path / "run")
+    content = read_json(tmp_path / "run" / "run.json") or {}
+    content["cells"][0]["label"] = "L" * 1_000_000
+    write_json(tmp_path / "run" / "run.json", content)
+    with pytest.raises(BadInput, match=r"run\.json is damaged"):
+        _ = load(tmp_path / "run").cells
+    assert folder.is_dir()
