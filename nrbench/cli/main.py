@@ -124,7 +124,7 @@ def _run_verb(verb: str, callback: Callable[..., Any], *arguments: Any, **option
         return callback(*arguments, **options)
 
 
-class _Plain:
+class _TerminalText:
     """Standard output without control characters, which names, messages and logs of strangers may hold.
 
     Parameters
@@ -161,7 +161,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         if any("\0" in word for word in words):
             raise click.UsageError("an argument holds a zero byte, which no name has")
-        with warnings.catch_warnings(), contextlib.redirect_stdout(cast("TextIO", _Plain(sys.stdout))):
+        with warnings.catch_warnings(), contextlib.redirect_stdout(cast("TextIO", _TerminalText(sys.stdout))):
             warnings.showwarning = _print_warning
             code = nrbench.main(args=words, prog_name="nrbench", standalone_mode=False)
     except (KeyboardInterrupt, click.Abort):
