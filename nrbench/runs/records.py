@@ -302,8 +302,8 @@ class Run:
         """
         import pandas as pd
 
-        rows = [_row(record, self.columns) for record in self.cells]
-        return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
+        rows = [tuple(_row(record, self.columns).values()) for record in self.cells]
+        return pd.DataFrame(rows, columns=[*HEAD, *self.columns])
 
     def comparison(self) -> pd.DataFrame:
         """Return textures by methods: the verdict and the quality of each method on each texture.
