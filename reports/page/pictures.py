@@ -6,6 +6,7 @@ import base64
 import hashlib
 import io
 import os
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -36,7 +37,7 @@ _CORNERS = np.array([[[0, 114, 178], [0, 158, 115]], [[213, 94, 0], [240, 228, 6
 """Colors of the corners of the sample in a source map, from the palette of Okabe and Ito."""
 _UNREADABLE = (
     *(OSError, SyntaxError, ValueError, EOFError, KeyError, PIL.Image.DecompressionBombError),
-    *(zipfile.BadZipFile, zlib.error),
+    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
 )
 
 Pixels = NDArray[np.uint8]
