@@ -4,23 +4,27 @@ Each part runs `nrbench run` in processes of its own, disturbs it, resumes it, a
 those of an undisturbed run. It prints figures, and ends with exit code 1 if one is not as it must be.
 
 - kills: SIGKILL at random instants, `--kills` times; the cells that were done must not be done again.
-- cells: `--cells` trivial cells; the memory of the coordinator must not grow with the cells that are done.
+- cells: `--cells` trivial cells; the coordinator may hold 400 MiB; resuming and each report may take 60 s.
 - disk: a disk that is full in the middle of a run (needs root, for a small file system in memory).
 - runners: two runs in one directory at the same time.
 - copy: a run directory of which only a part was copied, some files only in part.
 - clock: a clock that jumps by up to a day at each reading, in every process.
 - strangers: an installed package whose plugins misbehave at their import or in their class: unused, then named.
 - orphans: methods that leave processes of other sessions without an environment, and kill their worker.
+- links: links, pipes and devices in every place of a run directory; nothing outside it may change, nothing may hang.
+- messages: forged replies, results, cells, scores, labels and ``run.json``; only what was forged is computed again.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
+import json
 import os
 import random
 import shutil
-import statistics
+import socket
 import subprocess
 import sys
 import tempfile
@@ -28,11 +32,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import psutil
 from trivial_cells import write_plugin, write_suite
 
 from nrbench import plugins
+from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 
 SUITE = """name = "soak"
@@ -45,6 +51,7 @@ replicates = {replicates}
 texture = [{{ name = "wall", dataset = "brick", parameters = {{ color = 0.2 }} }},
            {{ name = "web", dataset = "weave", parameters = {{ noise = 0.05 }} }}]
 """
+QUIET: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 JUMPS = """import random, time
 _time, _random = time.time, random.Random(0)
 time.time = lambda: _time() + _random.uniform(-86400, 86400)
@@ -107,9 +114,12 @@ class Soak:
             found[record.key] = (record.status, file.read_bytes() if file.is_file() else b"", values)
         return found
 
-    def compare(self, what: str, out: str | Path) -> str:
-        """Return in words whether a run has the tables of the undisturbed one; note it if not."""
-        same = self.content(out) == self.content("whole")
+    def compare(self, what: str, out: str | Path, other: str = "whole") -> str:
+        """Return in words whether a run has the tables of an undisturbed one; note it if not."""
+        try:
+            same = self.content(out) == self.content(other)
+        except (OSError, BadInput):
+            same = False
         self.check(same, f"{what}: the tables differ")
         return "tables identical" if same else "TABLES DIFFER"
 
@@ -157,33 +167,33 @@ def kills(soak: Soak, count: int, cells: int) -> None:
     soak.check(strays == 0, f"kills: {strays} processes were left")
     print(
         f"kills: {hit} SIGKILLs in {runs} runs of {len(soak.content('whole'))} cells: {redone} finished cells done "
-        f"again; at most {max(unfinished)} cells begun at an instant ({statistics.mean(unfinished):.1f} in the mean; "
+        f"again; at most {max(unfinished)} cells begun at an instant; "
         f"{soak.jobs} run, as many wait); {strays} processes left after 20 s; {state}"
     )
 
 
+def timed(soak: Soak, command: list[str]) -> tuple[float, float, int]:
+    """Run a command; return its wall seconds, the processor seconds and the most MiB of its first process."""
+    start, process, cpu, peak = time.monotonic(), psutil.Popen(command, cwd=soak.place, **QUIET), 0.0, 0
+    while process.poll() is None:
+        with contextlib.suppress(psutil.Error):
+            cpu, peak = sum(process.cpu_times()[:2]), max(peak, process.memory_info().rss >> 20)
+        time.sleep(0.05)
+    soak.check(process.returncode == 0, f"cells: exit code {process.returncode} of {command[5:7]}")
+    return time.monotonic() - start, cpu, peak
+
+
 def cells(soak: Soak, count: int, number: int) -> None:
-    """Run trivial cells, and watch the memory of the coordinator."""
+    """Run trivial cells, resume the run and write its reports; watch the memory of the coordinator and the time."""
     write_suite(soak.place, number)
     command = soak.command("many", suite="many.toml")
-    running = subprocess.Popen(command, cwd=soak.place, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    process, start, memory, marks = psutil.Process(running.pid), 0.0, [], []
-    assert running.stderr is not None
-    for line in running.stderr:
-        done = int(line[1:].partition("/")[0]) if line.startswith("[") else 0
-        start = start or time.monotonic()
-        if done and done % max(1, number // 20) == 0:
-            memory.append(process.memory_info().rss / 2**20)
-            marks.append((done, time.monotonic() - start))
-    code = running.wait()
-    early, late = statistics.median(memory[1:4]), statistics.median(memory[-3:])
-    rate = 1000 * soak.jobs * (marks[-1][1] - marks[0][1]) / (marks[-1][0] - marks[0][0])
-    soak.check(code == 0, f"cells: exit code {code}")
-    soak.check(late - early < 0.02 * early + 8, f"cells: the coordinator grew from {early:.0f} to {late:.0f} MiB")
-    print(
-        f"cells: {number} trivial cells, {soak.jobs} at a time: {rate:.1f} ms of a worker each, all included; the "
-        f"coordinator has {early:.0f} MiB after {100 * marks[2][0] // number} % and {late:.0f} MiB at the end"
-    )
+    report = [*command[: command.index("run")], "report", str(soak.place / "many"), "--format"]
+    verbs = {"run": command, "resume": command, "report csv": [*report, "csv"], "report html": [*report, "html"]}
+    for what, words in verbs.items():
+        seconds, cpu, peak = timed(soak, words)
+        soak.check(peak < 400 or what.startswith("report"), f"cells: {what} took {peak} MiB")
+        soak.check(seconds < 60 or what == "run", f"cells: {what} took {seconds:.0f} s")
+        print(f"cells: {number} trivial cells, {what}: {seconds:.0f} s, {cpu:.0f} s of a processor, {peak} MiB")
 
 
 def disk(soak: Soak, count: int, number: int) -> None:
@@ -336,8 +346,148 @@ def orphans(soak: Soak, count: int, number: int) -> None:
         marks.unlink()
 
 
+VERBS = """import json, sys
+from nrbench.cli.main import main
+for words in json.loads(sys.argv[1]):
+    sys.stderr.write(f"\\0{words[0]}\\0")
+    try:
+        main(["--plugin", sys.argv[2], *words])
+    except SystemExit as left:
+        sys.stderr.write(f"\\0{left.code}")
+"""
+
+
+def use(soak: Soak, what: str, root: Path, at: str) -> None:
+    """Use a run by four verbs; check that each ends with 0 or 1, or with 2 and the path ``at``, but no internal error.
+
+    The last verb is a run that resumes.
+    """
+    suite = [str(soak.place / "suite.toml"), "--replicates", "1", "--no-report", "--jobs", "2"]
+    shutil.rmtree(soak.place / "reused", ignore_errors=True)
+    reuse = ["run", *suite, "--out", str(soak.place / "reused"), "--reuse", str(root)]
+    report = ["report", str(root), "--format", "html,csv,text"]
+    verbs = [["status", str(root)], report, reuse, ["run", *suite, "--out", str(root), "--retry-failed"]]
+    command = [sys.executable, "-c", VERBS, json.dumps(verbs), str(soak.place / "trivial.py")]
+    with (soak.place / "said").open("w+", errors="replace") as said, contextlib.suppress(subprocess.TimeoutExpired):
+        subprocess.run(command, cwd=soak.place, stdout=said, stderr=said, timeout=300, check=False)
+    ends = (soak.place / "said").read_text(errors="replace").split("\0")[1:]
+    soak.check(len(ends) == 3 * len(verbs), f"{what}: hangs, or ended early, in {ends[-2:-1]}")
+    for verb, text, code in zip(ends[::3], ends[1::3], ends[2::3], strict=False):
+        fine = code[:1] in "01" or at in text
+        soak.check(fine and "internal error" not in text and "Traceback" not in text, f"{what}, {verb}: {text[-300:]}")
+        escaped = any(mark in text for mark in ("\x1b]", "\x1b[31m", "\u202e"))
+        soak.check(not escaped, f"{what}, {verb}: control characters on the terminal")
+
+
+def links(soak: Soak, count: int, number: int) -> None:
+    """Plant links, pipes and devices in a run, in the place of each of its files and folders, and use it."""
+    code, line = soak.finish("plain", "--replicates", "1")
+    soak.check(code == 0, f"links: exit code {code}: {line}")
+    outside = soak.place / "outside"
+    (outside / "inner").mkdir(parents=True)
+    for file in (outside / "log.txt", outside / "inner" / "a.txt"):
+        file.write_bytes(b"not of this run\n" * (5 << 18))  # longer than the longest log
+    before = {path: path.lstat() for path in sorted(outside.rglob("*"))}
+    kinds: dict[str, Callable[[Path], object]] = {
+        "link": lambda path: path.symlink_to(outside / "log.txt"),
+        "folder": lambda path: path.symlink_to(outside),
+        "nowhere": lambda path: path.symlink_to(outside / "new"),
+        "device": lambda path: path.symlink_to("/dev/zero"),
+        "pipe": os.mkfifo,
+        "hard": lambda path: os.link(outside / "log.txt", path),
+        "socket": lambda path: socket.socket(socket.AF_UNIX).bind(os.path.relpath(path)),
+    }
+    cells = sorted(path.name for path in (soak.place / "plain" / "cells").iterdir())
+    names = ("", "cell.json", "result.json", "log.txt", "output.png", "sample.png", "source.npz", "scores", "extras")
+    score = next((soak.place / "plain" / "cells" / cells[0] / "scores").glob("cost-*.json")).name
+    inner = list(itertools.product((*names, f"scores/{score}", f".{score}"), kinds))
+    tops = (".lock", "run.json", "tables", "tables/cells.csv", "report", "cells", "lattices", "labels", "prepared")
+    starts = range(0, len(inner), len(cells))
+    batches = [[(f"cells/{cell}/{name}", kind) for cell, (name, kind) in zip(cells, inner[k:])] for k in starts]  # noqa: B905
+    for batch in [*batches, *([pair] for pair in itertools.product(tops, kinds))]:
+        shutil.rmtree(soak.place / "planted", ignore_errors=True)
+        shutil.copytree(soak.place / "plain", soak.place / "planted")
+        for name, kind in batch:
+            path = soak.place / "planted" / name
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+            with contextlib.chdir(path.parent):
+                kinds[kind](Path(path.name))
+        what = "links: " + ", ".join(f"{kind} {name}" for name, kind in batch)
+        use(soak, what, soak.place / "planted", str(soak.place / "planted"))
+        after = {path: path.lstat() for path in sorted(outside.rglob("*"))}
+        same = [(one.st_size, one.st_mtime_ns, one.st_mode) for one in before.values()]
+        kept = [(one.st_size, one.st_mtime_ns, one.st_mode) for one in after.values()]
+        soak.check(list(before) == list(after) and same == kept, f"{what}: files outside have changed")
+        if len(batch) > 1:
+            soak.compare(what, "planted", "plain")
+    print(f"links: {len(inner)} planted in cells, {len(tops) * len(kinds)} beside them: {len(soak.wrong)} wrong")
+
+
+REPLY = """for handle in range(3, 30):
+            for text in ('{"status": "banana"}', '{"status": "ok", "message": "", "seconds": "abc"}', '[' * 99999,
+                         '{"status": "ok", "message": "", "made": {"../../../run.json": 1}, "lattice_used": 5}',
+                         '{"scored": 5}', '{"finished": {}, "status": "ok", "message": ""}', '{"held": "x"}',
+                         '{"status": "ok", "message": "", "peak_mib": 1' + '0' * 400 + '}', chr(27) + ']52;c;aGk=')[
+                         self.number:self.number + 1]:
+                try:
+                    os.write(handle, (text + chr(10)).encode())
+                except OSError:
+                    pass
+        os._exit(0)"""
+VALUES = (
+    "banana",
+    10**400,
+    float("nan"),
+    -1e308,
+    None,
+    [5],
+    {"t1": [float("inf"), 0]},
+    "\x1b]52;c;aGk=\x07\u202e" * 9999,
+)
+
+
+def forge(content: object, rng: random.Random) -> object:
+    """Return the content of a JSON file with one entry at any depth replaced."""
+    if isinstance(content, dict | list) and content and rng.random() < 0.8:
+        copy = dict(content) if isinstance(content, dict) else list(content)
+        key = rng.choice(list(copy)) if isinstance(copy, dict) else rng.randrange(len(copy))
+        copy[key] = forge(copy[key], rng)  # type: ignore[index]
+        return copy
+    return rng.choice(VALUES)
+
+
+def messages(soak: Soak, count: int, number: int) -> None:
+    """Forge the files of cells and of the run, and use the run; then let methods forge what their child sends."""
+    rng, forged = random.Random(0), 0
+    soak.finish("clean", "--replicates", "1")
+    for each in range(max(1, count)):
+        shutil.rmtree(soak.place / "forged", ignore_errors=True)
+        shutil.copytree(soak.place / "clean", soak.place / "forged")
+        for cell in (soak.place / "forged" / "cells").iterdir():
+            path = rng.choice(sorted(cell.rglob("*.json")))
+            text = json.dumps(forge(json.loads(path.read_text()), rng))
+            path.write_text(rng.choice([text] * 9 + ["[" * 99999, text[: len(text) // 2], '{"a": 1e999}']))
+            forged += 1
+        if rng.random() < 0.3:
+            path = soak.place / "forged" / "run.json"
+            path.write_text(json.dumps(forge(json.loads(path.read_text()), rng)))
+        use(soak, f"messages, round {each}", soak.place / "forged", str(soak.place / "forged"))
+    place = soak.place / "forger.py"
+    place.write_text(CLASS.format(before="", inside="name: ClassVar = 'forger'", deed=REPLY))
+    methods = [word for each in range(9) for word in ("-m", f"forger:number={each}")]
+    for forks in ("yes", "no"):
+        words = ("--plugin", str(place), "-t", "wall", "--replicates", "1", "-m", "tiling", *methods)
+        code, line = soak.finish(f"forger-{forks}", *words, NRBENCH_FORK=forks)
+        ends = [record.status for record in Run(soak.place / f"forger-{forks}").cells]
+        soak.check(
+            code == 1 and ends.count("ok") == 1 and len(ends) == 10, f"messages: exit code {code}, {line}: {ends}"
+        )
+        print(f"messages, forks: {forks}: {ends}")
+    print(f"messages: {forged} forged files of cells: {len(soak.wrong)} wrong")
+
+
 PARTS: dict[str, Callable[[Soak, int, int], None]] = {
-    each.__name__: each for each in (kills, cells, disk, runners, copy, clock, strangers, orphans)
+    each.__name__: each for each in (kills, cells, disk, runners, copy, clock, strangers, orphans, links, messages)
 }
 
 

@@ -55,7 +55,8 @@ def checker(who: str) -> Callable[[bool, str], None]:
 
 
 _CONTROL = re.compile(
-    r"\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)|[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]"
+    r"\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)"
+    r"|[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]"
 )
 _CALLERS = [Path(__file__).parent / folder for folder in ("running", "suites", "plugins", "authoring", "bending")]
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS) if sys.platform != "win32" else (errno.ENOSPC,)

@@ -161,18 +161,16 @@ def comparison_table(comparison: Comparison) -> pd.DataFrame:
     Without a quality, ``regularity.score`` takes its place, in columns named ``score``.
     """
     score = "quality" if comparison.score == QUALITY else "score"
-    table = pd.DataFrame(
-        [[row.texture, row.family, row.kind, row.regular_share] for row in comparison.rows],
-        columns=["texture", "family", "kind", "regular_share"],
-    )
+    names = ("texture", "family", "kind", "regular_share")
+    columns: dict[str, Any] = {name: [getattr(row, name) for row in comparison.rows] for name in names}
     parts = {"verdict": "verdict", "score": score, "upper_bound": "upper_bound", "baseline_valid": "reference_right"}
     for i, method in enumerate(comparison.methods):
         entries = [row.entries[i] for row in comparison.rows]
         for part, name in parts.items():
             values = [getattr(entry, part) if entry else None for entry in entries]
             if part in ("verdict", "score") or any(value is not None for value in values):
-                table[f"{method.label} {name}"] = pd.Series(values, table.index, dtype=object)
-    return table
+                columns[f"{method.label} {name}"] = pd.Series(values, dtype=object)
+    return pd.DataFrame(columns)
 
 
 def summary_table(comparison: Comparison) -> pd.DataFrame:

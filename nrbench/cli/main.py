@@ -12,7 +12,7 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, TextIO, cast
 
 import click
 
@@ -124,6 +124,28 @@ def _run_verb(verb: str, callback: Callable[..., Any], *arguments: Any, **option
         return callback(*arguments, **options)
 
 
+class _TerminalText:
+    """Standard output without control characters, which names, messages and logs of strangers may hold.
+
+    Parameters
+    ----------
+    stream
+        Where the text goes.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write text without what would control a terminal."""
+        from nrbench.errors import strip_control
+
+        return self._stream.write(strip_control(text))
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit.
 
@@ -139,7 +161,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         if any("\0" in word for word in words):
             raise click.UsageError("an argument holds a zero byte, which no name has")
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), contextlib.redirect_stdout(cast("TextIO", _TerminalText(sys.stdout))):
             warnings.showwarning = _print_warning
             code = nrbench.main(args=words, prog_name="nrbench", standalone_mode=False)
     except (KeyboardInterrupt, click.Abort):

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from nrbench.errors import strip_control
+
 PATIENCE = 2.0
 """Delay before the first message of progress, s."""
 PAUSE = 5.0
@@ -35,7 +37,7 @@ def live_progress(estimate: bool = True, patience: bool = False) -> Iterator[Cal
 
         def print_line(done: int, total: int, what: str) -> None:
             if not patience or time.monotonic() - start > PATIENCE:
-                print(f"[{done}/{total}] {what}", file=sys.stderr, flush=True)
+                print(f"[{done}/{total}] {strip_control(what)}", file=sys.stderr, flush=True)
 
         yield print_line
         return

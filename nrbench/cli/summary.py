@@ -113,8 +113,9 @@ def write_reports(
 
     made_by = run.info.get("results_version")
     if made_by != RESULTS_VERSION:
+        shown = strip_control(str(made_by))
         print(
-            f"nrbench: {run.root} was made by results version {made_by}, and this nrbench has {RESULTS_VERSION}: its "
+            f"nrbench: {run.root} was made by results version {shown}, and this nrbench has {RESULTS_VERSION}: its "
             "scores are left out; run the same command again, or use the nrbench that made it",
             file=sys.stderr,
         )
@@ -194,7 +195,7 @@ def print_summary(run: Run, written: list[Path], as_json: bool, columns: Sequenc
         print(f"report: {page.resolve()}" if page else f"tables: {(run.root / 'tables').resolve()}")
     failed = failures(run.cells) + unfinished(run)
     for line in failed:
-        print(f"nrbench: {line}", file=sys.stderr)
+        print(f"nrbench: {strip_control(line)}", file=sys.stderr)
     return bool(failed or broken)
 
 
@@ -219,7 +220,7 @@ def _print_terminal_reports(run: Run, columns: Sequence[str]) -> bool:
                 print(text, end="")
             except (BadInput, RuntimeError) as error:
                 broken = True
-                print(f"nrbench: report {plugin.name} failed: {error}", file=sys.stderr)
+                print(f"nrbench: report {plugin.name} failed: {strip_control(str(error))}", file=sys.stderr)
     return broken
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import itertools
 import json
+import stat
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -25,7 +27,7 @@ from nrbench.running.supervisor import print_notice
 from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
-from nrbench.storage import make_folder, remove, remove_folder, write_json, write_text
+from nrbench.storage import NO_LINK, make_folder, remove, remove_folder, write_json, write_text
 from nrbench.suites.cell import Cell, reader_of
 from nrbench.suites.plan import Plan, PlannedSample
 
@@ -154,14 +156,21 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     directory.claim()
     with directory.locked():
         directory.write_info(plan, options.argv, metrics)
-        for unfinished in (root / "prepared").glob(".*"):  # a preparation was killed
-            remove_folder(unfinished)
+        _remove_unfinished(root / "prepared")
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
         with executor(options.jobs, options.scheduler, options.worker_wait, options.tell) as pool:
             runner = _Runner(directory, options, metrics, pool)
             runner.run(runner.with_detected_lattices(plan.cells), progress)
     return Run(root)
+
+
+def _remove_unfinished(prepared: Path) -> None:
+    """Remove what is left of preparations that were killed; raise BadInput if the folder is a link."""
+    if prepared.is_symlink():
+        raise BadInput(f"{prepared}: {NO_LINK}")
+    for unfinished in prepared.glob(".*"):
+        remove_folder(unfinished)
 
 
 @dataclass(frozen=True)
@@ -311,9 +320,19 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
     return dataclasses.replace(cell, fault=f"{cell.lattice_source}: no lattice: {why}", fault_status="refused")
 
 
+def _detach_log(log: Path) -> None:
+    """Remove a log that is a folder, or also has a name elsewhere: it would be written to, and be cut there, too."""
+    with contextlib.suppress(FileNotFoundError):
+        if not stat.S_ISREG(log.lstat().st_mode):
+            remove_folder(log)
+        elif log.lstat().st_nlink > 1:
+            log.unlink()
+
+
 def _prepare(where: CellFolder, cell: Cell, sample: PlannedSample) -> None:
     """Write the files that a cell's child processes read. What is there may be damaged."""
     make_folder(where.path)
+    _detach_log(where.log)
     if sample.size is not None:
         write_image(where.sample, sample.image())
     again = sample.again() if cell.reference else None

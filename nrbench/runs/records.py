@@ -17,7 +17,7 @@ from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column, Value
 from nrbench.runs.store import RUN_FILE, CellFolder, Result, RunDirectory
 from nrbench.storage import NO_LINK, find_strange, read_json, write_bytes
-from nrbench.suites.cell import Cell
+from nrbench.suites.cell import Cell, Recipe
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,6 +28,8 @@ HEAD = (
     *("reference", "status", "phase", "message", "note", "seconds", "peak_mib", "key"),
 )
 """The table's columns before the scores."""
+LONGEST_NAME = 2000
+"""Most characters of the name of a texture, of a method with its parameters, and of the source of a lattice."""
 
 
 _SHOWN = ("quality", "quality.regularity", "quality.integrity", "quality.randomness", "quality.appearance", "seconds")
@@ -222,7 +224,11 @@ class Run:
     @cached_property
     def info(self) -> dict[str, Any]:
         """The content of ``run.json``: suite, argv, versions, machine, git state, the cells."""
-        return RunDirectory(self.root).info()
+        info = RunDirectory(self.root).info()
+        known: dict[str, Any] = {}  # equal values are kept once: most cells of a run have the same
+        for entry in info["cells"]:
+            entry.update({name: known.setdefault(repr(value), value) for name, value in entry.items()})
+        return info
 
     @property
     def seed_text(self) -> str:
@@ -246,8 +252,8 @@ class Run:
     def cells(self) -> list[CellRecord]:
         """Every cell of the run, in the suite's order, including cells that have not ended."""
         directory = RunDirectory(self.root)
-        metrics = [plugin.name for plugin in self._metrics]
-        return [_record(directory.cell(entry["key"]), entry, metrics) for entry in self.info["cells"]]
+        metrics, recipes = [plugin.name for plugin in self._metrics], dict[int, Recipe]()
+        return [_record(directory.cell(entry["key"]), entry, metrics, recipes) for entry in self.info["cells"]]
 
     def ends(self) -> list[CellRecord]:
         """Return every cell with how it ended, but without its scores. No metric is imported.
@@ -262,7 +268,8 @@ class Run:
         directory, keys = RunDirectory(self.root), self.info.get("metrics")
         if not isinstance(keys, dict) or any(Path(str(key)).name != key for key in keys.values()):
             return self.cells  # an earlier nrbench wrote the run, or the file is damaged
-        return [_end(directory.cell(entry["key"]), entry, keys) for entry in self.info["cells"]]
+        recipes: dict[int, Recipe] = {}
+        return [_end(directory.cell(entry["key"]), entry, keys, recipes) for entry in self.info["cells"]]
 
     def shared(self, make: Callable[..., T], *arguments: Hashable) -> T:
         """Return ``make(self, *arguments)``, computed at the first call and kept for all reports of this run.
@@ -295,8 +302,8 @@ class Run:
         """
         import pandas as pd
 
-        rows = [_row(record, self.columns) for record in self.cells]
-        return pd.DataFrame(rows, columns=list(rows[0]) if rows else [*HEAD, *self.columns])
+        rows = [tuple(_row(record, self.columns).values()) for record in self.cells]
+        return pd.DataFrame(rows, columns=[*HEAD, *self.columns])
 
     def comparison(self) -> pd.DataFrame:
         """Return textures by methods: the verdict and the quality of each method on each texture.
@@ -361,12 +368,20 @@ class Run:
         return f"<p>{html.escape(title)}</p>{parts[0]}<p>{legend}</p>{parts[1]}"
 
 
-def _read_cell(where: CellFolder, entry: Mapping[str, Any]) -> Cell:
-    """Return a cell of ``run.json``, with the lattice that was found for it after the plan was made."""
+def _read_cell(where: CellFolder, entry: Mapping[str, Any], known: dict[int, Recipe]) -> Cell:
+    """Return a cell of ``run.json``, with the lattice that was found for it after the plan was made.
+
+    Cells of one sample share its recipe: ``known`` has those that were read.
+    """
     started = read_json(where.cell_file) or entry
     for found in (started, entry):
-        with contextlib.suppress(AttributeError, TypeError, ValueError):
-            return Cell.from_dict({**entry, **{name: found.get(name) for name in ("lattice_given", "detected")}})
+        with contextlib.suppress(AttributeError, KeyError, TypeError, ValueError):
+            place = id(entry["recipe"])
+            recipe = known[place] = known.get(place) or Recipe.from_dict(entry["recipe"])
+            lattices = {name: found.get(name) for name in ("lattice_given", "detected")}
+            cell = Cell.from_dict({**entry, "recipe": recipe, **lattices})
+            if max(map(len, (cell.label, cell.texture, cell.lattice_source))) <= LONGEST_NAME:
+                return cell
     raise BadInput(f"{where.path.parents[1]}: {RUN_FILE} is damaged; run the same command again")
 
 
@@ -376,8 +391,8 @@ def _missing_result(where: CellFolder) -> Result:
     return Result(status="invalid", message=f"{strange}: {NO_LINK}") if strange else Result()
 
 
-def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str]) -> CellRecord:
-    cell = _read_cell(where, entry)
+def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str], recipes: dict[int, Recipe]) -> CellRecord:
+    cell = _read_cell(where, entry, recipes)
     result = where.result() or _missing_result(where)
     scores = {metric: where.score(metric) for metric in metrics} if result.get("status") == "ok" else {}
     return CellRecord(
@@ -395,11 +410,13 @@ def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str]) -> 
     )
 
 
-def _end(where: CellFolder, entry: Mapping[str, Any], keys: Mapping[str, str]) -> CellRecord:
+def _end(
+    where: CellFolder, entry: Mapping[str, Any], keys: Mapping[str, str], recipes: dict[int, Recipe]
+) -> CellRecord:
     result = where.result() or _missing_result(where)
     failed = {metric: where.failure(key) for metric, key in keys.items()} if result.get("status") == "ok" else {}
     reasons = {metric: why for metric, why in failed.items() if why}
-    return CellRecord(_read_cell(where, entry), where.path, result, reasons=reasons)
+    return CellRecord(_read_cell(where, entry, recipes), where.path, result, reasons=reasons)
 
 
 def _row(record: CellRecord, columns: Mapping[str, Column]) -> dict[str, Any]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
+import os
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -16,9 +18,9 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from nrbench.storage import open_file, read_arrays, read_bytes, write_bytes
+from nrbench.storage import open_regular, read_arrays, read_bytes, write_bytes
 
-from ..plots.marks import find_marks, worst_place
+from ..plots.marks import find_marks, read_pixels, worst_place
 
 SMALLEST, LARGEST = 192, 384
 """Widths on the page, px: smaller pictures are magnified, larger ones are reduced."""
@@ -35,7 +37,7 @@ _CORNERS = np.array([[[0, 114, 178], [0, 158, 115]], [[213, 94, 0], [240, 228, 6
 """Colors of the corners of the sample in a source map, from the palette of Okabe and Ito."""
 _UNREADABLE = (
     *(OSError, SyntaxError, ValueError, EOFError, KeyError, PIL.Image.DecompressionBombError),
-    *(zipfile.BadZipFile, zlib.error),
+    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
 )
 
 Pixels = NDArray[np.uint8]
@@ -100,7 +102,7 @@ class PictureStore:
     single_file: bool = False
     _files: set[str] = field(default_factory=set)
     _made: dict[tuple[object, ...], PagePicture | None] = field(default_factory=dict)
-    _pixels: Callable[[Path], Pixels] = field(default_factory=lambda: lru_cache(maxsize=8)(_read_pixels))
+    _pixels: Callable[[Path], Pixels] = field(default_factory=lambda: lru_cache(maxsize=8)(read_pixels))
 
     @_once
     def load(self, path: Path) -> PagePicture | None:
@@ -122,6 +124,7 @@ class PictureStore:
     @_once
     def source_map(self, source: Path) -> PagePicture | None:
         """Return the map of the sample's places that the pixels of an output come from, by color."""
+        os.close(open_regular(source))
         colors = _place_colors(np.asarray(read_arrays(source)["source"][..., :2], np.float32))
         return PagePicture(_webp(colors, _MAP_QUALITY), colors.shape[1], colors.shape[0])
 
@@ -167,11 +170,6 @@ class PictureStore:
         for file in folder.glob("*") if folder.is_dir() else ():
             if file.name not in self._files and file.suffix in (".webp", ".png"):
                 file.unlink(missing_ok=True)
-
-
-def _read_pixels(path: Path) -> Pixels:
-    with open_file(path) as content, PIL.Image.open(content) as image:
-        return np.asarray(image.convert("RGB"))
 
 
 def _webp(pixels: Pixels, quality: int, effort: int = 0, lossless: bool = False) -> bytes:

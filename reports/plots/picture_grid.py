@@ -14,14 +14,13 @@ from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
 from nrbench.runs.records import CellRecord
-from nrbench.storage import open_file
 
 from ..statistics.format import break_name
 from ..statistics.method_comparison import Comparison, ComparisonRow
 from ..statistics.summaries import Method
 from ..statistics.verdicts import MARKS, bound_sign, verdict
 from .figure_file import GRAY, INK, add_axes, make_figure, returns_file
-from .marks import DEFECTS, worst_place
+from .marks import DEFECTS, read_pixels, worst_place
 
 _INSET = 0.4
 """Side of an inset, as a share of the output's."""
@@ -99,9 +98,8 @@ def _record(row: ComparisonRow, place: int, replicate: int) -> CellRecord | None
 
 def _read(path: Path) -> Pixels | None:
     try:
-        with open_file(path) as content, PIL.Image.open(content) as image:
-            return np.asarray(image.convert("RGB"))
-    except (OSError, ValueError, SyntaxError, PIL.Image.DecompressionBombError):
+        return read_pixels(path)
+    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError):
         return None
 
 

@@ -6,11 +6,13 @@ each test.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import functools
 import io
 import json
 import os
+import shutil
 import tempfile
 import tomllib
 import zlib
@@ -30,9 +32,11 @@ from nrbench.cli.main import main
 from nrbench.datasets_procedural.images import read_rendered, read_truth
 from nrbench.errors import BadInput
 from nrbench.imaging.files import MOST_PIXELS, read_image, read_shape
+from nrbench.labelling.labels import make_page, read_labelers, write_key
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Task
 from nrbench.plugins.parameters import parse_size, parse_spec
+from nrbench.reports.page.pictures import PictureStore
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 from nrbench.suites.plan import LatticeSource, PlannedMethod
@@ -298,9 +302,9 @@ def run_file() -> bytes:
 
 
 @st.composite
-def odd_json(draw: st.DrawFn) -> bytes:
-    """Return a ``run.json`` in which the value of one key was replaced by something odd."""
-    content = json.loads(run_file())
+def odd_json(draw: st.DrawFn, original: bytes | None = None) -> bytes:
+    """Return a JSON file, by default a ``run.json``, in which the value of one key was replaced by something odd."""
+    content = json.loads(original or run_file())
     place = content
     while True:
         keys = list(place) if isinstance(place, dict) else list(range(len(place)))
@@ -320,6 +324,39 @@ def test_damaged_runs(content: bytes) -> None:
             Run(folder).table()
         except BadInput as error:
             assert str(folder) in str(error)
+
+
+@functools.cache
+def cell_files() -> tuple[Path, list[Path]]:
+    """Return a run of one cell, with a page of labels and a source map, and the files that readers trust."""
+    root = Path(tempfile.mkdtemp(prefix="fuzz-")) / "run"
+    atexit.register(shutil.rmtree, root.parent, ignore_errors=True)
+    made = run("core", methods=["tiling"], textures=["brick-mild"], lattice=["given"], metrics=["cost"], out=root)
+    write_key(root, make_page(made))
+    return root, sorted(file for file in root.rglob("*") if file.suffix in (".json", ".npz", ".png"))
+
+
+@fuzz
+@given(st.data())
+def test_damaged_files_of_a_cell(data: st.DataObject) -> None:
+    """Whatever a file of a cell or a page of labels holds, the tables and a page of pictures are made, or bad input."""
+    root, names = cell_files()
+    path = data.draw(st.sampled_from(names))
+    whole = path.read_bytes()
+    odd = odd_json(whole) if path.suffix == ".json" else st.nothing()
+    path.write_bytes(data.draw(odd | mutated(st.just(whole))))
+    try:
+        found = Run(root)
+        for report in (found.ends, found.table, lambda: plugins.build("reports", "csv").tables(found)):
+            report()
+        store = PictureStore(root)
+        store.load(path.parent / "output.png")
+        store.source_map(path.parent / "source.npz")
+        read_labelers(found, [root / "run.json"])
+    except BadInput as error:
+        assert str(root) in str(error)
+    finally:
+        path.write_bytes(whole)
 
 
 def ended(words: list[str]) -> tuple[Any, str]:

@@ -16,6 +16,8 @@ import pytest
 from nrbench.api import load, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
+from nrbench.reports.page.pictures import PictureStore
+from nrbench.reports.plots.marks import read_pixels
 from nrbench.runs.store import RunDirectory, is_result_part
 from nrbench.storage import find_strange, make_folder, open_regular, read_json, write_json
 
@@ -75,6 +77,29 @@ def test_a_cell_with_a_link_is_computed_again(name: str, tmp_path: Path, secret:
     [record] = load(tmp_path / "run").cells
     assert record.status == "ok" and find_strange(folder) is None
     assert secret.read_text() == SECRET and not list(outside.iterdir())
+
+
+def test_a_link_in_place_of_the_prepared_folders_is_refused(tmp_path: Path, outside: Path) -> None:
+    """Nothing is removed where the link leads to: names with a dot there are no unfinished preparations."""
+    (outside / ".kept").mkdir()
+    (tmp_path / "run" / "cells").mkdir(parents=True)
+    put_link(tmp_path / "run" / "prepared", outside)
+    with pytest.raises(BadInput, match="prepared: is a link"):
+        run_one_cell(tmp_path / "run")
+    assert (outside / ".kept").is_dir()
+
+
+def test_a_log_with_another_name_elsewhere_is_not_cut(tmp_path: Path) -> None:
+    """A cell whose scores are missing writes a log of its own; a hard link is not written through."""
+    folder = run_one_cell(tmp_path / "run")
+    other = tmp_path / "long.txt"
+    other.write_bytes(b"kept\n" * (4 << 20))
+    (folder / "log.txt").unlink(missing_ok=True)
+    os.link(other, folder / "log.txt")
+    for score in (folder / "scores").glob("cost-*.json"):
+        score.unlink()
+    assert run_one_cell(tmp_path / "run") == folder
+    assert other.stat().st_size == 20 << 20 and load(tmp_path / "run").cells[0].status == "ok"
 
 
 def test_a_named_pipe_does_not_stop_a_reader(tmp_path: Path) -> None:
@@ -210,3 +235,37 @@ def test_forged_entries_of_a_result_are_refused(part: dict[str, Any]) -> None:
     """An entry of a wrong type, an unknown status and a number without bounds make no result."""
     good = {"status": "ok", "message": "", "seconds": 1, "peak_mib": 2.5, "made": {"output.png": 7}}
     assert is_result_part(good) and not is_result_part({**good, **part})
+
+
+def test_no_control_characters_of_a_run_reach_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Escapes and marks of direction in the message of a cell of somebody else are not printed."""
+    folder = run_one_cell(tmp_path / "run")
+    content = read_json(folder / "result.json") or {}
+    write_json(folder / "result.json", {**content, "status": "error", "message": "a\x1b]52;c;aGk=\x07\u202eb"})
+    with pytest.raises(SystemExit):
+        main(["status", str(tmp_path / "run")])
+    assert "error: ab\n" in capsys.readouterr().out
+
+
+def test_reports_show_no_picture_that_a_link_leads_to(tmp_path: Path) -> None:
+    """The sample of a cell is no link to a private picture, nor a pipe that never ends."""
+    folder = run_one_cell(tmp_path / "run")
+    before, other = read_pixels(folder / "sample.png"), tmp_path / "private.png"
+    (folder / "sample.png").rename(other)
+    (folder / "sample.png").symlink_to(other)
+    os.mkfifo(folder / "pipe.png")
+    for name in ("sample.png", "pipe.png"):
+        with pytest.raises(BadInput, match="no regular file"):
+            read_pixels(folder / name)
+    assert before.shape[2] == 3 and PictureStore(tmp_path).load(folder / "sample.png") is None
+
+
+def test_a_name_of_a_megabyte_is_no_cell(tmp_path: Path) -> None:
+    """Tables are not laid out for names that no suite has."""
+    folder = run_one_cell(tmp_path / "run")
+    content = read_json(tmp_path / "run" / "run.json") or {}
+    content["cells"][0]["label"] = "L" * 1_000_000
+    write_json(tmp_path / "run" / "run.json", content)
+    with pytest.raises(BadInput, match=r"run\.json is damaged"):
+        _ = load(tmp_path / "run").cells
+    assert folder.is_dir()
