@@ -113,8 +113,9 @@ def write_reports(
 
     made_by = run.info.get("results_version")
     if made_by != RESULTS_VERSION:
+        shown = strip_control(str(made_by))
         print(
-            f"nrbench: {run.root} was made by results version {strip_control(str(made_by))}, and this nrbench has {RESULTS_VERSION}: its "
+            f"nrbench: {run.root} was made by results version {shown}, and this nrbench has {RESULTS_VERSION}: its "
             "scores are left out; run the same command again, or use the nrbench that made it",
             file=sys.stderr,
         )
