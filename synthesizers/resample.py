@@ -58,9 +58,9 @@ class Resample:
     tile; ``elements``, one color an element; ``attributes``, the estimated colors of the elements.
 
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
-    An element that the sample shows whole fewer than six times joins its neighbor. If this holds for every element, the
-    output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the same
-    sample in the same process reuses the model.
+    An element that the sample shows whole fewer than six times joins its neighbor. If this holds for every element,
+    the output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the
+    same sample in the same process reuses the model.
 
     Parameters
     ----------
