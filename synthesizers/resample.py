@@ -57,9 +57,10 @@ class Resample:
     the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
     tile; ``elements``, one color an element; ``attributes``, the estimated colors of the elements.
 
-    If the colors of elements explain less than a twentieth of the residual, elements are whole cells. If the sample
-    shows fewer than six whole instances of an element, the output is that of ``tile-set``. The note says so. Without a
-    lattice the sample is refused. Another output of the same sample in the same process reuses the model.
+    If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
+    An element that the sample shows whole fewer than six times joins its neighbor. If this holds for every element,
+    the output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the
+    same sample in the same process reuses the model.
 
     Parameters
     ----------
