@@ -104,7 +104,7 @@ def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
             try:
                 descriptor = os.open(name, flags | _NO_LINK_FLAGS, 0o644, dir_fd=folder)
             except OSError as error:
-                if error.errno != errno.ELOOP:
+                if error.errno not in (errno.ELOOP, errno.ENXIO):  # ENXIO: a socket, or a pipe that nobody reads
                     error.filename = str(path)
                     raise
             else:
@@ -396,8 +396,13 @@ def write_json(path: Path, content: Mapping[str, Any], durable: bool = False) ->
         Whether the content is on the disk before the file gets its name, so that a loss of power leaves the old file
         or the new one. This takes about 2 ms.
     """
-    text = json.dumps(content, indent=1, allow_nan=False, default=_plain) + "\n"
+    text = json_text(content)
     write_aside(path, lambda file: file.write(text.encode()), durable)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return a mapping as JSON. NaN and infinity raise ValueError."""
+    return json.dumps(content, indent=1, allow_nan=False, default=_plain) + "\n"
 
 
 def _plain(value: Any) -> Any:
@@ -426,12 +431,16 @@ def find_strange(folder: Path) -> Path | None:
     return None
 
 
+MOST_JSON = 1 << 30
+"""Bytes of the largest JSON file that is read; that of a run of 200 000 cells has half of it."""
+
+
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Return the mapping in a JSON file; None where it is missing, incomplete, damaged, a link or no regular file."""
+    """Return the mapping in a JSON file; None where it is missing, damaged, too large, a link or no regular file."""
     try:
         with open(open_regular(path), encoding="utf-8") as file:
-            content = json.loads(file.read())
-    except (FileNotFoundError, IsADirectoryError, ValueError, RecursionError):  # ValueError: not UTF-8, not JSON
+            content = json.loads(file.read()) if os.fstat(file.fileno()).st_size <= MOST_JSON else None
+    except (FileNotFoundError, NotADirectoryError, ValueError, RecursionError):  # ValueError: not UTF-8, not JSON
         return None
     return content if isinstance(content, dict) else None
 

@@ -333,6 +333,8 @@ def _prepare(where: CellFolder, cell: Cell, sample: PlannedSample) -> None:
     """Write the files that a cell's child processes read. What is there may be damaged."""
     make_folder(where.path)
     _detach_log(where.log)
+    if not where.scores.is_dir():
+        remove(where.scores)
     if sample.size is not None:
         write_image(where.sample, sample.image())
     again = sample.again() if cell.reference else None

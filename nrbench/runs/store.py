@@ -30,11 +30,13 @@ from nrbench.storage import (
     NO_LINK,
     find_strange,
     follow_no_link_below,
+    json_text,
     make_folder,
     open_regular,
     read_bytes,
     read_json,
     remove,
+    write_bytes,
     write_json,
 )
 from nrbench.suites.cell import RESULTS_VERSION
@@ -125,7 +127,9 @@ class Result(TypedDict, total=False):
     side_by_side: _Number
     lattice_used: _Lattice
     output_hash: str
-    made: dict[str, Annotated[int, Field(ge=0, le=2**53)]]
+    made: dict[
+        Annotated[str, Field(pattern=r"^[^/\x00][^\x00]*$", max_length=250)], Annotated[int, Field(ge=0, le=2**53)]
+    ]
     lattice: _Lattice
     confidence: _Number | None
     reason: str
@@ -376,23 +380,27 @@ class RunDirectory:
             raise BadInput(f"{self.root / RUN_FILE}: has a cell with the key {odd!r}, which is no hash; run it again")
         if not _is_suite(content["suite"].get("content", {})):
             raise BadInput(f"{self.root / RUN_FILE}: suite.content is damaged; run the same command again")
-        return strip_control(content)
+        cells = {cell["key"]: cell for cell in content["cells"]}  # each once
+        return strip_control({**content, "cells": list(cells.values())})
 
     def write_info(self, plan: Plan, argv: Sequence[str], metrics: Iterable[str]) -> None:
         """Write ``run.json``: the suite, the versions, the metrics, and the cells. An equal file is left unchanged."""
         suite = plan.suite
         shown = {"name": suite.name, "version": suite.version, "hash": suite.hash, "description": suite.description}
-        known = read_json(self.root / RUN_FILE) or {}
+        file = self.root / RUN_FILE
+        known = read_bytes(file) if file.is_file() else b""
+        created = re.match(rb'\{\s*"created": "([-+:0-9TZ]{10,40})"', known)
         content = {
-            "created": known.get("created", datetime.now(UTC).isoformat(timespec="seconds")),
+            "created": created[1].decode() if created else datetime.now(UTC).isoformat(timespec="seconds"),
             "suite": {**shown, "seed": suite.seed, "content": suite.model_dump(mode="json")},
             **_provenance(argv),
             "plugin_files": list(plugins.files()),
             "metrics": {metric: metric_key(metric) for metric in metrics},
             "cells": [cell.as_dict() for cell, _ in plan.cells],
         }
-        if known != json.loads(json.dumps(content)):
-            write_json(self.root / RUN_FILE, content)
+        text = json_text(content).encode()  # is compared as it is: a parsed copy takes ten times the memory
+        if known != text:
+            write_bytes(file, text)
 
     def check_links(self) -> None:
         """Raise :class:`BadInput` if there is a link among the folders and files of a run, except in those of cells.
