@@ -16,12 +16,13 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from nrbench.errors import BadInput
+
+# numpy is imported by the functions that hold arrays: a list of plugins needs none.
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 
 def write_aside(path: Path, write: Callable[[Path], object]) -> None:
@@ -268,6 +269,8 @@ def write_json(path: Path, content: Mapping[str, Any], durable: bool = False) ->
 
 
 def _plain(value: Any) -> Any:
+    import numpy as np
+
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
@@ -328,6 +331,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
     """Write arrays as a compressed ``.npz``, atomically."""
+    import numpy as np
 
     def write(aside: Path) -> None:
         with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
@@ -340,5 +344,7 @@ def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays of an ``.npz`` by name. Pickled objects are refused."""
+    import numpy as np
+
     with np.load(path, allow_pickle=False) as archive:  # noqa: TID251
         return {name: archive[name] for name in archive.files}

@@ -21,7 +21,7 @@ KINDS = ("datasets", "detectors", "synthesizers", "metrics", "reports", "suites"
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def list_command(kind: str | None, as_json: bool) -> None:
     """List plugins and suites. A broken plugin is listed with its error."""
-    listed = {name: _entries(name) for name in ([kind] if kind else KINDS)}
+    listed = {name: _entries(name, as_json) for name in ([kind] if kind else KINDS)}
     if as_json:
         print(json.dumps(listed, indent=1))
         return
@@ -33,13 +33,19 @@ def list_command(kind: str | None, as_json: bool) -> None:
                 print("    " + entry["error"].strip().replace("\n", "\n    "))
 
 
-def _entries(kind: str) -> list[dict[str, Any]]:
-    from nrbench.plugins.overview import summaries
-    from nrbench.suites.suite import builtin, load_suite
+def _entries(kind: str, complete: bool) -> list[dict[str, Any]]:
+    """Return what is listed of a kind. Suites are read and checked if their versions and hashes are wanted too."""
+    if kind == "suites" and not complete:
+        from nrbench.suites.installed import builtin, describe_suite
 
+        return [{"name": name, "about": describe_suite(name)} for name in builtin()]
     if kind == "suites":
+        from nrbench.suites.suite import builtin, load_suite
+
         suites = [load_suite(name) for name in builtin()]
         return [{"name": s.name, "about": s.description, "version": s.version, "hash": s.hash} for s in suites]
+    from nrbench.plugins.overview import summaries
+
     entries = []
     for plugin in summaries(kind):
         entry: dict[str, Any] = {"name": plugin.name, "distribution": plugin.distribution, "version": plugin.version}

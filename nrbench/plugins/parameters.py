@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from nrbench.errors import BadInput
-from nrbench.plugins.forms import Shape
 from nrbench.storage import user_path
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
+
+    from nrbench.plugins.forms import Shape
 
 LARGEST_SIDE = 16384
 """px; largest side of an output."""
