@@ -70,7 +70,9 @@ def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
     return name, parameters
 
 
-def label(name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any], always: Collection[str] = ()) -> str:
+def write_label(
+    name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any], always: Collection[str] = ()
+) -> str:
     """Return ``name:param=value,...`` of the parameters that differ from their defaults and those in ``always``."""
 
     def is_shown(key: str, value: Any) -> bool:

@@ -224,7 +224,7 @@ def describe(folder: Path, send: Send) -> None:
         send(cast("Message", {"status": "ok", "message": "", "facts": facts}))
 
 
-def report(folder: Path, send: Send) -> None:
+def write_report(folder: Path, send: Send) -> None:
     """Write the report of a run that ``cell.json`` names, and send the paths of its files, or its text."""
     wanted = read_json(CellFolder(folder).cell_file) or {}
     run = Run(Path(wanted["run"]))
