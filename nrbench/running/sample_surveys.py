@@ -32,7 +32,7 @@ class Spent:
         By how much it raised the peak memory of its process, MiB.
     """
 
-    __pydantic_config__ = ConfigDict(strict=True, allow_inf_nan=False)
+    __pydantic_config__ = ConfigDict(allow_inf_nan=False)
     seconds: float = 0.0
     cpu_seconds: float = 0.0
     peak_mib: float = 0.0
