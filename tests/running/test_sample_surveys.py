@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -32,9 +33,9 @@ def test_a_survey_is_made_once_and_its_cost_counts_for_each_method(
     """The second method reads the survey of the first; its seconds include those of the survey, its output none."""
     (first,) = execute(tmp_path / "run", ["rsgf"])
     (file,) = (tmp_path / "run" / "prepared").glob("*.json")
-    file.write_text(
-        file.read_text("utf-8").replace('"spent": {\n  "seconds": ', '"spent": {\n  "seconds": 100'), "utf-8"
-    )
+    kept = json.loads(file.read_text("utf-8"))
+    kept["spent"]["seconds"] = 100.0
+    file.write_text(json.dumps(kept), "utf-8")
     monkeypatch.setattr(sample_surveys, "survey_sample", None)  # nothing may call it again
     second = execute(tmp_path / "run", ["rsgf:block=20"])[0]
     assert second.status == "ok" and second.seconds is not None and second.seconds > 100
