@@ -116,6 +116,7 @@ class RepresentativeTile:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
+    family: ClassVar[str] = "tiles and patches on the lattice"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -79,6 +79,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
+    family: ClassVar[str] = "elements drawn anew"
     version: ClassVar[str] = "5"
 
     def __post_init__(self) -> None:

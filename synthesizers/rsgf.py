@@ -119,6 +119,7 @@ class Rsgf:
 
     reference: ClassVar[bool] = False
     needs_lattice: ClassVar[bool] = False
+    family: ClassVar[str] = "tiles and patches on the lattice"
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

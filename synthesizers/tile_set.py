@@ -139,6 +139,7 @@ class TileSet:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
+    family: ClassVar[str] = "tiles and patches on the lattice"
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
