@@ -11,6 +11,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 export PYTHONSAFEPATH := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# pip compiles nothing, so the first process that imports a module keeps its bytecode for all later ones.
+export PYTHONDONTWRITEBYTECODE :=
 
 SOURCES := $(shell find nrbench synthesizers metrics datasets_procedural reports -name '*.py' -o -name '*.pyi' -o -name '*.toml' -o -path '*templates/*')
 

@@ -10,6 +10,10 @@ from .api import synthesize as synthesize
 from .api import texture as texture
 from .api import track_lattice as track_lattice
 from .authoring.conformance import check_plugin as check_plugin
+from .authoring.packages import new_plugin as new_plugin
+from .catalog import Shown as Shown
+from .catalog import list_plugins as list_plugins
+from .catalog import show_plugin as show_plugin
 from .errors import BadInput as BadInput
 from .imaging.convert import Image as Image
 from .imaging.convert import gray as gray
@@ -35,6 +39,11 @@ from .plugins.forms import Texture as Texture
 from .plugins.forms import find_lattice as find_lattice
 from .plugins.forms import require_lattice as require_lattice
 from .plugins.registry import NamedDetector as NamedDetector
+from .run_api import label as label
+from .run_api import plan as plan
+from .run_api import report as report
+from .run_api import site as site
+from .run_api import status as status
 from .running.runner import Options as Options
 from .runs.records import CellRecord as CellRecord
 from .runs.records import Run as Run

@@ -24,9 +24,11 @@ from nrbench.streams import pixels_hash, stream
 
 # Runs, suites and their executors are imported by the functions that use them: one picture needs none of them.
 if TYPE_CHECKING:
+    from nrbench.running.guard import Limits
     from nrbench.running.pace import Progress
     from nrbench.running.runner import Options
     from nrbench.runs.records import Run
+    from nrbench.suites.plan import Plan
     from nrbench.suites.suite import Suite
     from nrbench.tracking.bent_lattice import Deformation
     from nrbench.views.deformed import Followed
@@ -534,19 +536,58 @@ def run(
     'ok'
     """
     from nrbench.running.guard import Limits
-    from nrbench.running.plugin_children import LIMITS, guarded_plugins, plan_run
+    from nrbench.running.plugin_children import guarded_plugins
     from nrbench.running.runner import execute
-    from nrbench.suites.suite import Suite, load_suite
 
-    chosen = suite if isinstance(suite, Suite) else load_suite(Path(suite) if not isinstance(suite, str) else suite)
-    limits = Limits(options.timeout, options.memory) if options else LIMITS
+    limits = Limits(options.timeout, options.memory) if options else None
+    with guarded_plugins():
+        plan, root = plan_cells(suite, methods, textures, lattice, out, limits=limits, **changes)
+        return execute(plan, root, options, progress or (lambda step: None))
+
+
+def plan_cells(
+    suite: str | os.PathLike[str] | Suite,
+    methods: Sequence[Pluginlike] | Pluginlike = (),
+    textures: Sequence[str] | str = (),
+    lattice: Sequence[Latticelike] | str = (),
+    out: str | os.PathLike[str] | None = None,
+    *,
+    limits: Limits | None = None,
+    progress: Callable[[float], None] = lambda done: None,
+    seed: int | str | None = None,
+    **changes: Any,
+) -> tuple[Plan, Path]:
+    """Return the plan of a run, and its directory.
+
+    Parameters
+    ----------
+    suite, methods, textures, lattice, out, seed, **changes
+        As for :func:`run`.
+    limits
+        The limits of the drawing of one texture.
+    progress
+        Called with the share of the samples that are drawn, in [0, 1].
+
+    Raises
+    ------
+    BadInput
+        As for :func:`run`.
+    """
+    from nrbench.running.plugin_children import LIMITS, plan_run
+
+    chosen = _suite(suite)
     specs = [_spec(method) for method in _texts(methods)]
     sources = [_source(each) for each in ([lattice] if isinstance(lattice, Lattice) else _texts(lattice))]
-    seed = changes.pop("seed", None)
     root = run_directory(out, chosen, seed)
-    with guarded_plugins():
-        plan = plan_run(changed(chosen, specs, sources, **changes, **choose_seed(seed, root)), _texts(textures), limits)
-        return execute(plan, root, options, progress or (lambda step: None))
+    changes |= choose_seed(seed, root)
+    return plan_run(changed(chosen, specs, sources, **changes), _texts(textures), limits or LIMITS, progress), root
+
+
+def _suite(suite: str | os.PathLike[str] | Suite) -> Suite:
+    """Return a suite, or load it by its name or from its file or directory."""
+    from nrbench.suites.suite import Suite, load_suite
+
+    return suite if isinstance(suite, Suite) else load_suite(suite if isinstance(suite, str) else Path(suite))
 
 
 def audit(
@@ -595,10 +636,7 @@ def audit(
     ``audit("rsgf").changes[0].state`` is ``"worse"`` if the method is worse at the fresh seed, ``"noise"`` if its
     quality moved by no more than other draws move it, and ``"unknown"`` if fewer than six textures were run.
     """
-    from nrbench.plugins.parameters import parse_spec
-    from nrbench.suites.suite import Suite, load_suite
-
-    chosen = suite if isinstance(suite, Suite) else load_suite(Path(suite) if not isinstance(suite, str) else suite)
+    chosen = _suite(suite)
     for row in chosen.texture:
         if not getattr(plugins.find("datasets", row.dataset).cls, "procedural", True):
             raise BadInput(f"texture {row.name}: is a picture, which no seed draws again; audit a suite of models")
@@ -664,6 +702,11 @@ def load(path: str | os.PathLike[str]) -> Run:
     return found
 
 
+def as_run(run: Run | str | os.PathLike[str]) -> Run:
+    """Return a run, or that of a directory as :func:`load`."""
+    return load(run) if isinstance(run, str | os.PathLike) else run
+
+
 def compare(
     first: Run | str | os.PathLike[str], second: Run | str | os.PathLike[str], columns: str | Sequence[str] = ()
 ) -> Any:
@@ -705,7 +748,7 @@ def compare(
     >>> set(compare(folder, done).table()["state"])
     {'same'}
     """
-    runs = [load(one) if isinstance(one, str | os.PathLike) else one for one in (first, second)]
+    runs = [as_run(first), as_run(second)]
     names = columns.split(",") if isinstance(columns, str) else columns
     return plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": tuple(names)}).compare(runs[1])
 

@@ -18,12 +18,13 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, cast
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from nrbench.errors import BadInput
+
+# numpy is imported by the functions that hold arrays: a list of plugins needs none.
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 NO_LINK = "is a link or no regular file; remove it (nrbench follows no links inside a run)"
 """What is said of a path inside a run that is not opened."""
@@ -406,6 +407,8 @@ def json_text(content: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
+    import numpy as np
+
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
@@ -447,6 +450,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
     """Write arrays as a compressed ``.npz``, atomically."""
+    import numpy as np
 
     def write(aside: BinaryIO) -> None:
         with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
@@ -459,5 +463,7 @@ def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays of an ``.npz`` by name. Pickled objects are refused."""
+    import numpy as np
+
     with open_file(path) as file, np.load(file, allow_pickle=False) as archive:  # noqa: TID251
         return {name: archive[name] for name in archive.files}

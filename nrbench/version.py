@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, metadata, version
 from pathlib import Path
 from typing import Any
 
@@ -35,3 +37,25 @@ def describe_version() -> str:
     if found is None:
         return __version__
     return f"{__version__} (commit {found['commit'][:12]}{'' if found['clean'] else ', with changes'})"
+
+
+def find_project(info: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the commit that made a run, and the pages of the project and of this commit.
+
+    The pages are those of the metadata of the distribution, and empty while it names none.
+
+    Parameters
+    ----------
+    info
+        The content of ``run.json``.
+    """
+    source = info.get("git") if isinstance(info.get("git"), dict) else None
+    commit = str((source or {}).get("commit", ""))
+    try:
+        named = dict(each.split(", ", 1) for each in metadata("nrbench").get_all("Project-URL") or [])
+    except (PackageNotFoundError, ValueError):
+        named = {}
+    pages = {label.lower(): page for label, page in named.items() if page.startswith("https://")}
+    home = next((pages[label] for label in ("repository", "source", "homepage") if label in pages), "").rstrip("/")
+    page = f"{home}/commit/{commit}" if home and re.fullmatch("[0-9a-f]{40}", commit) else ""
+    return {"home": home, "commit": commit, "clean": bool((source or {}).get("clean", True)), "commit_page": page}

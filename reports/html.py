@@ -18,13 +18,14 @@ from nrbench.labelling import questions
 from nrbench.labelling.labels import content_hash
 from nrbench.runs.records import CellRecord, Run
 from nrbench.storage import write_text
+from nrbench.version import find_project
 
 from .csv import csv_text, summary_table
 from .latex import bibliography, latex_text
 from .page import gallery
 from .page.environment import make_environment
 from .page.forest_plot import forest_axes
-from .page.method_terms import list_patch_terms
+from .page.method_terms import group_by_family, list_patch_terms, order_by_peril
 from .page.pictures import CROP, PictureStore
 from .plots.method_plots import (
     plot_claim,
@@ -109,6 +110,9 @@ class HtmlReport:
             "first_reference": next((i for i, one in enumerate(comparison.methods) if i and one.reference), -1),
             "more_rows": other_score_rows(run, comparison.summaries),
             "axes": forest_axes(comparison.summary_rows),
+            "families": group_by_family(run, comparison.summaries),
+            "perils": order_by_peril(comparison.summaries),
+            "project": find_project(run.info),
             "points": points,
             "plane": plot_perils_plane("svg", points) if points else b"",
             "ranks": plot_ranks("svg", comparison) if comparison.tests else b"",

@@ -36,8 +36,10 @@ _GAP = 8.0
 """Space between columns, pt."""
 _RAISED = 12.0
 """Width of the raised marks of a method, pt."""
-_PAGE_LINES = 50
-"""Lines of tables on a page, below a caption."""
+_PAGE_LINES = 58
+"""Lines of a table that a page has room for."""
+_LEAST_CAPTION, _COLUMN_CAPTION = 8, 25
+"""Such lines that the long caption takes, across the page or in one column, and in a column of two."""
 _LINE_LETTERS = 12
 _NARROW, _BROAD = frozenset(" .,:;()[]|'!ijltfrI/"), frozenset("mw%≤±–")
 
@@ -141,9 +143,8 @@ def latex_text(
     """Return the table of methods by scores, with the definitions of its marks."""
     lines = choose_rows(run, comparison, scores)
     widths = [max(_score_widths(line, intervals)) for line in lines]
-    parts = _split(
-        _blocks(widths, _names_width(comparison), _WIDTHS[width]), len(comparison.summaries) * (1 + intervals)
-    )
+    limit = _WIDTHS[width]
+    parts = _split(_blocks(widths, _names_width(comparison), limit), len(comparison.summaries) * (1 + intervals), limit)
     return _fill(run, comparison, "summary", lines=lines, parts=parts, intervals=intervals, width=width, **style)
 
 
@@ -154,7 +155,7 @@ def _comparison_parts(comparison: Comparison, columns: int, limit: float) -> lis
     columns_of = [[row.entries[i] for row in comparison.rows] for i in range(len(comparison.methods))]
     entries = [max((15 + _text_width(one.detail) for one in column if one), default=0) for column in columns_of]
     blocks = _blocks(list(map(max, heads, entries)), names, limit, columns)
-    return _split(blocks, len(comparison.rows))
+    return _split(blocks, len(comparison.rows), limit)
 
 
 def _score_widths(line: SummaryRow, intervals: bool) -> Iterator[float]:
@@ -184,10 +185,15 @@ def _blocks(widths: Sequence[float], first: float, limit: float, most: int = 100
     return blocks
 
 
-def _split(blocks: Sequence[list[int]], lines: int) -> list[list[list[int]]]:
-    """Return blocks of some lines in tables that fit the height of a page, at least one block in each."""
-    size = max(1, _PAGE_LINES // (lines + 5))
-    return [list(blocks[i : i + size]) for i in range(0, len(blocks), size)]
+def _split(blocks: Sequence[list[int]], lines: int, limit: float) -> list[list[list[int]]]:
+    """Return blocks of some lines in tables that fit the height of a page, at least one block in each.
+
+    The first table has the long caption, which takes more lines in a column than across the page.
+    """
+    size = max(1, (_PAGE_LINES - _LEAST_CAPTION) // (lines + 5))
+    caption = _COLUMN_CAPTION if limit == _WIDTHS["column"] else _LEAST_CAPTION
+    first = max(1, (_PAGE_LINES - caption) // (lines + 5))
+    return [list(blocks[:first]), *(list(blocks[i : i + size]) for i in range(first, len(blocks), size))]
 
 
 def _text_width(text: str) -> float:

@@ -65,6 +65,7 @@ class Auto:
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     needs_lattice: ClassVar[bool] = False
+    family: ClassVar[str] = "choice by the sample"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"threshold": 0.1, "regular": "tile-set:preset=paper", "other": "ann-pixel", "geometry": "as-is"}

@@ -117,6 +117,7 @@ class FftmPatch(MaskParameters):
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
+    family: ClassVar[str] = "patches and pixels under a mask"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -70,6 +70,7 @@ class Gpdm:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
+    family: ClassVar[str] = "all patches at once"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -122,6 +122,7 @@ class GraphCuts:
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
+    family: ClassVar[str] = "patches without a lattice"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -95,6 +95,7 @@ class PatchBased:
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
+    family: ClassVar[str] = "patches without a lattice"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"zone": 4, "epsilon": 0.2, "search": "kdtree"},

@@ -67,6 +67,7 @@ class Quilting:
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
+    family: ClassVar[str] = "patches without a lattice"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {"overlap": 0, "tolerance": 0.1}}
     patch_shape: ClassVar[str] = "user defined, square block"

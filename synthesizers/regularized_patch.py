@@ -85,6 +85,7 @@ class RegularizedPatch:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
+    family: ClassVar[str] = "tiles and patches on the lattice"
     version: ClassVar[str] = "1"
     patch_shape: ClassVar[str] = "user identified lattice, quadrilateral patch"
     patch_placement: ClassVar[str] = "lattice points"

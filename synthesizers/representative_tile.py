@@ -119,6 +119,7 @@ class RepresentativeTile:
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
+    family: ClassVar[str] = "tiles and patches on the lattice"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

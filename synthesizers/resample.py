@@ -81,6 +81,7 @@ class Resample:
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     version: ClassVar[str] = "6"
+    family: ClassVar[str] = "elements drawn anew"
 
     def __post_init__(self) -> None:
         require_ranges(self, variation=(0, MOST_VARIATION))

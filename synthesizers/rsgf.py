@@ -120,6 +120,7 @@ class Rsgf:
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     needs_lattice: ClassVar[bool] = False
+    family: ClassVar[str] = "tiles and patches on the lattice"
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -140,6 +140,7 @@ class TileSet:
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
+    family: ClassVar[str] = "tiles and patches on the lattice"
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

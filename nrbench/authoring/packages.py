@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+import os
 import re
 import string
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from nrbench import plugins
 from nrbench.errors import BadInput
+from nrbench.plugins.parameters import nearest
 
 KINDS: Mapping[str, str] = {
     "synthesizer": "synthesizers",
@@ -36,23 +38,34 @@ _RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com",
 """Names that no file has on Windows."""
 
 
-def write_package(kind: str, name: str, folder: Path | None = None) -> list[Path]:
-    """Write a package with one plugin, which works and passes ``nrbench check``; return the paths of its files.
+def new_plugin(kind: str, name: str, folder: str | os.PathLike[str] | None = None) -> list[Path]:
+    """Write a package with one plugin, which works and passes ``nrbench check``.
 
     Parameters
     ----------
     kind
-        A key of :data:`KINDS`.
+        ``synthesizer``, ``detector``, ``metric``, ``dataset`` or ``report``.
     name
         The name of the plugin: lower-case letters, digits, ``-`` and ``_``.
     folder
         The new folder; by default ``name`` in the working directory.
 
+    Returns
+    -------
+    list of Path
+        Its files.
+
     Raises
     ------
     BadInput
         If the name is not valid or taken, or if the folder exists or cannot be made.
+
+    Examples
+    --------
+    ``new_plugin("synthesizer", "my-method")`` writes the folder ``my-method``; ``pip install -e my-method`` adds it.
     """
+    if kind not in KINDS:
+        raise BadInput(f"kind {kind!r} is not known{nearest(kind, KINDS)}; give one of {', '.join(KINDS)}")
     words = {"kind": kind, "group": KINDS[kind], **check_name(kind, name)}
     words["trial"] = string.Template(TRIALS[kind]).substitute(words)
     templates = files("nrbench.authoring") / "templates"
@@ -66,7 +79,7 @@ def write_package(kind: str, name: str, folder: Path | None = None) -> list[Path
         target: string.Template((templates / source).read_text("utf-8")).substitute(words)
         for target, source in sources.items()
     }
-    place = folder if folder is not None else Path(name)
+    place = Path(folder if folder is not None else name)
     try:
         place.mkdir()
         for target, text in content.items():

@@ -18,6 +18,7 @@ from nrbench.imaging.largest_box import largest_box
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import (
+    FoundLattice,
     Geometry,
     NoLatticeFound,
     Refused,
@@ -183,12 +184,52 @@ class Bend:
         return np.min(lows, 0), np.max(highs, 0)
 
 
-def synthesize_in_geometry(method: Synthesizer, task: Task) -> Synthesis:
+@dataclass(frozen=True)
+class SampleSurvey:
+    """What is found of a sample before a method gets it. It is the same for all methods with the same detector.
+
+    Parameters
+    ----------
+    found
+        The lattice, given or detected.
+    straight
+        The straightened sample; None if the sample is not bent.
+    note
+        What is said of it.
+    seconds
+        Wall seconds that this took.
+    """
+
+    found: FoundLattice
+    straight: StraightSample | None
+    note: str
+    seconds: float
+
+
+def survey_sample(method: Synthesizer, task: Task) -> SampleSurvey | None:
+    """Find the lattice of a sample, and whether it is bent; None for a method that gets the sample as it is.
+
+    If no lattice is given, the detector of the method finds one, or ``consensus`` if it names none. Where the detector
+    finds none, a bent one is looked for.
+
+    Parameters
+    ----------
+    method, task
+        As for :func:`synthesize_in_geometry`.
+    """
+    if getattr(method, "geometry", "as-is") == "as-is" or not getattr(method, "uses_lattice", True):
+        return None
+    start = time.perf_counter()
+    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
+    straight, note = straighten_sample(task.sample, found.lattice, task.lattice is not None)
+    return SampleSurvey(found, straight, note, time.perf_counter() - start)
+
+
+def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey | None = None) -> Synthesis:
     """Return the synthesis of a method: on the straightened sample, and bent again, where the sample is bent.
 
-    The parameter ``geometry`` of the method says how (:data:`~nrbench.plugins.forms.Geometry`). If no lattice is given,
-    the detector of the method finds one, or ``consensus`` if it names none. Where the detector finds none, a bent one
-    is looked for. Both warps interpolate by splines of order 5. A sample that is not bent reaches the method as it is.
+    The parameter ``geometry`` of the method says how (:data:`~nrbench.plugins.forms.Geometry`). Both warps interpolate
+    by splines of order 5. A sample that is not bent reaches the method as it is.
 
     Parameters
     ----------
@@ -196,19 +237,19 @@ def synthesize_in_geometry(method: Synthesizer, task: Task) -> Synthesis:
         The method. Its output has the phase of the sample that it is given.
     task
         The task.
+    survey
+        What :func:`survey_sample` returns; found here if None.
 
     Raises
     ------
     Refused
         If the method refuses the sample, or if the straightened sample does not show two periods.
     """
-    geometry: Geometry = getattr(method, "geometry", "as-is")
-    if geometry == "as-is" or not getattr(method, "uses_lattice", True):
+    survey = survey or survey_sample(method, task)
+    if survey is None:
         return method.synthesize(task)
-    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
-    start = time.perf_counter()
-    straight, note = straighten_sample(task.sample, found.lattice, task.lattice is not None)
-    seconds = 0.0 if task.lattice else found.seconds + time.perf_counter() - start
+    geometry: Geometry = getattr(method, "geometry", "as-is")
+    seconds, straight, note = 0.0 if task.lattice else survey.seconds, survey.straight, survey.note
     made = method.synthesize(task) if straight is None else _synthesize_bent(method, task, straight, geometry)
     if straight is not None:
         note += f", and the output is {'straight' if geometry == 'straight' else 'bent'}"

@@ -107,9 +107,9 @@ def new_command(kind: str, name: str, folder: Path | None) -> None:
 
     The package has a module that works, its test, a README, and a pyproject.toml with the entry point.
     """
-    from nrbench.authoring.packages import write_package
+    from nrbench.authoring.packages import new_plugin
 
-    for path in write_package(kind, name, folder):
+    for path in new_plugin(kind, name, folder):
         print(path)
     where = folder if folder is not None else Path(name)
     print(f"next: pip install -e {where.absolute()}, then nrbench check {name}")

@@ -18,10 +18,7 @@ def site_command(runs: tuple[Path, ...], output: Path) -> None:
     It has a leaderboard with a filter and a page for each method. Each row names the versions, the seed and the
     machine; rows of fresh seeds are marked. The pages work from a folder and from any web server.
     """
-    from nrbench import plugins
-    from nrbench.api import load
+    from nrbench.run_api import site
 
-    loaded = [load(root) for root in runs]
-    output.mkdir(parents=True, exist_ok=True)
-    for path in plugins.build("reports", "site", {"runs": runs}).write(loaded[0], output):
+    for path in site(runs, output):
         print(path)

@@ -15,7 +15,6 @@ import click
 
 from nrbench.cli.options import limit_options, split_names
 from nrbench.cli.progress import live_progress, waiting
-from nrbench.errors import BadInput
 
 # The help of a command imports no more than this.
 if TYPE_CHECKING:
@@ -77,18 +76,14 @@ def _plan_options(command: F) -> F:
 
 def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
-    from nrbench.api import changed, choose_seed, run_directory
+    from nrbench.api import plan_cells
     from nrbench.running.guard import Limits
-    from nrbench.running.plugin_children import LIMITS, plan_run
-    from nrbench.suites.suite import load_suite
+    from nrbench.running.plugin_children import LIMITS
 
-    suite, seed = load_suite(arguments["suite"]), arguments["seed"]
-    root = run_directory(arguments["out"], suite, seed)
-    axes = {key: arguments[key] for key in ("sample", "size", "replicates")}
-    suite = changed(suite, arguments["methods"], arguments["lattice"], **axes, **choose_seed(seed, root))
     limits = Limits(arguments.get("timeout", LIMITS.seconds), arguments.get("memory", LIMITS.mib))
+    names = ("suite", "methods", "textures", "lattice", "out", "seed", "sample", "size", "replicates")
     with waiting("drawing the samples") as advance:
-        return plan_run(suite, arguments["textures"], limits, advance), root
+        return plan_cells(**{name: arguments[name] for name in names}, limits=limits, progress=advance)
 
 
 @click.command("run")
@@ -117,6 +112,7 @@ def run_command(**arguments: Any) -> int:
     SUITE is the name of a suite, a TOML file, or a directory of pictures.
     """
     from nrbench.cli import summary
+    from nrbench.run_api import write_reports
     from nrbench.running.cluster import ClusterLost
     from nrbench.running.guard import Limits
     from nrbench.running.pace import first_interrupt
@@ -149,7 +145,7 @@ def run_command(**arguments: Any) -> int:
     stale = summary.remove_stale_report(run) if arguments["no_report"] else None
     with RunDirectory(root).locked(), live_progress(patience=True) as show:
         told = None if arguments["as_json"] else show
-        written, broken = summary.write_reports(run, tables_only=arguments["no_report"], limits=limits, progress=told)
+        written, broken = write_reports(run, None, arguments["no_report"], None, limits, told, print_notice)
     failed = summary.print_summary(run, written, arguments["as_json"], columns)
     if lacking:
         tell(
@@ -190,9 +186,10 @@ def _describe_step(step: Step) -> str:
 def plan_command(**arguments: Any) -> None:
     """List the cells that `run` would reuse and those that it would start. Nothing is started."""
     from nrbench.cli import summary
+    from nrbench.run_api import plan_summary
 
     plan, root = _make_plan(arguments)
-    cells = summary.plan_summary(plan, root, arguments["retry_failed"])
+    cells = plan_summary(plan, root, arguments["retry_failed"])
     print(json.dumps(cells, indent=1) if arguments["as_json"] else "\n".join(summary.plan_lines(cells)))
 
 
@@ -234,9 +231,10 @@ def report_command(
 
     The limits hold for reports of other packages.
     """
-    from nrbench.cli import summary
     from nrbench.labelling.labels import read_labelers
+    from nrbench.run_api import parse_formats, write_reports
     from nrbench.running.guard import Limits
+    from nrbench.running.supervisor import print_notice
     from nrbench.runs.records import Run
 
     if more and not labels:
@@ -244,7 +242,7 @@ def report_command(
     record, files = Run(run), (*labels, *more)
     _ = record.cells  # a damaged run is bad input
     read_labelers(record, files)
-    wanted = summary.parse_formats(formats) if formats else None
+    wanted = parse_formats(formats) if formats else None
     shared: dict[str, Any] = {"labels": files}
     if single_file:
         shared["single_file"] = True
@@ -254,7 +252,7 @@ def report_command(
         shared["population"] = True
     limits = Limits(timeout, memory)
     with live_progress(patience=True) as progress:
-        written, broken = summary.write_reports(record, wanted, shared=shared, limits=limits, progress=progress)
+        written, broken = write_reports(record, wanted, False, shared, limits, progress, print_notice)
     for path in written:
         print(path)
     return int(broken)
@@ -265,16 +263,14 @@ def report_command(
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def status_command(run: Path, as_json: bool) -> None:
     """Print the number of cells of RUN with each status, and the cells that failed."""
-    from nrbench.cli import summary
-    from nrbench.runs.records import Run
+    from nrbench.run_api import status
 
-    cells = Run(run).ends()
-    counts, failed = summary.status_counts(cells), summary.failures(cells)
+    found = status(run)
     if as_json:
-        print(json.dumps({"run": str(run), "cells": len(cells), "status": counts, "failures": failed}, indent=1))
+        print(json.dumps(found, indent=1))
         return
-    print(f"{run}: {len(cells)} cells: " + ", ".join(f"{n} {status}" for status, n in counts.items()))
-    print("\n".join(failed) or "nothing failed")
+    print(f"{run}: {found['cells']} cells: " + ", ".join(f"{n} {name}" for name, n in found["status"].items()))
+    print("\n".join(found["failures"]) or "nothing failed")
 
 
 @click.command("label")
@@ -302,19 +298,9 @@ def label_command(run: Path, output: Path | None, repeat: float, seed: int, ques
     The questions are: is the lattice kept (`lattice`), are the elements whole (`elements`), does it look like more of
     the same (`more`). `nrbench report RUN --labels FILE...` reads the answers that the page saves.
     """
-    from nrbench.labelling.labels import make_page, page_html, write_key
-    from nrbench.runs.records import Run
-    from nrbench.storage import write_text
+    from nrbench.labelling.labels import write_page
 
-    if output is not None and output.suffix.lower() not in (".html", ".htm"):
-        raise BadInput(f"{output}: the page is HTML; end the name in .html")
-    if output is not None and not output.absolute().parent.is_dir():
-        raise BadInput(f"{output}: its directory does not exist; make it first")
-    page = make_page(Run(run), repeat, seed, split_names(questions))
-    path = output or page.key_file(run).with_suffix(".html")
-    html = page_html(run, page)
-    key = write_key(run, page)
-    write_text(path, html)
+    path, key, page = write_page(run, output, repeat, seed, split_names(questions))
     repeats = sum(item.again for item in page.items)
     asked = ", ".join(page.questions)
     print(f"{path}\n{len(page.items)} items, {repeats} of them second showings; questions: {asked}")

@@ -26,7 +26,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.files import read_image
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RunDirectory
-from nrbench.storage import open_file, read_json, write_json
+from nrbench.storage import open_file, read_json, write_json, write_text
 from nrbench.streams import pixels_hash, stream
 
 from .questions import ANSWERS, PRESERVED, QUESTIONS, find_questions
@@ -192,6 +192,39 @@ def _random_ids(count: int, rng: np.random.Generator) -> list[str]:
     while len(ids) < count:
         ids["".join(rng.choice(list(_LETTERS), 10))] = None
     return list(ids)
+
+
+def write_page(
+    root: Path, output: Path | None, repeat: float, seed: int, questions: Sequence[str]
+) -> tuple[Path, Path, LabelPage]:
+    """Write a page and its key; return their paths and the page.
+
+    Parameters
+    ----------
+    root
+        The run directory.
+    output
+        The file of the page; if None, it lies beside its key.
+    repeat, seed, questions
+        As for :func:`make_page`.
+
+    Raises
+    ------
+    BadInput
+        As for :func:`make_page`, and if the file cannot be written.
+    """
+    if output is not None and output.suffix.lower() not in (".html", ".htm"):
+        raise BadInput(f"{output}: the page is HTML; end the name in .html")
+    if output is not None and not output.absolute().parent.is_dir():
+        raise BadInput(f"{output}: its directory does not exist; make it first")
+    if not 0 <= repeat <= 1:
+        raise BadInput(f"repeat {repeat}: give a share from 0 to 1")
+    page = make_page(Run(root), repeat, seed, questions)
+    path = output or page.key_file(root).with_suffix(".html")
+    text = page_html(root, page)
+    key = write_key(root, page)
+    write_text(path, text)
+    return path, key, page
 
 
 def write_key(root: Path, page: LabelPage) -> Path:

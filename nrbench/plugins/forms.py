@@ -557,6 +557,8 @@ class Synthesizer(Protocol):
         The kinds of texture on which a baseline is valid.
     ``always_shown``
         Parameters that the label of the method shows even at their defaults.
+    ``family``
+        The kind of method in a few words, as in ``"patches without a lattice"``. The HTML report groups methods by it.
     ``paper``, ``version``, ``uses``
         BibTeX; the version that is part of a cell's key, text or a number; and the names of the detectors that the
         method calls with their default parameters, whose versions become part of the key.

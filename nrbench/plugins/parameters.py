@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from nrbench.errors import BadInput
-from nrbench.plugins.forms import Shape
 from nrbench.storage import user_path
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
+
+    from nrbench.plugins.forms import Shape
 
 LARGEST_SIDE = 16384
 """px; largest side of an output."""
@@ -69,7 +70,9 @@ def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
     return name, parameters
 
 
-def label(name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any], always: Collection[str] = ()) -> str:
+def write_label(
+    name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any], always: Collection[str] = ()
+) -> str:
     """Return ``name:param=value,...`` of the parameters that differ from their defaults and those in ``always``."""
 
     def is_shown(key: str, value: Any) -> bool:

@@ -23,13 +23,16 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image
-from nrbench.plugins.forms import Better, Column, Detection
 from nrbench.plugins.parameters import PRESET, converted, missing, nearest, parse_spec, validated
 from nrbench.storage import outside_user_folder
+
+# The forms import numpy, which the names of plugins do not need.
+if TYPE_CHECKING:
+    from nrbench.imaging.convert import Image
+    from nrbench.plugins.forms import Column, Detection
 
 BENT_FINDERS = ("consensus", "gncc")
 """The detectors that find the lattice of a bent sample: one that confirms lattices, and a quick one."""
@@ -546,6 +549,8 @@ def _method_fault(kind: str, cls: Any) -> str:
 def _column_fault(kind: str, cls: Any) -> str:
     if kind != "metrics":
         return ""
+    from nrbench.plugins.forms import Column
+
     columns = getattr(cls, "columns", None)
     if not (isinstance(columns, Mapping) and columns and all(isinstance(c, Column) for c in columns.values())):
         return f"metric {cls.__name__!r} declares no columns; set `columns: ClassVar = {{name: Column(...)}}`"
@@ -556,6 +561,8 @@ def _column_fault(kind: str, cls: Any) -> str:
 
 
 def _is_column(name: Any, column: Column) -> bool:
+    from nrbench.plugins.forms import Better
+
     texts = all(isinstance(text, str) for text in (name, column.meaning, column.unit))
     limits = isinstance(column.range, tuple) and len(column.range) == 2
     numbers = limits and all(isinstance(limit, int | float) for limit in column.range)

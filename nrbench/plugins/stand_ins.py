@@ -62,6 +62,7 @@ class VariableFacts(_Plain):
     isolation: Literal["worker", "cell"] = "worker"
     folder: Word = ""
     paper: str = ""
+    family: Word = ""
     geometry: Word = ""
     uses: tuple[Word, ...] = ()
     always_shown: tuple[Word, ...] = ()

@@ -41,6 +41,7 @@ from nrbench.plugins.forms import (
 from nrbench.running.guard import Message, cpu_seconds
 from nrbench.running.output_checks import InvalidOutput, checked_synthesis, is_picture
 from nrbench.running.preparing import prepare_method
+from nrbench.running.sample_surveys import survey_once
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder, Result, metric_key
 from nrbench.storage import make_folder, read_arrays, read_json, write_arrays, write_json
@@ -125,8 +126,9 @@ def synthesize_cell(folder: Path, send: Send) -> None:
     task, prepared = prepare_method(method, _task(where, cell), folder, cell.seed)
     send({"scored": PREPARED})
     wall, cpu = time.perf_counter(), cpu_seconds()
-    synthesis = synthesize_in_geometry(method, task)
-    wall, cpu = time.perf_counter() - wall, cpu_seconds() - cpu
+    survey, spent = survey_once(method, task, cell, folder.parent)
+    synthesis = synthesize_in_geometry(method, task, survey)
+    wall, cpu = time.perf_counter() - wall + spent.seconds, cpu_seconds() - cpu + spent.cpu_seconds
     synthesis = checked_synthesis(synthesis, task.sample, cell.shape)
     _write(where, synthesis)
     result: Result = {
@@ -136,6 +138,7 @@ def synthesize_cell(folder: Path, send: Send) -> None:
         "seconds": wall,
         "cpu_seconds": cpu,
         "detection_seconds": synthesis.detection_seconds,
+        "peak_mib": spent.peak_mib,
         "lattice_used": synthesis.lattice.as_dict() if synthesis.lattice else None,
         "output_hash": pixels_hash(synthesis.image),
         "made": {
@@ -224,7 +227,7 @@ def describe(folder: Path, send: Send) -> None:
         send(cast("Message", {"status": "ok", "message": "", "facts": facts}))
 
 
-def report(folder: Path, send: Send) -> None:
+def write_report(folder: Path, send: Send) -> None:
     """Write the report of a run that ``cell.json`` names, and send the paths of its files, or its text."""
     wanted = read_json(CellFolder(folder).cell_file) or {}
     run = Run(Path(wanted["run"]))

@@ -140,7 +140,7 @@ def write_guarded(run: Run, name: str, report: Any, folder: str | None, limits: 
     parameters, entry = plugins.parameters_of(report), "text" if folder is None else "written"
     wanted = {"run": str(run.root.resolve()), "report": name, "parameters": parameters, "folder": folder}
     with Supervisor(warm=False) as supervisor:
-        result: Any = _run(supervisor, "report", wanted, limits)
+        result: Any = _run(supervisor, "write_report", wanted, limits)
     if result["status"] != "ok" or entry not in result:
         raise RuntimeError(result["message"] or "ended without an answer")
     return result[entry]

@@ -38,6 +38,7 @@ from nrbench.plugins.registry import count_threads
 from nrbench.running import guard, phases
 from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import Send
+from nrbench.running.sample_surveys import KeptSurvey
 from nrbench.runs.store import FOLDERS, CellFolder
 from nrbench.storage import (
     follow_no_link_below,
@@ -166,10 +167,11 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
     before = guard.peak_bytes()
 
     def send_with_memory(message: Message) -> None:
-        peak = (
-            {"peak_mib": max(0, guard.peak_bytes() - before) / guard.MIB} if request.phase == "synthesize_cell" else {}
-        )
-        send(cast("Message", {**message, **peak}))
+        used = {}
+        if request.phase == "synthesize_cell":  # the method is sent with the peak of what it found done
+            mib = max(0, guard.peak_bytes() - before) / guard.MIB
+            used = {"peak_mib": max(mib, cast("Any", message).get("peak_mib", 0.0))}
+        send(cast("Message", {**message, **used}))
 
     module, _, name = request.phase.rpartition(".")
     phase = getattr(importlib.import_module(module or phases.__name__), name)
@@ -198,7 +200,7 @@ def warm(compiling: Callable[[], None], imports: Iterable[tuple[str, str]] = ())
             prepare_conversion(plugin.cls)
     for kind, name in imports:
         prepare_conversion(plugins.find(kind, name).cls)
-    for read in (Cell, Recipe):
+    for read in (Cell, Recipe, KeptSurvey):
         reader_of(read)
     load_kernels(compiling)
     gc.collect()

@@ -18,7 +18,7 @@ from nrbench.errors import BadInput, describe_error
 from nrbench.imaging.convert import Image, as_image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape, Texture
-from nrbench.plugins.parameters import label, parse_spec
+from nrbench.plugins.parameters import parse_spec, write_label
 from nrbench.plugins.registry import read_fingerprint
 from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Cell, DetectorIdentity, Recipe
@@ -81,7 +81,7 @@ class PlannedMethod:
             plugin.full_version if fingerprint is None else f"{plugin.full_version}+{fingerprint}",
             parameters,
             getattr(instance, "label", "")
-            or label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_shown", ())),
+            or write_label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_shown", ())),
             bool(getattr(plugin.cls, "reference", False)),
             bool(getattr(instance, "uses_lattice", True)),
             bool(getattr(plugin.cls, "needs_lattice", True)),
@@ -140,7 +140,9 @@ class LatticeSource:
             known = ", ".join(["given", "own", "x1,y1,x2,y2[,x,y] (px)", *plugins.names("detectors")])
             raise BadInput(f"--lattice {text!r} is not known; use one of: {known}")
         name, version, parameters = identify_detector(text)
-        return cls(label(name, parameters, _defaults(plugins.find("detectors", name).cls)), (name, version, parameters))
+        return cls(
+            write_label(name, parameters, _defaults(plugins.find("detectors", name).cls)), (name, version, parameters)
+        )
 
 
 def _find_recipe(suite: Suite, row: TextureRow, draw: Draw | None) -> Recipe:

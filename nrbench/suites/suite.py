@@ -10,11 +10,8 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from functools import cache, partial
-from importlib.metadata import EntryPoint, entry_points
-from importlib.resources import files
+from functools import partial
 from importlib.resources.abc import Traversable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,6 +22,7 @@ from nrbench.errors import BadInput
 from nrbench.plugins.parameters import nearest
 from nrbench.suites.cell import Recipe, Size
 from nrbench.suites.claims import Claim, Expectation, Series
+from nrbench.suites.installed import builtin as builtin
 
 DEFAULT = "default"
 """The suite that runs if none is named. Its methods are also those of a directory of pictures."""
@@ -301,24 +299,6 @@ def _first(error: ValidationError) -> str:
         return f"key {place!r} is not known{nearest(str(first['loc'][-1]), model.model_fields)}"
     message = first["msg"].removeprefix("Value error, ")
     return f"{place}: {message}"
-
-
-@cache
-def builtin() -> dict[str, Traversable]:
-    """Return the installed suites by name."""
-    packages = [_suite_folder(point) for point in entry_points(group="nrbench.suites")]
-    found = {item.name.removesuffix(".toml"): item for package in packages if package for item in package.iterdir()}
-    return {name: item for name, item in sorted(found.items()) if item.name.endswith(".toml")}
-
-
-def _suite_folder(point: EntryPoint) -> Traversable | None:
-    """Return the folder of suites that an entry point names. No package of others is imported, only found."""
-    if point.dist is not None and point.dist.name == "nrbench":
-        return files(point.value)
-    top, *inner = point.value.split(".")
-    spec = find_spec(top)
-    places = [Path(place, *inner) for place in (spec.submodule_search_locations if spec else None) or ()]
-    return next((place for place in places if place.is_dir()), None)
 
 
 def load_suite(what: str | Path) -> Suite:

@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from nrbench.lattice.geometry import Points
 from nrbench.tracking.growth import Knots
@@ -67,10 +66,10 @@ def renumber(knots: Knots) -> Knots | None:
     places, slopes, cells = (values[labels > 0] for values in (knots.places, knots.slopes, knots.cells))
     while waiting:
         numbered = np.flatnonzero(np.isin(owner, list(shifts)))
-        tree = KDTree(places[numbered])
+        tree = scipy.spatial.KDTree(places[numbered])
         for part in waiting:
             own = np.flatnonzero(owner == part)
-            pairs = tree.sparse_distance_matrix(KDTree(places[own]), near, output_type="coo_matrix")
+            pairs = tree.sparse_distance_matrix(scipy.spatial.KDTree(places[own]), near, output_type="coo_matrix")
             if pairs.nnz:
                 break
         else:
@@ -104,7 +103,7 @@ def similarity(knots: Knots, shape: tuple[int, int]) -> float:
     step = max(1, int(_READ_STEP * knots.mean_lattice().s))
     x, y = np.meshgrid(np.arange(step // 2, shape[1], step), np.arange(step // 2, shape[0], step))
     points = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
-    nearest = KDTree(knots.places[knots.known]).query(points)[1]
+    nearest = scipy.spatial.KDTree(knots.places[knots.known]).query(points)[1]
     off = (points - knots.places[knots.known][nearest])[..., np.newaxis]
     steps = np.linalg.solve(knots.slopes[knots.known][nearest], off)[..., 0] * knots.parts
     belongs = (np.abs(steps) <= _BELONGS).all(1)

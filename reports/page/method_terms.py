@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from nrbench import plugins
 from nrbench.runs.records import CellRecord, Run
+
+from ..statistics.summaries import MethodSummary
+from ..statistics.verdicts import PERILS
 
 
 def method_classes(cells: Iterable[CellRecord]) -> dict[str, type | None]:
@@ -36,3 +39,26 @@ def list_patch_terms(run: Run) -> list[tuple[str, ...]]:
 
 def _defaults(cls: type) -> dict[str, Any]:
     return {name: getattr(cls, name, "") for name in getattr(cls, "__dataclass_fields__", {})}
+
+
+def group_by_family(run: Run, summaries: Sequence[MethodSummary]) -> dict[str, list[MethodSummary]]:
+    """Return the ranked methods by the family that each declares, the best first; those without one come last."""
+    plugin = {record.method: record.cell.method for record in run.cells}
+    classes = method_classes(run.cells)
+    groups: dict[str, list[MethodSummary]] = {}
+    for one in sorted((each for each in summaries if each.rank), key=lambda each: each.rank or 0):
+        family = str(getattr(classes.get(plugin[one.method.name]), "family", "")) or "other methods"
+        groups.setdefault(family, []).append(one)
+    return dict(sorted(groups.items(), key=lambda group: group[0] == "other methods"))
+
+
+def order_by_peril(summaries: Sequence[MethodSummary]) -> dict[str, list[MethodSummary]]:
+    """Return the methods that are no references by each peril, those that keep most first; unmeasured ones last."""
+    own = [one for one in summaries if not one.method.reference]
+
+    def kept(one: MethodSummary, peril: str) -> float:
+        value = one.means[peril].value if peril in one.means else None
+        return -1.0 if value is None else value
+
+    measured = [peril for peril in PERILS if any(kept(one, peril) >= 0 for one in own)]
+    return {peril: sorted(own, key=lambda one: -kept(one, peril)) for peril in measured}

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from nrbench import plugins
 from nrbench.authoring.conformance import check_plugin
-from nrbench.authoring.packages import KINDS, check_name, write_package
+from nrbench.authoring.packages import KINDS, check_name, new_plugin
 from nrbench.errors import BadInput
 
 
@@ -35,7 +35,7 @@ def test_a_new_plugin_conforms(kind: str, tmp_path: Path) -> None:
 
 def test_a_package_installs_and_runs(tmp_path: Path) -> None:
     """Installed by pip without network, the method is listed, passes its own tests, and makes a picture."""
-    (folder,) = {path.parent for path in write_package("synthesizer", "my-tiles")}
+    (folder,) = {path.parent for path in new_plugin("synthesizer", "my-tiles")}
     site = tmp_path / "site"
     options = ["--no-deps", "--no-build-isolation", "--no-index", "--quiet", "--target", str(site)]
     subprocess.run(

@@ -24,6 +24,7 @@ PLUGIN_FOLDERS = {
 }
 FLOORS = (
     ("nrbench.cli", "nrbench.__main__"),
+    ("nrbench.run_api", "nrbench.catalog"),
     ("nrbench.api",),
     ("nrbench.reports",),
     ("nrbench.labelling", "nrbench.authoring"),

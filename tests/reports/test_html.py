@@ -30,6 +30,7 @@ from nrbench.reports.page.gallery import (
 from nrbench.reports.page.pictures import PagePicture, PictureStore
 from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
+from nrbench.version import find_project
 
 Make = Callable[..., Any]
 VOID = {"meta", "img", "input", "br", "path"}
@@ -396,3 +397,11 @@ def test_a_supercell_keeps_its_own_basis() -> None:
 def test_without_a_true_lattice_the_origin_stays() -> None:
     """Without a true lattice the origin stays."""
     assert align_basis(Lattice((10, 0), (0, 10), (3, 4)), None, (64, 64)).origin == (3, 4)
+
+
+def test_the_perils_have_sections(ranked: Run) -> None:
+    """The page lists methods by each peril that was measured, and links to no project while the metadata name none."""
+    page = HtmlReport().render(ranked, ranked.root / "report")
+    assert 'id="four-perils"' in page and page.count('id="peril-') == 4
+    assert "noreferrer" not in page
+    assert find_project({"git": {"commit": "a" * 40, "clean": False}})["commit_page"] == ""

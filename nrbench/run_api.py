@@ -1,0 +1,377 @@
+"""The Python functions of runs: plan a run; read, report, label and publish those that are on disk."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nrbench import plugins
+from nrbench.api import Latticelike, Pluginlike, as_run, plan_cells
+from nrbench.errors import describe_error, strip_control
+from nrbench.plugins.parameters import parse_spec, size_text
+from nrbench.runs.records import CellRecord, Run
+from nrbench.runs.store import FAILED, RunDirectory
+from nrbench.suites.cell import RESULTS_VERSION, Cell
+
+# What runs cells and child processes is imported by the functions that need it: `status` only reads files.
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from nrbench.running.guard import Limits
+    from nrbench.suites.plan import Plan
+    from nrbench.suites.suite import Suite
+
+Runlike = Run | str | os.PathLike[str]
+"""A run, or its directory."""
+
+
+def plan(
+    suite: str | os.PathLike[str] | Suite = "default",
+    *,
+    methods: Sequence[Pluginlike] | Pluginlike = (),
+    textures: Sequence[str] | str = (),
+    lattice: Sequence[Latticelike] | str = (),
+    out: str | os.PathLike[str] | None = None,
+    retry_failed: bool = False,
+    **changes: Any,
+) -> pd.DataFrame:
+    """List the cells that :func:`~nrbench.run` would reuse and those that it would start. Nothing is started.
+
+    Parameters
+    ----------
+    suite, methods, textures, lattice, out
+        As for :func:`~nrbench.run`.
+    retry_failed
+        Whether failed cells would run again.
+    **changes
+        As for :func:`~nrbench.run`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row for each cell, whose results are on disk if it is ``cached``. ``fault`` says why a cell cannot run.
+
+    Raises
+    ------
+    BadInput
+        As for :func:`~nrbench.run`.
+
+    Examples
+    --------
+    >>> from nrbench import plan
+    >>> plan("core", methods="scatter", textures="brick-mild", out="runs/mine")["cached"].tolist()
+    [False]
+    """
+    import pandas as pd
+
+    from nrbench.running.plugin_children import guarded_plugins
+
+    with guarded_plugins():
+        planned, root = plan_cells(suite, methods, textures, lattice, out, **changes)
+        return pd.DataFrame(plan_summary(planned, root, retry_failed)["cells"])
+
+
+def status(run: Runlike) -> dict[str, Any]:
+    """Return the number of cells of a run with each status, and the cells that failed.
+
+    Parameters
+    ----------
+    run
+        The run, or its directory.
+
+    Returns
+    -------
+    dict
+        The ``run``, the number of its ``cells``, their number by ``status``, and a line for each of the ``failures``.
+
+    Raises
+    ------
+    BadInput
+        If the directory is no run.
+
+    Examples
+    --------
+    ``status("runs/default")["status"]`` is ``{"ok": 741, "refused": 3}``.
+    """
+    read = as_run(run)
+    cells = read.ends()
+    return {
+        "run": str(read.root),
+        "cells": len(cells),
+        "status": status_counts(cells),
+        "failures": failures(cells),
+    }
+
+
+def report(
+    run: Runlike, format: Sequence[str] | str = (), *, labels: Sequence[str | os.PathLike[str]] = (), **parameters: Any
+) -> list[Path]:
+    """Write the reports of a run again from its files. No cell is run.
+
+    Parameters
+    ----------
+    run
+        The run, or its directory.
+    format
+        The reports, as ``"html,latex:width=column"`` or as a list of such texts; all if empty.
+    labels
+        Files with answers to pages of :func:`label`, one for each labeler.
+    **parameters
+        Parameters of all reports that have them: ``single_file``, ``tests``, ``population``, and so on.
+
+    Returns
+    -------
+    list of Path
+        The files. A report that fails is left out with a warning.
+
+    Raises
+    ------
+    BadInput
+        If the directory is no run, or for an unknown report, parameter or file of answers.
+
+    Examples
+    --------
+    ``report("runs/default", "html,latex:width=column")`` writes the page and the tables of an article.
+    """
+    from nrbench.labelling.labels import read_labelers
+
+    read, files = as_run(run), tuple(map(Path, labels))
+    read_labelers(read, files)
+    wanted = parse_formats([format] if isinstance(format, str) else format) if format else None
+    return write_reports(read, wanted, shared={"labels": files, **parameters})[0]
+
+
+def label(
+    run: Runlike,
+    output: str | os.PathLike[str] | None = None,
+    *,
+    repeat: float = 0.1,
+    seed: int = 0,
+    questions: Sequence[str] | str = "lattice,elements,more",
+) -> Path:
+    """Write a page on which people label the outputs of a run, without the methods' names.
+
+    Parameters
+    ----------
+    run
+        The run, or its directory.
+    output
+        The page; if None, it lies in the folder ``labels`` of the run, beside its key.
+    repeat
+        Share of the outputs that are shown twice.
+    seed
+        Seed of the items' order and ids.
+    questions
+        The questions about each output in this order, as a list or joined by commas.
+
+    Returns
+    -------
+    Path
+        The page. :func:`report` reads the answers that it saves.
+
+    Raises
+    ------
+    BadInput
+        If the directory is no run, or for an unknown question, or if the page cannot be written there.
+
+    Examples
+    --------
+    ``label("runs/default", repeat=0.2, questions="lattice")`` asks one question, and a fifth of the outputs twice.
+    """
+    from nrbench.labelling.labels import write_page
+
+    asked = questions.split(",") if isinstance(questions, str) else questions
+    return write_page(as_run(run).root, None if output is None else Path(output), repeat, seed, asked)[0]
+
+
+def site(runs: Sequence[Runlike], output: str | os.PathLike[str]) -> list[Path]:
+    """Write a static site that compares runs, such as those of several people.
+
+    Parameters
+    ----------
+    runs
+        The runs, or their directories.
+    output
+        The directory of the pages. It is made if it does not exist.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    BadInput
+        If a directory is no run.
+
+    Examples
+    --------
+    ``site(["runs/mine", "runs/yours"], "site")`` writes ``site/index.html`` and the pages that it links.
+    """
+    loaded, folder = [as_run(each) for each in runs], Path(output)
+    folder.mkdir(parents=True, exist_ok=True)
+    written: list[Path] = plugins.build("reports", "site", {"runs": tuple(each.root for each in loaded)}).write(
+        loaded[0], folder
+    )
+    return written
+
+
+def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
+    """Return the cells of a plan for JSON, and how many a run would reuse and start."""
+    # Metrics take seconds to import. No cell is cached where there is no run.
+    is_done = _find_done(plan, root, retry_failed) if plan.suite.metrics or root.is_dir() else lambda cell: False
+    cells = [
+        {
+            "key": cell.key,
+            "texture": cell.texture,
+            "method": cell.label,
+            "lattice_source": cell.lattice_source,
+            "replicate": cell.replicate,
+            "sample": size_text(sample.size) if sample.size else "",
+            "size": size_text(sample.shape),
+            "cached": is_done(cell),
+            "fault": cell.fault,
+        }
+        for cell, sample in plan.cells
+    ]
+    cached = sum(bool(cell["cached"]) for cell in cells)
+    head = {"suite": plan.suite.name, "hash": plan.suite.hash, "out": str(root)}
+    return {**head, "cached": cached, "new": len(cells) - cached, "cells": cells}
+
+
+def _find_done(plan: Plan, root: Path, retry_failed: bool) -> Callable[[Cell], bool]:
+    """Return a function that tells whether a run would reuse the results of a cell."""
+    from nrbench.running.runner import find_metrics, is_cached
+
+    directory, metrics = RunDirectory(root), find_metrics(plan.suite.metrics)
+    return lambda cell: is_cached(directory, cell, metrics, retry_failed)
+
+
+def status_counts(cells: Sequence[CellRecord]) -> dict[str, int]:
+    """Return how many cells ended in each status."""
+    return dict(Counter(record.status for record in cells).most_common())
+
+
+def failures(cells: Sequence[CellRecord]) -> list[str]:
+    """Return one line for each cell that failed, and one for each failure of a metric, which may concern many cells."""
+    lines = [f"{_where(record)}: {record.status}: {record.message}" for record in cells if record.status in FAILED]
+    failed: dict[str, list[str]] = {}
+    for record in cells:
+        broken = {(name.partition(".")[0], why) for name, why in record.reasons.items() if why.startswith("failed:")}
+        for metric, why in sorted(broken):
+            failed.setdefault(f"{metric}: {why}", []).append(_where(record))
+    for what, where in failed.items():
+        lines.append(f"{where[0]}: {what}" + (f" (and {len(where) - 1} more cells)" if len(where) > 1 else ""))
+    return lines
+
+
+def unfinished(run: Run) -> list[str]:
+    """Return a line if cells have no result, because a cluster was lost or something removed them."""
+    missing = [_where(record) for record in run.cells if record.status == "missing"]
+    if not missing:
+        return []
+    which = missing[0] if len(missing) == 1 else f"{len(missing)} of {len(run.cells)} cells, such as {missing[0]}"
+    return [f"no result: {which}; run the same command again"]
+
+
+def _where(record: CellRecord) -> str:
+    return f"{record.texture} / {record.method} ({record.lattice_source}, {record.key})"
+
+
+def parse_formats(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Read formats as ``html,latex:param=value,...,csv`` into their parameters by name.
+
+    A comma starts a new format only if the name of a report follows it.
+
+    Raises
+    ------
+    BadInput
+        For an unknown report, or parameters that cannot be read.
+    """
+    names = "|".join(map(re.escape, sorted(plugins.names("reports"), key=len, reverse=True)))
+    specs = [spec for text in texts for spec in re.split(rf",(?=(?:{names})(?:[:,]|$))", text)]
+    formats = dict(map(parse_spec, specs))
+    for name in formats:
+        plugins.find("reports", name.rpartition(",")[2])
+    return formats
+
+
+def write_reports(
+    run: Run,
+    formats: Mapping[str, Mapping[str, Any]] | None = None,
+    tables_only: bool = False,
+    shared: Mapping[str, Any] | None = None,
+    limits: Limits | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+    tell: Callable[[str], None] = warnings.warn,
+) -> tuple[list[Path], bool]:
+    """Write the reports of a run.
+
+    Parameters
+    ----------
+    run
+        The run.
+    formats
+        The parameters of each report, by its name; None for all reports.
+    tables_only
+        Whether reports other than tables are left out.
+    shared
+        Parameters of all reports that have them, such as the files of labelers' answers, ``labels``.
+    limits
+        Limits of each report of another package; None for the default ones.
+    progress
+        Called after each report with the number of reports done, of all, and the name of the last one.
+    tell
+        Called with a sentence about each report that fails.
+
+    Returns
+    -------
+    written
+        The paths.
+    broken
+        Whether any report failed.
+    """
+    from nrbench.running.plugin_children import LIMITS, write_guarded
+    from nrbench.running.runner import working_plugins
+
+    made_by = run.info.get("results_version")
+    if made_by != RESULTS_VERSION:
+        tell(
+            f"{run.root} was made by results version {strip_control(str(made_by))}, and this nrbench has "
+            f"{RESULTS_VERSION}: its scores are left out; run the same command again, or use the nrbench that made it"
+        )
+    if formats is None:
+        formats = {name: {} for name in working_plugins("reports")}
+    reports = {name: build_report(name, shared or {}, given) for name, given in formats.items()}
+    wanted = {name: report for name, report in reports.items() if not tables_only or _folder(report) == "tables"}
+    written: list[Path] = []
+    broken, allowed = False, limits or LIMITS
+    for number, (name, report) in enumerate(wanted.items(), 1):
+        folder = _folder(report)
+        own = plugins.find("reports", name).own
+        try:
+            files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder, allowed)
+            written += [Path(path) for path in files]
+        except (Exception, SystemExit) as error:
+            broken = True
+            tell(f"report {name} failed: {describe_error(error)}")
+        if progress:
+            progress(number, len(wanted), name)
+    return written, broken
+
+
+def _folder(report: Any) -> str:
+    return str(getattr(report, "folder", "report"))
+
+
+def build_report(name: str, shared: Mapping[str, Any], given: Mapping[str, Any]) -> Any:
+    """Return a report with its own parameters, and those shared ones that it has."""
+    cls: Any = plugins.find("reports", name).cls
+    known = {field.name for field in fields(cls)}
+    return plugins.build("reports", name, {**{key: shared[key] for key in shared if key in known}, **given})
