@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import ClassVar, Final
 
 import numpy as np
@@ -80,7 +80,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
-    version: ClassVar[str] = "6"
+    version: ClassVar[str] = "7"
     family: ClassVar[str] = "elements drawn anew"
 
     def __post_init__(self) -> None:
@@ -184,12 +184,17 @@ class VariationModel:
         rest = ElementDetail(self.detail.elements, own - smooth_coarsely(own, self.detail.elements))
         return replace(self, detail=rest, field=CellField.fit(self.detail.elements, own), colored=colored)
 
+    @cached_property
+    def width(self) -> float:
+        """How far colors of elements differ whose detail is copied, see :meth:`ElementDetail.choose_width`."""
+        return self.detail.choose_width(self.colors.of_sample(self.detail.rest.shape[:2]))
+
     def draw(self, task: Task, variation: float) -> Image:
         """Return a new texture of the task's shape, its departures from the mean tile times ``variation``."""
         height, width = task.shape
         colors = self.colors.draw(task.shape, task.rng)
         own = self.colors.of_sample(self.detail.rest.shape[:2])
-        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None)
+        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, self.width)
         field = None if self.field is None else self.field.draw(task.shape, task.rng)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it

@@ -19,7 +19,7 @@ from nrbench import api, texture
 from nrbench.imaging.files import write_image
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
-from nrbench.truth import write_table
+from nrbench.truth import table_text
 
 NAMES = (
     "<script>alert('nrmark')<",
@@ -73,7 +73,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         image = texture("brick", shape=(60, 64), seed=i, width=16, height=12).image
         shutil.move(write_image(place / "plain.png", image), folder / f"{name}.png")
     rows = [{"file": f"{name}.png", **lattice} for name in NAMES]
-    write_table(folder / "truth.csv", list(rows[0]), rows)
+    (folder / "truth.csv").write_text(table_text(list(rows[0]), rows), "utf-8")
     (folder / "unread <i>.png").write_text("no picture")
     (folder / "empty.png").write_bytes(b"")
     (folder / "second.png").write_text("no picture either")
