@@ -80,7 +80,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
     family: ClassVar[str] = "elements drawn anew"
 
     def __post_init__(self) -> None:
