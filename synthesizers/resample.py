@@ -48,7 +48,8 @@ class Resample:
     4. New colors are a Gaussian random field with the sample's correlations between elements, as far as they exceed
        chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
     5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
-       color are more likely. Where elements meet, rests are mixed so that their variance stays.
+       color are more likely, as far as the sample's own details go with their colors. Where elements meet, rests are
+       mixed so that their variance stays.
     6. Stains, prints and panes run on across the elements that are found. Where the coarse residual of the sample steps
        at their borders by less than 0.8 of what the draws do, it is drawn as one field: the spot noise of the lattice,
        with the covariance of the sample. Where only the rest runs on, so is the coarse part of the rest.
