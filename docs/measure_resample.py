@@ -290,7 +290,7 @@ def score_detail(k: Known) -> np.ndarray | None:
         return None
     total, count = np.zeros(len(ALIKE)), 0
     for number, (old_cells, new_cells) in enumerate(zip(sample.whole, fresh.whole, strict=True)):
-        details = [d.cut(number) for d in (sample, fresh)]
+        details = [cut(d.rest, elements, number, c) for d, c in ((sample, old_cells), (fresh, new_cells))]
         old, drawn = (t[number][tuple((c - corner).T)] for t, c in ((own, old_cells), (new, new_cells)))
         apart = np.square(drawn[:, np.newaxis] - old).sum(-1) / max(float(old.var(0).sum()), 1e-12)
         across, within = (np.sqrt(np.square(one[:, np.newaxis] - details[0]).mean(-1)) for one in details[::-1])
@@ -302,6 +302,15 @@ def score_detail(k: Known) -> np.ndarray | None:
         total += np.array(scores) / scores[-1] * len(new_cells)
         count += len(new_cells)
     return total / count
+
+
+def cut(rest: np.ndarray, elements: ElementMap, number: int, cells: np.ndarray) -> np.ndarray:
+    """Return the details of an element in some cells, one row each."""
+    at = np.argwhere(elements.label == number)[::4]
+    place = ((at + 0.5) / elements.label.shape)[:, ::-1] - elements.offset[tuple(at.T)]
+    x, y = elements.lattice.from_cell((cells[:, np.newaxis] + place).reshape(-1, 2)).round().astype(int).T
+    height, width, _ = rest.shape
+    return rest[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].reshape(len(cells), -1)
 
 
 def draws_of(name: str, seed: int, parameters: dict[str, float]) -> tuple[Texture, Again]:

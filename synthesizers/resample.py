@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import ClassVar, Final
 
 import numpy as np
@@ -48,8 +48,7 @@ class Resample:
     4. New colors are a Gaussian random field with the sample's correlations between elements, as far as they exceed
        chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
     5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
-       color are more likely, as far as the sample's own details go with their colors. Where elements meet, rests are
-       mixed so that their variance stays.
+       color are more likely. Where elements meet, rests are mixed so that their variance stays.
     6. Stains, prints and panes run on across the elements that are found. Where the coarse residual of the sample steps
        at their borders by less than 0.8 of what the draws do, it is drawn as one field: the spot noise of the lattice,
        with the covariance of the sample. Where only the rest runs on, so is the coarse part of the rest.
@@ -81,7 +80,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
-    version: ClassVar[str] = "8"
+    version: ClassVar[str] = "9"
     family: ClassVar[str] = "elements drawn anew"
 
     def __post_init__(self) -> None:
@@ -185,17 +184,12 @@ class VariationModel:
         rest = ElementDetail(self.detail.elements, own - smooth_coarsely(own, self.detail.elements))
         return replace(self, detail=rest, field=CellField.fit(self.detail.elements, own), colored=colored)
 
-    @cached_property
-    def width(self) -> float:
-        """How far colors of elements differ whose detail is copied, see :meth:`ElementDetail.choose_width`."""
-        return self.detail.choose_width(self.colors.of_sample(self.detail.rest.shape[:2]))
-
     def draw(self, task: Task, variation: float) -> Image:
         """Return a new texture of the task's shape, its departures from the mean tile times ``variation``."""
         height, width = task.shape
         colors = self.colors.draw(task.shape, task.rng)
         own = self.colors.of_sample(self.detail.rest.shape[:2])
-        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, self.width)
+        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None)
         field = None if self.field is None else self.field.draw(task.shape, task.rng)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it

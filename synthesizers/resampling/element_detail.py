@@ -18,11 +18,8 @@ Colors = tuple[NDArray[np.float64], NDArray[np.float64]]
 _SOFTNESS = 1.0
 """px, standard deviation of the Gaussian that softens the borders between the details of elements."""
 _AROUND: tuple[Lag, ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
-WIDTHS = (0.4, 0.8, 1.6, 3.2)
-"""How far, in standard deviations, the color of a new element differs from that of the one whose detail it copies: the
-sample decides between these."""
-_SPARSE = 4
-"""One of so many places of an element is compared where widths are chosen."""
+_ALIKE = 0.8
+"""How far, in standard deviations, the color of a new element differs from that of the one whose detail it copies."""
 _REDRAWS = 20
 """Times that copies beside an equal one are drawn again."""
 
@@ -56,42 +53,7 @@ class ElementDetail:
     def _splines(self) -> list[NDArray[np.float64]]:
         return [scipy.ndimage.spline_filter(plane, 5, mode="mirror") for plane in np.moveaxis(self.rest, -1, 0)]
 
-    def cut(self, number: int) -> NDArray[np.float64]:
-        """Return a part of the pixels of each whole instance of an element, at equal places, one row each."""
-        at = np.argwhere(self.elements.label == number)[::_SPARSE]
-        place = ((at + 0.5) / self.elements.label.shape)[:, ::-1] - self.elements.offset[tuple(at.T)]
-        cells = self.whole[number][:, np.newaxis] + place
-        x, y = self.elements.lattice.from_cell(cells.reshape(-1, 2)).round().astype(int).T
-        height, width = self.rest.shape[:2]
-        return self.rest[y.clip(0, height - 1), x.clip(0, width - 1)].reshape(len(cells), -1)
-
-    def choose_width(self, colors: NDArray[np.float64]) -> float:
-        """Return the width of :data:`WIDTHS` by which the sample's details are best told from their colors.
-
-        Each whole instance is left out in turn, and forecast by the details of the others, weighted by their colors.
-        The mean energy score (Gneiting and Raftery 2007) of these forecasts is least if they are distributed as the
-        true details: a narrow width if detail goes with color, a wide one if not, or if there are few instances.
-
-        Parameters
-        ----------
-        colors
-            The colors ``(E, I, J, C)`` of the sample's elements.
-        """
-        corner = self.elements.cells(self.rest.shape[:2])[0, 0]
-        total = np.zeros(len(WIDTHS))
-        for k, cells in enumerate(self.whole):
-            own, details = colors[k][tuple((cells - corner).T)], self.cut(k)
-            if len(cells) > 2:
-                apart = _squared_distances(own) / max(float(own.var(0).sum()), 1e-12)
-                np.fill_diagonal(apart, np.inf)
-                between = np.sqrt(_squared_distances(details))
-                scores = np.array([_energy_score(apart / (2 * width**2), between) for width in WIDTHS])
-                total += scores / max(scores[-1], 1e-12) * len(cells)
-        return WIDTHS[int(total.argmin())] if total.any() else WIDTHS[-1]
-
-    def draw(
-        self, shape: Shape, rng: np.random.Generator, colors: Colors | None = None, width: float = WIDTHS[-1]
-    ) -> Numbers:
+    def draw(self, shape: Shape, rng: np.random.Generator, colors: Colors | None = None) -> Numbers:
         """Return the cell of the sample from which each element of a picture is copied, ``(E, I, J, 2)``.
 
         The box of cells is that of :meth:`ElementMap.cells`. Neighbors are copied from different cells if there are
@@ -106,8 +68,6 @@ class ElementDetail:
             Draws the cells.
         colors
             The colors ``(E, I, J, C)`` of the sample's elements, and those of the picture's.
-        width
-            How far such colors differ, in standard deviations; see :meth:`choose_width`.
         """
         box = self.elements.cells(shape).shape[:2]
         corner = self.elements.cells(self.rest.shape[:2])[0, 0]
@@ -117,7 +77,7 @@ class ElementDetail:
             if colors is not None:
                 own, new = colors[0][k][tuple((cells - corner).T)], colors[1][k]
                 apart = np.square(new[:, :, np.newaxis] - own).sum(-1)
-                likelihood -= apart / (2 * width**2 * max(float(own.var(0).sum()), 1e-12))
+                likelihood -= apart / (2 * _ALIKE**2 * max(float(own.var(0).sum()), 1e-12))
             drawn.append(cells[_draw_apart(likelihood, rng)])
         return np.stack(drawn)
 
@@ -139,19 +99,6 @@ class ElementDetail:
                 detail[at, channel] += share * read
             power[at] += share**2
         return np.asarray(detail / np.sqrt(power)[..., np.newaxis])
-
-
-def _squared_distances(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the squared distance of each row to each, ``(n, n)``."""
-    power = np.square(rows).sum(1)
-    return np.asarray(np.maximum(power[:, np.newaxis] + power - 2 * rows @ rows.T, 0))
-
-
-def _energy_score(unlikelihood: NDArray[np.float64], between: NDArray[np.float64]) -> float:
-    """Return the mean energy score of forecasts, from the weights ``exp(-unlikelihood)`` and distances of outcomes."""
-    weight = np.exp(unlikelihood.min(1, keepdims=True) - unlikelihood)
-    weight /= weight.sum(1, keepdims=True)
-    return float(((weight * between).sum(1) - ((weight @ between) * weight).sum(1) / 2).mean())
 
 
 def _draw_apart(likelihood: NDArray[np.float64], rng: np.random.Generator) -> Numbers:

@@ -16,7 +16,7 @@ from nrbench.plugins.forms import Refused, Texture
 from nrbench.synthesizers.resample import Resample, VariationModel
 from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
 from nrbench.synthesizers.resampling.element_colors import draw_field, link_threads, match_distribution
-from nrbench.synthesizers.resampling.element_detail import WIDTHS, ElementDetail
+from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
 from nrbench.synthesizers.tile_set import TileSet
 
@@ -288,14 +288,3 @@ def test_details_are_copied_from_other_cells_than_the_neighbors() -> None:
     for lag in ((1, 0), (0, 1), (1, 1), (1, -1)):
         same = (cells == np.roll(cells, lag, (0, 1))).all(-1)
         assert not same[2:-2, 2:-2].any()
-
-
-def test_detail_goes_with_color_as_far_as_the_sample_shows() -> None:
-    """The width is the narrowest where the color tells the detail, and the widest where it tells nothing."""
-    model = model_of(drawn("hexagon", color=0.3))
-    elements, shape = model.detail.elements, model.detail.rest.shape[:2]
-    colors = model.colors.of_sample(shape)
-    grain = np.random.default_rng(0).normal(size=model.detail.rest.shape)
-    told = ElementDetail(elements, 0.01 * grain + model.colors.lay(colors, shape))
-    assert told.choose_width(colors) == WIDTHS[0]
-    assert ElementDetail(elements, grain).choose_width(colors) == WIDTHS[-1]
