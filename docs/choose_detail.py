@@ -1,8 +1,8 @@
 """Choose how closely `resample` matches colors where it copies detail: ``python docs/choose_detail.py``.
 
-The suites ``core`` and ``default`` are drawn at seed 77, which no table reports. Printed is the mean over their textures
-of quality, integrity and repetition of `resample`, the lattice given, for each width in standard deviations of the
-colors.
+The suites ``core`` and ``default`` are drawn at seed 77, which no table reports. Printed is the mean over their
+textures of quality, integrity and repetition of `resample`, the lattice given, for each width in standard deviations of
+the colors.
 """
 
 from __future__ import annotations
