@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NO_LINK = "is a link or no regular file; remove it (nrbench follows no links inside a run)"
-"""What is said of a path inside a run that is not opened."""
+"""The message for a path inside a run that is not opened."""
 _NO_LINK_FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 _without_links: set[str] = set()
 

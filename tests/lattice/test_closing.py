@@ -29,7 +29,7 @@ def test_the_sides_of_the_output_are_vectors_of_the_closed_lattice(name: str) ->
 
 
 def test_the_nearest_size_that_closes_is_the_nearest() -> None:
-    """No size between the one that was asked for and the one that is returned closes."""
+    """No size between the wanted one and the returned one closes."""
     lattice = LATTICES["running bond"]
     height, width = nearest_closing_shape(lattice, (230, 260), 0.01)
     for side in range(min(width, 260), max(width, 260) + 1):
