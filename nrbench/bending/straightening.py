@@ -195,7 +195,7 @@ class SampleSurvey:
     straight
         The straightened sample; None if the sample is not bent.
     note
-        What is said of it.
+        Its description in one line.
     seconds
         Wall seconds that this took.
     """
