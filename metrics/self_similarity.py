@@ -52,7 +52,7 @@ class SelfSimilarity:
     D. Chetverikov: Pattern regularity as a visual key, Image and Vision Computing 18 (2000) 975-985. Let rho be the
     normalized autocorrelation (of all channels together, each lag over its overlap). The *contrast function* of a
     direction a is F(d) = 1 - rho(d cos a, d sin a), here for 180 directions and 4 <= d <= D px in steps of 1/2, where D
-    is 0.6 of the smallest side of sample and output. For every minimum d1 and every minimum d2 within 20 % of 2 d1::
+    is 0.6 of the smallest side of sample and output; a minimum lies where the parabola through three steps does. For every minimum d1 and every minimum d2 within 20 % of 2 d1::
 
         R_int = 1 - (F(d1) + F(d2)) / (2 F_max)     F_max: the lower of the highest F before d1, and between d1 and d2
         R_pos = 1 - |d2 - 2 d1| / d2
@@ -68,7 +68,7 @@ class SelfSimilarity:
     and stripes count as regular.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column("Regularity of the output along its most regular direction, without a lattice."),
         "sample_score": Column("Regularity of the sample along its most regular direction, without a lattice."),
@@ -104,15 +104,14 @@ def _obstacle(image: Image, reach: int) -> str:
 def regularity(image: Image, reach: int) -> Regular:
     """Return the most regular direction of an image, for lags of up to ``reach`` px."""
     contrast = contrast_functions(image, reach)
-    low = np.zeros(contrast.shape, np.bool_)
-    low[:, 1:-1] = (contrast[:, 1:-1] <= contrast[:, :-2]) & (contrast[:, 1:-1] < contrast[:, 2:])
+    low, lags = _find_minima(contrast)
     best = Regular(0.0, 0.0, 0.0)
     for lag in range(_FINE * _LEAST_LAG, _FINE * reach // 2 + 1):
         rows = np.flatnonzero(low[:, lag])
-        scores = _best_pair(contrast[rows], low[rows], lag)
+        scores = _best_pair(contrast[rows], low[rows], lags[rows], lag)
         if len(rows) and scores.max() > best.score:
             row = rows[int(scores.argmax())]
-            best = Regular(float(scores.max()), lag / _FINE, 180.0 * row / _DIRECTIONS - 90.0)
+            best = Regular(float(scores.max()), float(lags[row, lag]) / _FINE, 180.0 * row / _DIRECTIONS - 90.0)
     return best
 
 
@@ -128,7 +127,24 @@ def contrast_functions(image: Image, reach: int) -> NDArray[np.float64]:
     return np.asarray(1 - np.clip(ndimage.map_coordinates(near, at, order=3, mode="nearest"), -1, 1))
 
 
-def _best_pair(contrast: NDArray[np.float64], low: NDArray[np.bool_], lag: int) -> NDArray[np.float64]:
+def _find_minima(contrast: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Return which lags are minima of their direction, and where each minimum lies between the steps.
+
+    The place is that of the parabola through the minimum and its two neighbors. Whole steps would cost a period of
+    15 px up to 3 % of its score.
+    """
+    before, here, after = contrast[:, :-2], contrast[:, 1:-1], contrast[:, 2:]
+    low = np.zeros(contrast.shape, np.bool_)
+    low[:, 1:-1] = (here <= before) & (here < after)
+    lags = np.broadcast_to(np.arange(contrast.shape[1], dtype=np.float64), contrast.shape).copy()
+    bend = np.where(low[:, 1:-1], before - 2 * here + after, 1)
+    lags[:, 1:-1] += np.where(low[:, 1:-1], (before - after) / (2 * bend), 0)
+    return low, lags
+
+
+def _best_pair(
+    contrast: NDArray[np.float64], low: NDArray[np.bool_], lags: NDArray[np.float64], lag: int
+) -> NDArray[np.float64]:
     """Return for each direction the largest (R_int R_pos)^2 of a minimum at ``lag`` and one near twice the lag."""
     first, last = math.ceil(2 * _SHORTER * lag), min(math.floor(2 * _LONGER * lag), contrast.shape[1] - 2)
     if first > last or not len(contrast):
@@ -138,5 +154,5 @@ def _best_pair(contrast: NDArray[np.float64], low: NDArray[np.bool_], lag: int) 
     between = np.maximum.accumulate(contrast[:, lag:], 1)[:, second - lag]
     barrier = np.maximum(np.minimum(before, between), _FLAT)
     depth = 1 - (contrast[:, [lag]] + contrast[:, second]) / (2 * barrier)
-    place = 1 - np.abs(second - 2 * lag) / second
+    place = 1 - np.abs(lags[:, second] - 2 * lags[:, [lag]]) / lags[:, second]
     return np.asarray((np.where(low[:, second], np.clip(depth, 0, 1) * place, 0) ** 2).max(1))
