@@ -52,7 +52,8 @@ class SelfSimilarity:
     D. Chetverikov: Pattern regularity as a visual key, Image and Vision Computing 18 (2000) 975-985. Let rho be the
     normalized autocorrelation (of all channels together, each lag over its overlap). The *contrast function* of a
     direction a is F(d) = 1 - rho(d cos a, d sin a), here for 180 directions and 4 <= d <= D px in steps of 1/2, where D
-    is 0.6 of the smallest side of sample and output; a minimum lies where the parabola through three steps does. For every minimum d1 and every minimum d2 within 20 % of 2 d1::
+    is 0.6 of the smallest side of sample and output; a minimum lies where the parabola through three steps does. For
+    every minimum d1 and every minimum d2 within 20 % of 2 d1::
 
         R_int = 1 - (F(d1) + F(d2)) / (2 F_max)     F_max: the lower of the highest F before d1, and between d1 and d2
         R_pos = 1 - |d2 - 2 d1| / d2

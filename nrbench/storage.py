@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, describe_error
 
 # numpy is imported by the functions that hold arrays: a list of plugins needs none.
 if TYPE_CHECKING:
@@ -397,13 +397,13 @@ def write_json(path: Path, content: Mapping[str, Any], durable: bool = False) ->
         Whether the content is on the disk before the file gets its name, so that a loss of power leaves the old file
         or the new one. This takes about 2 ms.
     """
-    text = json_text(content)
+    text = json_text(content) + "\n"
     write_aside(path, lambda file: file.write(text.encode()), durable)
 
 
-def json_text(content: Mapping[str, Any]) -> str:
-    """Return a mapping as JSON. NaN and infinity raise ValueError."""
-    return json.dumps(content, indent=1, allow_nan=False, default=_plain) + "\n"
+def json_text(content: Mapping[str, Any], indent: int | None = 1) -> str:
+    """Return a mapping as JSON, in one line if ``indent`` is None. NaN and infinity raise ValueError."""
+    return json.dumps(content, indent=indent, allow_nan=False, default=_plain)
 
 
 def _plain(value: Any) -> Any:
@@ -462,8 +462,22 @@ def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``.npz`` by name. Pickled objects are refused."""
+    """Return the arrays of an ``.npz`` by name. Pickled objects are refused.
+
+    Raises
+    ------
+    BadInput
+        When the file is damaged, or holds something else.
+    OSError
+        When it cannot be read.
+    """
     import numpy as np
 
-    with open_file(path) as file, np.load(file, allow_pickle=False) as archive:  # noqa: TID251
-        return {name: archive[name] for name in archive.files}
+    with open_file(path) as file:
+        try:
+            with np.load(file, allow_pickle=False) as archive:  # noqa: TID251
+                return {name: archive[name] for name in archive.files}
+        except OSError:
+            raise
+        except Exception as error:  # a damaged header may end in almost any error, such as tokenize.TokenError
+            raise BadInput(f"{path}: is damaged or no .npz file ({describe_error(error)})") from error

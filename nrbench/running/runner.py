@@ -27,7 +27,7 @@ from nrbench.running.supervisor import print_notice
 from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
-from nrbench.storage import NO_LINK, make_folder, remove, remove_folder, write_json, write_text
+from nrbench.storage import make_folder, remove, remove_folder, write_json, write_text
 from nrbench.suites.cell import Cell, reader_of
 from nrbench.suites.plan import Plan, PlannedSample
 
@@ -156,21 +156,14 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     directory.claim()
     with directory.locked():
         directory.write_info(plan, options.argv, metrics)
-        _remove_unfinished(root / "prepared")
+        for unfinished in (root / "prepared").glob(".*"):  # of preparations that were killed
+            remove_folder(unfinished)
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
         with executor(options.jobs, options.scheduler, options.worker_wait, options.tell) as pool:
             runner = _Runner(directory, options, metrics, pool)
             runner.run(runner.with_detected_lattices(plan.cells), progress)
     return Run(root)
-
-
-def _remove_unfinished(prepared: Path) -> None:
-    """Remove what is left of preparations that were killed; raise BadInput if the folder is a link."""
-    if prepared.is_symlink():
-        raise BadInput(f"{prepared}: {NO_LINK}")
-    for unfinished in prepared.glob(".*"):
-        remove_folder(unfinished)
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from nrbench import plugins
-from nrbench.errors import describe_error, storage_fault
+from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.running import guard
 from nrbench.running.guard import Message, Reply
 from nrbench.running.worker import GRACE, Request, perform, read_lines, start_worker
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import remove, temporary_folder
+from nrbench.storage import follow_no_link_below, remove, temporary_folder
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -75,6 +75,7 @@ def perform_phases(job: Request, runner: RequestRunner) -> Result:
 
 def _perform_phases(job: Request, runner: RequestRunner) -> Result:
     where, phase = CellFolder(Path(job.folder)), "detect" if job.phase == "detect" else "synthesize"
+    follow_no_link_below(where.path.parents[1])  # on a cluster, this is another process than that of the run
     try:
         if job.phase == "detect":
             return _detect(job, where, runner)
@@ -89,7 +90,7 @@ def _perform_phases(job: Request, runner: RequestRunner) -> Result:
         if storage_fault(error) is not None and not _can_write(where.path):
             raise
         result = {"status": "crash", "message": describe_error(error), "phase": phase}
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, BadInput):  # BadInput: a plugin has put a link in the place of the cell
             remove(where.result_file)  # where a plugin has put a folder
             where.write_result(result)
         return result

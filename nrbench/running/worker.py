@@ -175,6 +175,7 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
 
     module, _, name = request.phase.rpartition(".")
     phase = getattr(importlib.import_module(module or phases.__name__), name)
+    follow_no_link_below(Path(request.folder).parents[1])
     try:
         phase(Path(request.folder), send_with_memory, *request.metrics)
     except phases.FAULTS as error:

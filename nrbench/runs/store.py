@@ -9,7 +9,6 @@ import json
 import os
 import platform
 import re
-import shutil
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -396,9 +395,10 @@ class RunDirectory:
             **_provenance(argv),
             "plugin_files": list(plugins.files()),
             "metrics": {metric: metric_key(metric) for metric in metrics},
-            "cells": [cell.as_dict() for cell, _ in plan.cells],
         }
-        text = json_text(content).encode()  # is compared as it is: a parsed copy takes ten times the memory
+        # One cell a line, compared as text: indented or parsed, a run of many cells takes ten times the memory.
+        cells = ",\n".join(json_text(cell.as_dict(), indent=None) for cell, _ in plan.cells)
+        text = f'{json_text(content).removesuffix("}")},"cells": [\n{cells}\n]}}\n'.encode()
         if known != text:
             write_bytes(file, text)
 
@@ -407,7 +407,7 @@ class RunDirectory:
 
         Cells check their own folders. The directory of the run itself may be a link.
         """
-        named = [self.root / name for name in ("cells", "lattices", RUN_FILE, ".lock")]
+        named = [self.root / name for name in ("cells", "lattices", "prepared", RUN_FILE, ".lock")]
         strange = next((path for path in named if path.is_symlink()), None)
         for folder in ("tables", "report", "labels"):
             strange = strange or find_strange(self.root / folder)
@@ -481,10 +481,13 @@ class RunDirectory:
             theirs, ours = other.cell(key), self.cell(key)
             if theirs.result() is not None and ours.result() is None:
                 ours.clear()
-                aside = ours.path.with_name(f".{key}")
-                remove(aside)
-                shutil.copytree(theirs.path, aside, symlinks=True)
-                aside.rename(ours.path)
+                files = {path.relative_to(theirs.path) for path in theirs.path.rglob("*") if path.is_file()}
+                last = Path(theirs.result_file.name)  # without it, the cell has no result
+                try:
+                    for name in [*(files - {last}), last]:
+                        write_bytes(ours.path / name, read_bytes(theirs.path / name))
+                except BadInput:  # a link took the place of a file meanwhile
+                    ours.clear()
 
 
 def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:

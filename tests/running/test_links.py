@@ -269,3 +269,34 @@ def test_a_name_of_a_megabyte_is_no_cell(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"run\.json is damaged"):
         _ = load(tmp_path / "run").cells
     assert folder.is_dir()
+
+
+SWAPPER = """
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from nrbench.plugins.forms import Synthesis
+
+@dataclass(frozen=True)
+class Swapper:
+    '''Puts a link in the place of the folder of its cell.'''
+    uses_lattice = False
+
+    def synthesize(self, task):
+        '''Swap, and return the sample.'''
+        cell = Path(os.readlink("/proc/self/fd/1")).parent
+        cell.rename(cell.with_name("moved"))
+        cell.symlink_to(cell.parents[2] / "outside")
+        return Synthesis(task.sample)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="the method finds its folder by its log")
+def test_a_method_that_swaps_its_cell_for_a_link_writes_nothing_outside(tmp_path: Path, outside: Path) -> None:
+    """The output is not written through the link, and the cell is invalid."""
+    (tmp_path / "swapper.py").write_text(SWAPPER)
+    words = ["run", "core", "-m", "swapper", "-t", "brick-mild", "--sample", "64x64", "--size", "64x64", "--no-report"]
+    with pytest.raises(SystemExit, match="1"):
+        main(["--plugin", str(tmp_path / "swapper.py"), *words, "--out", str(tmp_path / "run")])
+    assert not list(outside.iterdir())
+    assert [record.status for record in load(tmp_path / "run").cells] == ["invalid"]
