@@ -18,5 +18,6 @@ from nrbench.plugins.registry import installed as installed
 from nrbench.plugins.registry import inventory as inventory
 from nrbench.plugins.registry import name_of as name_of
 from nrbench.plugins.registry import names as names
+from nrbench.plugins.registry import origins as origins
 from nrbench.plugins.registry import parameters_of as parameters_of
 from nrbench.plugins.registry import shared_plugins as shared_plugins

@@ -246,6 +246,16 @@ def installed(kind: str) -> list[Plugin]:
     return [*found, *from_files(kind)]
 
 
+def origins() -> list[dict[str, str]]:
+    """Return kind and name of every plugin, and its distribution with its version. No installed plugin is imported."""
+    found = []
+    for kind in FORMS:
+        points = [(point.name, *distribution_of(point)) for each in entry_points_of(kind).values() for point in each]
+        points += [(plugin.name, plugin.distribution, plugin.version) for plugin in from_files(kind)]
+        found += [dict(zip(("kind", "name", "distribution", "version"), (kind, *each), strict=True)) for each in points]
+    return found
+
+
 def name_of(kind: str, cls: type[Any]) -> str:
     """Return the name under which a class is registered; empty if it is not. No other plugin is loaded."""
     value = f"{cls.__module__}:{cls.__qualname__}"

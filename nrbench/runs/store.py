@@ -497,7 +497,7 @@ def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
         "argv": list(argv),
         "results_version": RESULTS_VERSION,
         "versions": {"python": platform.python_version(), **dict(sorted(installed.items()))},
-        "plugins": [_plugin(plugin) for kind in plugins.FORMS for plugin in plugins.installed(kind)],
+        "plugins": plugins.origins(),
         "machine": {
             "system": platform.platform(),
             "processor": _processor(),
@@ -506,11 +506,6 @@ def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
         },
         "git": read_checkout(),
     }
-
-
-def _plugin(plugin: plugins.Plugin) -> dict[str, str]:
-    shown = {"kind": plugin.kind, "name": plugin.name, "distribution": plugin.distribution, "version": plugin.version}
-    return {**shown, "error": plugin.error} if plugin.error else shown
 
 
 def _processor() -> str:
