@@ -353,12 +353,12 @@ def _read_rows(path: Path) -> list[dict[str, Any]]:
     """Return the rows of a file of answers. Spreadsheets may have added a byte order mark."""
     try:
         table = csv.DictReader(path.read_text("utf-8-sig").splitlines())
-    except (UnicodeDecodeError, OSError) as error:
+        found, rows = table.fieldnames or [], list(table)
+    except (UnicodeDecodeError, OSError, csv.Error) as error:  # csv.Error: an entry is too long
         raise BadInput(f"{path} cannot be read ({error}); pass the CSV that the page saved") from error
-    found = table.fieldnames or []
     if sorted(COLUMNS) != sorted(found):
         raise BadInput(f"{path}: expected columns {', '.join(COLUMNS)}, got {', '.join(found) or 'none'}")
-    return [row for row in table if any(row.values())]
+    return [row for row in rows if any(row.values())]
 
 
 def _answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> LabelAnswer:

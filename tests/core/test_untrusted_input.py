@@ -332,8 +332,12 @@ def cell_files() -> tuple[Path, list[Path]]:
     root = Path(tempfile.mkdtemp(prefix="fuzz-")) / "run"
     atexit.register(shutil.rmtree, root.parent, ignore_errors=True)
     made = run("core", methods=["tiling"], textures=["brick-mild"], lattice=["given"], metrics=["cost"], out=root)
-    write_key(root, make_page(made))
-    return root, sorted(file for file in root.rglob("*") if file.suffix in (".json", ".npz", ".png"))
+    page = make_page(made)
+    write_key(root, page)
+    rows = [f"{item.id},lattice,yes,1.5,{order},person" for order, item in enumerate(page.items, 1)]
+    (root / "answers.csv").write_text("\n".join(["item,question,answer,seconds,order,labeled_by", *rows]))
+    assert read_labelers(made, [root / "answers.csv"])[0].answers
+    return root, sorted(file for file in root.rglob("*") if file.suffix in (".json", ".npz", ".png", ".csv"))
 
 
 @fuzz
@@ -352,7 +356,7 @@ def test_damaged_files_of_a_cell(data: st.DataObject) -> None:
         store = PictureStore(root)
         store.load(path.parent / "output.png")
         store.source_map(path.parent / "source.npz")
-        read_labelers(found, [root / "run.json"])
+        read_labelers(found, [root / "answers.csv"])
     except BadInput as error:
         assert str(root) in str(error)
     finally:

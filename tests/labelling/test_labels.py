@@ -204,6 +204,7 @@ HEAD = "item,question,answer,seconds,order,labeled_by\n"
 BAD = {
     f"{HEAD}qqqqqqqqqq,more,no,1,1,person\n": "on no page of this run",
     "item,answer,order\nx,lost,1\n": "expected columns item, question, answer, seconds, order, labeled_by",
+    f"{HEAD}{200_000 * 'q'},more,no,1,1,person\n": "field larger than field limit",
     "item,question,answer,order\nx,more,no,1\n": "got item, question, answer, order",
     "": "got none",
     HEAD: "has no answers",
