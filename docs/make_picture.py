@@ -20,6 +20,7 @@ from nrbench.runs.records import CellRecord
 TEXTURES = ("brick-strong", "weave-middle", "hexagon-middle-rotated")
 COLUMNS = (
     ("oracle", "none"),
+    ("resample", "own"),
     ("rsgf", "own"),
     ("tile-set", "own"),
     ("fftm-patch", "own"),
@@ -44,7 +45,7 @@ def main() -> None:
     """Draw one row a texture: sample with its lattice, then an output a method."""
     records = {(r.texture, r.method, r.lattice_source): r for r in Run(Path(sys.argv[1])).cells}
     widths = [0.62, *[1] * len(COLUMNS)]
-    figure, axes = plt.subplots(len(TEXTURES), 1 + len(COLUMNS), figsize=(14.2, 7.6), width_ratios=widths)
+    figure, axes = plt.subplots(len(TEXTURES), 1 + len(COLUMNS), figsize=(16.2, 7.6), width_ratios=widths)
     for row, texture in zip(axes, TEXTURES, strict=True):
         first = records[texture, *COLUMNS[0]]
         truth = Lattice.from_dict(first.lattice_truth or {})
