@@ -7,7 +7,6 @@ import contextlib
 import errno
 import json
 import os
-import shutil
 import stat
 import sys
 import tempfile
@@ -26,10 +25,12 @@ from nrbench.errors import BadInput, describe_error
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-NO_LINK = "is a link or no regular file; remove it (nrbench follows no links inside a run)"
+NO_LINK = "is a link or no regular file, or lies too deep; remove it (nrbench follows no links inside a run)"
 """The message for a path inside a run that is not opened."""
 _NO_LINK_FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-_without_links: set[str] = set()
+_DEEPEST = 8
+"""Levels of folders below the folder of a cell; its own are one level deep."""
+_without_links: dict[str, tuple[int, int] | None] = {}
 
 
 def follow_no_link_below(root: Path) -> None:
@@ -44,7 +45,13 @@ def follow_no_link_below(root: Path) -> None:
         An absolute path. Links in it are followed.
     """
     if os.open in os.supports_dir_fd:
-        _without_links.add(f"{root}{os.sep}")
+        _without_links[f"{root}{os.sep}"] = None
+        with contextlib.suppress(OSError):
+            _without_links[f"{root}{os.sep}"] = _identify(root.stat())
+
+
+def _identify(folder: os.stat_result) -> tuple[int, int]:
+    return folder.st_dev, folder.st_ino
 
 
 @contextlib.contextmanager
@@ -54,7 +61,8 @@ def _folder_of(path: Path, make: bool = False) -> Iterator[tuple[str, int | None
     Raises
     ------
     BadInput
-        When there is a link on the way from a folder of :func:`follow_no_link_below` to the file.
+        When there is a link on the way from a folder of :func:`follow_no_link_below` to the file, or another folder has
+        taken the place of that folder.
     """
     text = os.path.abspath(path)  # noqa: PTH100  (it keeps links)
     root = next((each for each in _without_links if text.startswith(each)), None)
@@ -69,6 +77,8 @@ def _folder_of(path: Path, make: bool = False) -> Iterator[tuple[str, int | None
     place, flags = root, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0)
     descriptor = os.open(root, flags)
     try:
+        if _without_links[root] not in (None, _identify(os.fstat(descriptor))):
+            raise BadInput(f"{root}: another folder has taken its place; start again")
         for folder in folders:
             place = os.path.join(place, folder)  # noqa: PTH118
             if make:
@@ -138,7 +148,8 @@ def remove(path: Path) -> None:
     with contextlib.suppress(OSError, BadInput), _folder_of(path) as (name, folder):
         with contextlib.suppress(OSError):
             os.unlink(name, dir_fd=folder)  # fails if it is a folder
-        shutil.rmtree(name, ignore_errors=True, dir_fd=folder)
+        opened = Path(f"/proc/self/fd/{folder}")  # no link can take its place
+        remove_folder(opened / name if folder is not None and opened.is_dir() else path)
 
 
 def write_aside(path: Path, write: Callable[[BinaryIO], object], durable: bool = False) -> None:
@@ -365,10 +376,11 @@ def _hold(folder: Path) -> Iterator[bool]:
         try:
             import fcntl
 
-            file = stack.enter_context((folder / _HELD).open("a"))
+            file = open_regular(folder / _HELD, os.O_RDWR | os.O_CREAT)
+            stack.callback(os.close, file)
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             free = True
-        except (ImportError, OSError):
+        except (ImportError, OSError, BadInput):
             free = False
         yield free
 
@@ -416,18 +428,18 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
-def find_strange(folder: Path) -> Path | None:
+def find_strange(folder: Path, levels: int = _DEEPEST) -> Path | None:
     """Return the first entry of a folder and of its folders that is a link, a device or a named pipe; None if none is.
 
-    No link is followed. A folder that does not exist holds nothing.
+    No link is followed. A folder that does not exist holds nothing. One that lies more than ``levels`` deep is strange.
     """
     with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-        if folder.is_symlink():
+        if folder.is_symlink() or not levels:
             return folder
         with os.scandir(folder) as entries:
             for entry in entries:
                 if entry.is_dir(follow_symlinks=False):
-                    if inner := find_strange(Path(entry.path)):
+                    if inner := find_strange(Path(entry.path), levels - 1):
                         return inner
                 elif not entry.is_file(follow_symlinks=False):
                     return Path(entry.path)

@@ -6,7 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -119,7 +119,6 @@ def run_command(**arguments: Any) -> int:
     from nrbench.running.runner import Options, execute
     from nrbench.running.supervisor import print_notice
     from nrbench.runs.records import Run
-    from nrbench.runs.store import RunDirectory
 
     columns = split_names(arguments["columns"])
     summary.check_columns(columns)
@@ -128,6 +127,7 @@ def run_command(**arguments: Any) -> int:
     tell = _tell_as_json if arguments["as_json"] else print_notice
     if plan.suite.fresh_seed:
         tell(f"fresh seed {plan.suite.seed}; --seed {plan.suite.seed} draws the same samples again")
+    lock = ExitStack()
     with show_steps(arguments["as_json"]) as progress, first_interrupt(lambda: tell(_INTERRUPTED)) as stop:
         options = Options(
             jobs=arguments["jobs"] if arguments["jobs"] is not None else os.cpu_count() or 1,
@@ -137,16 +137,16 @@ def run_command(**arguments: Any) -> int:
             **{key: arguments[key] for key in _RUN_OPTIONS},
         )
         try:
-            run = execute(plan, root, options, progress)
+            run = execute(plan, root, options, progress, lock)
         except ClusterLost as error:
             run = Run(root)
             tell(f"{error}; run the same command again to resume")
     limits = Limits(options.timeout, options.memory)
-    stale = summary.remove_stale_report(run) if arguments["no_report"] else None
-    with RunDirectory(root).locked(), live_progress(patience=True) as show:
+    with lock, live_progress(patience=True) as show:
+        stale = summary.remove_stale_report(run) if arguments["no_report"] else None
         told = None if arguments["as_json"] else show
         written, broken = write_reports(run, None, arguments["no_report"], None, limits, told, print_notice)
-    failed = summary.print_summary(run, written, arguments["as_json"], columns)
+    failed = summary.print_summary(run, written, arguments["as_json"], columns, limits)
     if lacking:
         tell(
             f"{root} holds {lacking} more {'cell' if lacking == 1 else 'cells'} of an earlier command, which the "

@@ -16,9 +16,10 @@ from nrbench.plugins.parameters import nearest
 from nrbench.run_api import build_report, failures, status_counts, unfinished
 from nrbench.runs.records import Run
 from nrbench.runs.store import RUN_FILE
-from nrbench.storage import read_json
+from nrbench.storage import read_json, remove
 
 if TYPE_CHECKING:
+    from nrbench.running.guard import Limits
     from nrbench.suites.plan import Plan
 
 
@@ -49,20 +50,20 @@ def remove_stale_report(run: Run) -> Path | None:
     page = run.root / "report" / "report.html"
     if not page.is_file():
         return None
-    page.unlink()
+    remove(page)
     return page
 
 
-def print_summary(run: Run, written: list[Path], as_json: bool, columns: Sequence[str] = ()) -> bool:
+def print_summary(run: Run, written: list[Path], as_json: bool, columns: Sequence[str], limits: Limits) -> bool:
     """Print the reports for a terminal, or JSON, and all failures; return whether anything failed.
 
-    ``columns`` are the scores of the table; empty for the headlines.
+    ``columns`` are the scores of the table; empty for the headlines. ``limits`` are those of the reports of others.
     """
     broken = False
     if as_json:
         print(json.dumps(_summary(run, written), indent=1))
     else:
-        broken = _print_terminal_reports(run, columns)
+        broken = _print_terminal_reports(run, columns, limits)
         page = next((path for path in written if path.suffix == ".html"), None)
         print(f"report: {page.resolve()}" if page else f"tables: {(run.root / 'tables').resolve()}")
     failed = failures(run.cells) + unfinished(run)
@@ -71,7 +72,7 @@ def print_summary(run: Run, written: list[Path], as_json: bool, columns: Sequenc
     return bool(failed or broken)
 
 
-def _print_terminal_reports(run: Run, columns: Sequence[str]) -> bool:
+def _print_terminal_reports(run: Run, columns: Sequence[str], limits: Limits) -> bool:
     """Print each report whose class variable ``terminal`` is true; its method ``render`` returns the text.
 
     Such a report has the parameter ``width``, and may have ``columns``. Return whether one failed.
@@ -86,10 +87,8 @@ def _print_terminal_reports(run: Run, columns: Sequence[str]) -> bool:
         if getattr(plugin.cls, "terminal", False):
             try:
                 report = build_report(plugin.name, shared, {})
-                text = (
-                    report.render(run) if plugin.own else strip_control(write_guarded(run, plugin.name, report, None))
-                )
-                print(text, end="")
+                guarded = None if plugin.own else write_guarded(run, plugin.name, report, None, limits)
+                print(report.render(run) if plugin.own else strip_control(guarded), end="")
             except (BadInput, RuntimeError) as error:
                 broken = True
                 print(f"nrbench: report {plugin.name} failed: {strip_control(str(error))}", file=sys.stderr)

@@ -163,7 +163,7 @@ class Watch:
     log
         The file that the child writes its messages to; it is kept short.
     messages
-        The messages that have arrived.
+        The messages that have arrived and count, so that no child fills the memory of this process.
     finished
         Whether the child has said that its request is finished. It may still be running.
     spared
@@ -192,8 +192,10 @@ class Watch:
         while True:
             ended = self.child.has_ended()  # asked first: its last message may arrive just before its end
             messages = self._receive(TICK / 4 if close else TICK)
-            self.messages += [message for message in messages if "finished" not in message]
             self.finished = any("finished" in message for message in messages)
+            if any("status" in message for message in messages):  # the last one counts
+                self.messages = [message for message in self.messages if "status" not in message]
+            self.messages += [each for each in messages if "status" in each or each.get("scored") in left]
             if self.finished or (ended and not messages):
                 return None
             now = time.monotonic()

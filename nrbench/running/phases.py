@@ -235,7 +235,9 @@ def write_report(folder: Path, send: Send) -> None:
     if wanted["folder"] is None:
         send(cast("Message", {"status": "ok", "message": "", "text": str(plugin.render(run))}))
         return
-    folder = run.root / wanted["folder"]
+    folder = (run.root / wanted["folder"]).resolve()
+    if not folder.is_relative_to(run.root.resolve()):
+        raise BadInput(f"folder {wanted['folder']!r} of the report lies outside the run; give one inside")
     folder.mkdir(parents=True, exist_ok=True)
     send({"status": "ok", "message": "", "written": [str(path) for path in plugin.write(run, folder)]})
 
@@ -406,5 +408,6 @@ def _drawn_truth(recipe: str) -> tuple[Texture, Again]:
 
 def _read_cell(where: CellFolder) -> Cell:
     content = read_json(where.cell_file)
-    assert content is not None, f"{where.cell_file} is written before any child starts"
+    if content is None:
+        raise InvalidOutput(f"{where.cell_file} has changed since it was written; --retry-failed runs the cell again")
     return Cell.from_dict(content)

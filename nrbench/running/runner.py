@@ -125,7 +125,13 @@ def find_metrics(names: Iterable[str], tell: Callable[[str], None] = lambda text
     return [plugins.find("metrics", name).name for name in dict.fromkeys(names)] or working_plugins("metrics", tell)
 
 
-def execute(plan: Plan, root: Path, options: Options | None = None, progress: Progress = lambda step: None) -> Run:
+def execute(
+    plan: Plan,
+    root: Path,
+    options: Options | None = None,
+    progress: Progress = lambda step: None,
+    lock: contextlib.ExitStack | None = None,
+) -> Run:
     """Run every cell that has no result yet, and return the run.
 
     Parameters
@@ -138,6 +144,8 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
         How to run it.
     progress
         Called after each cell with a :class:`~nrbench.running.pace.Step`.
+    lock
+        Keeps the directory locked after a complete run, until it is closed, for those who write reports.
 
     Raises
     ------
@@ -154,7 +162,8 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
     if options.reuse is not None:
         RunDirectory(options.reuse).info()
     directory.claim()
-    with directory.locked():
+    with contextlib.ExitStack() as locked:
+        locked.enter_context(directory.locked())
         directory.write_info(plan, options.argv, metrics)
         for unfinished in (root / "prepared").glob(".*"):  # of preparations that were killed
             remove_folder(unfinished)
@@ -163,6 +172,8 @@ def execute(plan: Plan, root: Path, options: Options | None = None, progress: Pr
         with executor(options.jobs, options.scheduler, options.worker_wait, options.tell) as pool:
             runner = _Runner(directory, options, metrics, pool)
             runner.run(runner.with_detected_lattices(plan.cells), progress)
+        if lock is not None:
+            lock.enter_context(locked.pop_all())
     return Run(root)
 
 

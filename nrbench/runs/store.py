@@ -25,6 +25,8 @@ from typing_extensions import TypedDict
 
 from nrbench import plugins
 from nrbench.errors import BadInput, strip_control
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import Kind
 from nrbench.storage import (
     NO_LINK,
     find_strange,
@@ -53,7 +55,13 @@ FAILED = ("error", "timeout", "memory", "crash", "invalid")
 """The statuses of a failed cell; the other statuses are ``ok`` and ``refused``."""
 
 
+LONGEST_FILE = 250
+"""Bytes of the longest name of a file that a message may hold."""
+LONGEST_TEXT = 4000
+"""Characters of a message or note that are kept."""
 _Number = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
+_Cost = Annotated[float, Field(ge=0, le=1e15, allow_inf_nan=False)]
+_Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 _Vector = Annotated[list[_Number], Field(min_length=2, max_length=2)]
 
 
@@ -67,12 +75,36 @@ class _LatticeContent(TypedDict):
 
 
 def _check_lattice(content: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return the lattice of a result if it is one; raise :class:`pydantic.ValidationError` if not."""
-    return None if content is None else cast("dict[str, Any]", _LATTICE.validate_python(content))
+    """Return the lattice of a result if it is one; raise :class:`ValueError` if not."""
+    try:
+        if content is not None:
+            Lattice.from_dict(_LATTICE.validate_python(content))
+    except BadInput as error:
+        raise ValueError(str(error)) from error
+    return content
+
+
+def _check_length(name: str) -> str:
+    """Return the name of a file if a disk can hold it; raise :class:`ValueError` if not."""
+    if len(name.encode()) > LONGEST_FILE:
+        raise ValueError(f"the name of a file has more than {LONGEST_FILE} bytes")
+    return name
 
 
 _LATTICE = TypeAdapter(_LatticeContent)
 _Lattice = Annotated[dict[str, Any] | None, AfterValidator(_check_lattice)]
+
+
+class _TextureContent(TypedDict):
+    """What is known of a texture that was drawn, see :class:`~nrbench.plugins.forms.Texture`."""
+
+    __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
+    family: str
+    kind: Kind | None
+    regular_share: _Share | None
+    region: Annotated[list[Annotated[int, Field(ge=-(2**53), le=2**53)]], Field(min_length=4, max_length=4)] | None
+    lattice: _Lattice
+    lattices: list[_Lattice]
 
 
 class Result(TypedDict, total=False):
@@ -118,23 +150,24 @@ class Result(TypedDict, total=False):
     message: str
     phase: str
     note: str
-    seconds: _Number
-    cpu_seconds: _Number
-    detection_seconds: _Number
-    prepare_seconds: _Number
-    peak_mib: _Number
-    side_by_side: _Number
+    seconds: _Cost
+    cpu_seconds: _Cost
+    detection_seconds: _Cost
+    prepare_seconds: _Cost
+    peak_mib: _Cost
+    side_by_side: _Cost
     lattice_used: _Lattice
     output_hash: str
     made: dict[
-        Annotated[str, Field(pattern=r"^[^/\x00][^\x00]*$", max_length=250)], Annotated[int, Field(ge=0, le=2**53)]
+        Annotated[str, Field(pattern=r"^[^/\x00][^\x00]*$"), AfterValidator(_check_length)],
+        Annotated[int, Field(ge=0, le=2**53)],
     ]
     lattice: _Lattice
-    confidence: _Number | None
+    confidence: _Share | None
     reason: str
-    texture: dict[str, Any]
+    texture: _TextureContent
     written: list[str]
-    wall: _Number
+    wall: _Cost
 
 
 _RESULT = TypeAdapter(Result)
@@ -157,7 +190,7 @@ class ScoreContent(TypedDict, total=False):
     values: Required[dict[str, bool | _Number | None]]
     reasons: Required[dict[str, str]]
     records: Required[dict[str, Any]]
-    pictures: Required[dict[str, Annotated[str, Field(pattern=r"^[^/\\]+$")]]]
+    pictures: Required[dict[str, Annotated[str, Field(pattern=r"^[^/\\]+$"), AfterValidator(_check_length)]]]
 
 
 _SCORE = TypeAdapter(ScoreContent)
@@ -216,7 +249,10 @@ class CellFolder:
 
     def write_result(self, result: Result) -> Result:
         """Write how the synthesis ended, and return it."""
-        result = {**result, "message": strip_control(result["message"])}
+        texts: Any = {
+            name: strip_control(result.get(name, ""))[:LONGEST_TEXT] for name in ("message", "note", "reason")
+        }
+        result = {**result, **{name: text for name, text in texts.items() if name in result}}
         write_json(self.result_file, dict(result), durable=True)
         return result
 
@@ -262,7 +298,7 @@ class CellFolder:
     def write_failed_score(self, metric: str, reason: str) -> None:
         """Write the score of a metric that failed: None in every column, with the reason."""
         columns = plugins.build("metrics", metric).columns
-        empty = {"values": dict.fromkeys(columns), "reasons": dict.fromkeys(columns, reason)}
+        empty = {"values": dict.fromkeys(columns), "reasons": dict.fromkeys(columns, reason[:LONGEST_TEXT])}
         write_json(self.score_file(metric), {"metric": metric, **empty, "records": {}, "pictures": {}})
 
     def clear(self) -> None:
@@ -373,12 +409,16 @@ class RunDirectory:
             raise BadInput(
                 f"{self.root}: is no run (it has no {RUN_FILE}); pass the directory that `nrbench run` printed"
             )
-        keys = [str(cell.get("key", "")) if isinstance(cell, dict) else "" for cell in content["cells"]]
-        odd = next((key for key in keys if not re.fullmatch("[0-9a-f]{8,64}", key)), None)
-        if odd is not None:
+        keys = [cell.get("key") if isinstance(cell, dict) else None for cell in content["cells"]]
+        odd = next((key for key in keys if not (isinstance(key, str) and re.fullmatch("[0-9a-f]{8,64}", key))), "")
+        if odd != "":
             raise BadInput(f"{self.root / RUN_FILE}: has a cell with the key {odd!r}, which is no hash; run it again")
-        if not _is_suite(content["suite"].get("content", {})):
-            raise BadInput(f"{self.root / RUN_FILE}: suite.content is damaged; run the same command again")
+        wrong = [] if _is_suite(content["suite"].get("content", {})) else ["suite.content"]
+        wrong += [name for name in ("machine", "versions") if not isinstance(content.get(name, {}), dict)]
+        listed = content.get("plugins", [])
+        wrong += [] if isinstance(listed, list) and all(isinstance(each, dict) for each in listed) else ["plugins"]
+        if wrong:
+            raise BadInput(f"{self.root / RUN_FILE}: {wrong[0]} is damaged; run the same command again")
         cells = {cell["key"]: cell for cell in content["cells"]}  # each once
         return strip_control({**content, "cells": list(cells.values())})
 
@@ -451,7 +491,7 @@ class RunDirectory:
             except ImportError:
                 stack.enter_context(self._mark_running())
             except OSError as error:
-                if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
+                if error.errno == errno.EWOULDBLOCK:
                     why = f"{self.root}: another nrbench is running in it; wait, or pass another --out"
                     raise BadInput(why) from None
                 warnings.warn(

@@ -441,12 +441,17 @@ def _checked(recipe: Recipe, texture: object) -> Texture:
         raise BadInput(f"{where}: lattice: expected a Lattice or None, got {texture.lattice!r}")
     if not (texture.kind is None or texture.kind in get_args(Kind)):
         raise BadInput(f"{where}: kind: expected one of {', '.join(get_args(Kind))} or None, got {texture.kind!r}")
+    region = texture.region
+    whole = isinstance(region, tuple) and all(isinstance(edge, int | np.integer) for edge in region)
+    if not (region is None or (whole and len(region) == 4)):
+        raise BadInput(f"{where}: region: expected four integers x0, y0, x1, y1 or None, got {region!r}")
     if not isinstance(texture.family, str):
         raise BadInput(f"{where}: family: expected text, got {texture.family!r}")
     share = texture.regular_share
     if not (share is None or (isinstance(share, float) and 0 <= share <= 1)):
         raise BadInput(f"{where}: regular_share: expected a number from 0 to 1, got {share!r}")
-    return dataclasses.replace(texture, image=image)
+    plain = None if region is None else (int(region[0]), int(region[1]), int(region[2]), int(region[3]))
+    return dataclasses.replace(texture, image=image, region=plain)
 
 
 def _make_cell(suite: Suite, sample: Sample, method: PlannedMethod, source: LatticeSource) -> Cell:

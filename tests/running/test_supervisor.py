@@ -535,6 +535,6 @@ def test_the_last_message_is_read_behind_forged_lines(tmp_path: Path, monkeypatc
     child._process.stdin.write("\n")
     child._process.stdin.close()
     child._process.wait()  # it has ended before its messages are taken
-    watch = guard.Watch(child, guard.Limits(60, 4096), 0, log)
+    watch = guard.Watch(child, guard.Limits(60, 4096, ("cost",)), 0, log)
     assert watch.watch() is None
     assert watch.messages == [{"scored": "cost"}]
