@@ -93,6 +93,18 @@ def test_a_kernel_may_call_a_kernel(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undeclared")
+def test_a_cached_kernel_does_not_load_those_that_it_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its machine code includes theirs. If a part of the cache is lost, it is compiled with them again."""
+    assert jit.kernel(sum_of_squares)(3.0, 4.0) == 25.0
+    with monkeypatch.context() as patch:
+        patch.setattr(jit, "_link_kernels", None)
+        assert jit.kernel(sum_of_squares)(3.0, 4.0) == 25.0
+    for file in tmp_path.rglob("*.nbc"):
+        file.unlink()
+    assert jit.kernel(sum_of_squares)(3.0, 4.0) == 25.0
+
+
+@pytest.mark.usefixtures("undeclared")
 def test_the_user_is_told_before_kernels_are_compiled(tmp_path: Path) -> None:
     """Loading kernels says that it compiles them the first time, and not when it reads the cache."""
     said = []
