@@ -28,9 +28,11 @@ from nrbench.bending.straightening import (
     straighten_sample,
     synthesize_in_geometry,
 )
+from nrbench.detectors.consensus import Consensus
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Geometry, Task, Texture
+from nrbench.plugins.forms import FoundLattice, Geometry, Task, Texture, find_lattice
+from nrbench.plugins.registry import NamedDetector
 from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.tiling import Tiling
 from nrbench.tracking.tracker import MeanTile, track_tiles
@@ -230,6 +232,22 @@ def test_a_method_gets_the_task_itself_where_nothing_departs() -> None:
     tasks = [Task(texture.image, (90, 100), texture.lattice, np.random.default_rng(1)) for _ in range(2)]
     plain, wrapped = Tiling().synthesize(tasks[0]), synthesize_in_geometry(BendingTiling(), tasks[1])
     np.testing.assert_array_equal(plain.image, wrapped.image)
+
+
+def test_a_lattice_that_the_survey_found_is_not_looked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The detector runs once for the sample, and again for another sample."""
+    detected: list[object] = []
+    detect = Consensus.detect
+    monkeypatch.setattr(Consensus, "detect", lambda self, image: detected.append(image) or detect(self, image))
+    image = nrbench.texture("brick", (128, 128)).image
+    task = Task(image, (60, 70), None, np.random.default_rng(1))
+    made = synthesize_in_geometry(plugins.build("synthesizers", "rsgf"), task)
+    assert made.lattice is not None and made.detection_seconds > 0
+    assert [image is task.sample for image in detected] == [True]
+    known = replace(task, detected=(image, NamedDetector("consensus"), FoundLattice(made.lattice)))
+    for other in (replace(known, sample=image.copy()), known):
+        assert find_lattice(other, NamedDetector("consensus")).lattice == made.lattice
+    assert len(detected) == 2
 
 
 BENDING = (
