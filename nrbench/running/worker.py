@@ -1,4 +1,4 @@
-"""The worker process: it imports every plugin, loads every kernel, and then forks the children that run phases.
+"""The worker process: it imports the plugins of a run, loads their kernels, and then forks children that run phases.
 
 The worker computes nothing itself and has a single thread, so that forking is safe. Where it is not, the worker imports
 no plugin, and each child is a fresh interpreter. Each phase has a child of its own. The exception is scoring by the
