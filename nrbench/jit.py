@@ -218,12 +218,16 @@ def _compile(declared: Kernel[P, R]) -> Callable[P, R]:
             stacklevel=3,
         )
         return function
-    linked = _link_kernels(function)
     if declared.inlined:  # compiled with its callers
-        inlined: Callable[P, R] = numba.njit(inline="always")(linked)
+        inlined: Callable[P, R] = numba.njit(inline="always")(_link_kernels(function))
         return inlined
-    folder = cache_folder(function, numba.__version__)
-    return _njit(numba, linked, find_signature(function), folder, declared.allocates)
+    signature, folder = find_signature(function), cache_folder(function, numba.__version__)
+    if any(folder.glob(f"*/*.{function.__qualname__}-*.nbi")):
+        # The machine code in the cache includes that of the kernels it calls, which are not loaded then. Kernels are no
+        # functions to numba: if it has to compile after all, as for another processor, it says so.
+        with contextlib.suppress(numba.TypingError):
+            return _njit(numba, function, signature, folder, declared.allocates)
+    return _njit(numba, _link_kernels(function), signature, folder, declared.allocates)
 
 
 def _njit(numba: Any, function: Callable[P, R], signature: str, folder: Path, allocates: bool) -> Callable[P, R]:

@@ -27,7 +27,9 @@ def steep_line_sums(image: Float32x2) -> Float32x2:
     size = image.shape[0]
     width = 2 * size
     before = np.zeros((size, width), np.float32)
-    before[:, size:] = image
+    for y in range(size):  # numba takes seconds to compile the assignment of a slice
+        for x in range(size):
+            before[y, size + x] = image[y, x]
     height = 1
     while height < size:
         after = np.zeros((size, width), np.float32)

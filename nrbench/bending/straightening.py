@@ -220,9 +220,13 @@ def survey_sample(method: Synthesizer, task: Task) -> SampleSurvey | None:
     if getattr(method, "geometry", "as-is") == "as-is" or not getattr(method, "uses_lattice", True):
         return None
     start = time.perf_counter()
-    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
+    found = find_lattice(task, _detector_of(method))
     straight, note = straighten_sample(task.sample, found.lattice, task.lattice is not None)
     return SampleSurvey(found, straight, note, time.perf_counter() - start)
+
+
+def _detector_of(method: Synthesizer) -> NamedDetector:
+    return NamedDetector(getattr(method, "finder", "") or "consensus")
 
 
 def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey | None = None) -> Synthesis:
@@ -250,6 +254,7 @@ def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey
         return method.synthesize(task)
     geometry: Geometry = getattr(method, "geometry", "as-is")
     seconds, straight, note = 0.0 if task.lattice else survey.seconds, survey.straight, survey.note
+    task = replace(task, detected=(task.sample, _detector_of(method), survey.found))
     made = method.synthesize(task) if straight is None else _synthesize_bent(method, task, straight, geometry)
     if straight is not None:
         note += f", and the output is {'straight' if geometry == 'straight' else 'bent'}"

@@ -16,6 +16,7 @@ from nrbench.plugins.registry import find as find
 from nrbench.plugins.registry import from_files as from_files
 from nrbench.plugins.registry import installed as installed
 from nrbench.plugins.registry import inventory as inventory
+from nrbench.plugins.registry import loaded_methods as loaded_methods
 from nrbench.plugins.registry import name_of as name_of
 from nrbench.plugins.registry import names as names
 from nrbench.plugins.registry import origins as origins

@@ -228,6 +228,11 @@ def shared_plugins() -> list[tuple[str, str]]:
     return sorted({(plugin.kind, plugin.name) for plugin in known})
 
 
+def loaded_methods() -> list[str]:
+    """Return the names of the synthesizers of nrbench that this process has loaded, such as those of its plan."""
+    return sorted({each.name for each in _loaded.values() if each.kind == "synthesizers" and each.own and each.cls})
+
+
 def names(kind: str) -> list[str]:
     """Return the names of all plugins of a kind, without loading them."""
     in_files = (plugin.name for found in _files.values() for plugin in found if plugin.kind == kind)

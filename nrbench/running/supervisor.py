@@ -225,7 +225,7 @@ class Supervisor:
         self._imports = _known_imports()
         self._folder = self._stack.enter_context(temporary_folder())
         content = {"once": False, "warm": self._warm, "fresh": not self._forks, "folder": str(self._folder / "imports")}
-        content |= {"files": {}, "imports": []} if bare else self._imports
+        content |= {"methods": plugins.loaded_methods(), **({"files": {}, "imports": []} if bare else self._imports)}
         self._worker = start_worker(content, stderr=subprocess.DEVNULL, env=worker_environment())
         self._lines, self._reader = read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}

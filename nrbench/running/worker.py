@@ -1,4 +1,4 @@
-"""The worker process: it imports every plugin, loads every kernel, and then forks the children that run phases.
+"""The worker process: it imports the plugins of a run, loads their kernels, and then forks children that run phases.
 
 The worker computes nothing itself and has a single thread, so that forking is safe. Where it is not, the worker imports
 no plugin, and each child is a fresh interpreter. Each phase has a child of its own. The exception is scoring by the
@@ -182,10 +182,11 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
         phases.send_error(error, send_with_memory)
 
 
-def warm(compiling: Callable[[], None], imports: Iterable[tuple[str, str]] = ()) -> None:
+def warm(compiling: Callable[[], None], imports: Iterable[tuple[str, str]] = (), methods: Collection[str] = ()) -> None:
     """Import plugins and all that they use, and load every compiled kernel, before children are forked.
 
-    The plugins are those of nrbench, those of files, and the given ones.
+    The plugins are those of nrbench, those of files, and the given ones. Kernels of methods that no cell needs take
+    seconds to compile.
 
     Parameters
     ----------
@@ -193,13 +194,17 @@ def warm(compiling: Callable[[], None], imports: Iterable[tuple[str, str]] = ())
         Called if kernels have to be compiled, which takes minutes, before that begins.
     imports
         Kind and name of installed plugins of others.
+    methods
+        The names of the synthesizers of nrbench; all if empty. A child imports any other one when it needs it.
     """
     for name in DEFERRED:
         importlib.import_module(name)
-    for kind in ("datasets", "detectors", "synthesizers", "metrics"):
+    for kind in ("datasets", "detectors", "metrics", *(() if methods else ("synthesizers",))):
         for plugin in plugins.installed(kind):
             prepare_conversion(plugin.cls)
-    for kind, name in imports:
+    for plugin in plugins.from_files("synthesizers"):
+        prepare_conversion(plugin.cls)
+    for kind, name in (*(("synthesizers", name) for name in methods), *imports):
         prepare_conversion(plugins.find(kind, name).cls)
     for read in (Cell, Recipe, KeptSurvey):
         reader_of(read)
@@ -547,6 +552,7 @@ def run_worker() -> None:
     - ``warm``: whether it imports plugins and loads kernels before it forks.
     - ``files``, ``imports``: the plugins that it imports then: those of files, by their paths, and kind and name of
       installed plugins of others.
+    - ``methods``: the synthesizers of nrbench that it imports then; all if there are none.
     - ``folder``: the working directory in which they are imported.
 
     The first line of output is ``{"ready": true}``, or ``{"threads": true}`` if an import started a thread: then this
@@ -567,7 +573,7 @@ def run_worker() -> None:
         leave_user_folder(Path(home), Path(options["folder"]))
         for file, named in options["files"].items():
             plugins.add_file(file, named)
-        warm(lambda: write({"compiling": True}), options["imports"])
+        warm(lambda: write({"compiling": True}), options["imports"], options["methods"])
         if not may_fork():
             write({"threads": True})
             return

@@ -400,8 +400,13 @@ def cut_overlap(costs: Float64x3, seams: Float32View3, fixed_old: Boolx2, fixed_
     The paper's seam node gives the same costs, except that it compares the new picture with what the covered patches
     would show beyond the seam; here it is compared with the old picture as it is.
     """
-    choices = np.empty((2, 3, *fixed_old.shape))
-    choices[:, STAY], choices[:, SECOND], choices[:, FIRST] = seams, costs, costs
+    _, height, width = costs.shape
+    choices = np.empty((2, 3, height, width))
+    for axis in range(2):  # numba takes seconds to compile the assignment of a slice
+        for y in range(height):
+            for x in range(width):
+                choices[axis, STAY, y, x] = seams[axis, y, x]
+                choices[axis, SECOND, y, x] = choices[axis, FIRST, y, x] = costs[axis, y, x]
     return cut_links(choices, fixed_old, fixed_new)
 
 

@@ -30,7 +30,8 @@ from nrbench.bending.straightening import (
 )
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Geometry, Task, Texture
+from nrbench.plugins.forms import FoundLattice, Geometry, Task, Texture, find_lattice
+from nrbench.plugins.registry import NamedDetector
 from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.tiling import Tiling
 from nrbench.tracking.tracker import MeanTile, track_tiles
@@ -230,6 +231,18 @@ def test_a_method_gets_the_task_itself_where_nothing_departs() -> None:
     tasks = [Task(texture.image, (90, 100), texture.lattice, np.random.default_rng(1)) for _ in range(2)]
     plain, wrapped = Tiling().synthesize(tasks[0]), synthesize_in_geometry(BendingTiling(), tasks[1])
     np.testing.assert_array_equal(plain.image, wrapped.image)
+
+
+def test_a_lattice_that_the_survey_found_is_not_looked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The method gets the answer of its detector for the same sample; another sample is searched."""
+    image, consensus = nrbench.texture("brick", (96, 96)).image, NamedDetector("consensus")
+    answers = [consensus.detect(image)]
+    monkeypatch.setattr(NamedDetector, "detect", lambda self, image: answers.pop())
+    task = Task(image, (60, 70), None, np.random.default_rng(1))
+    lattice = synthesize_in_geometry(plugins.build("synthesizers", "rsgf"), task).lattice
+    other = replace(task, sample=image.copy(), detected=(image, consensus, FoundLattice(lattice)))
+    with pytest.raises(IndexError):
+        find_lattice(other, consensus)
 
 
 BENDING = (

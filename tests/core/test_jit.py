@@ -82,14 +82,20 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypa
 
 
 @pytest.mark.usefixtures("undeclared")
-def test_a_kernel_may_call_a_kernel(tmp_path: Path) -> None:
-    """A kernel is compiled with those it calls, inlined or not, is read from the cache, and gives what Python gives."""
-    for _ in range(2):
+def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel is compiled with those it calls, inlined or not, and gives what Python gives.
+
+    It is read from the cache without those. If a part of the cache is lost, it is compiled with them again.
+    """
+    folder = jit.cache_folder(sum_of_squares, numba.__version__)
+    for link in (jit._link_kernels, None, jit._link_kernels):
+        monkeypatch.setattr(jit, "_link_kernels", link)
         compiled = jit.kernel(sum_of_squares).load()
         assert compiled(3.0, 4.0) == 25.0
-    assert compiled.stats.cache_hits  # type: ignore[attr-defined]
-    folder = jit.cache_folder(sum_of_squares, numba.__version__)
-    assert Path(compiled.stats.cache_path).parent == folder  # type: ignore[attr-defined]
+        assert bool(compiled.stats.cache_hits) == (link is None)  # type: ignore[attr-defined]
+        assert Path(compiled.stats.cache_path).parent == folder  # type: ignore[attr-defined]
+        for file in tmp_path.rglob("*.nbc") if link is None else ():
+            file.unlink()
 
 
 @pytest.mark.usefixtures("undeclared")

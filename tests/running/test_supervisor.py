@@ -538,3 +538,12 @@ def test_the_last_message_is_read_behind_forged_lines(tmp_path: Path, monkeypatc
     watch = guard.Watch(child, guard.Limits(60, 4096, ("cost",)), 0, log)
     assert watch.watch() is None
     assert watch.messages == [{"scored": "cost"}]
+
+
+def test_a_worker_imports_no_other_methods_than_those_of_the_run() -> None:
+    """The kernels of the others would take seconds to compile; without a plan it imports all."""
+    program = "from nrbench import plugins; from nrbench.running import worker; worker.load_kernels = print; "
+    program += "worker.warm('', (), {}); print(*plugins.loaded_methods())"
+    for methods, count in ((["rsgf"], 1), ([], len(plugins.names("synthesizers")))):
+        imported = subprocess.check_output([sys.executable, "-c", program.format(methods)], text=True).split()
+        assert len(imported) == count and "rsgf" in imported
