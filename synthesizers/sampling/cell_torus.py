@@ -79,7 +79,7 @@ class CellTorus:
         """Return the Fourier transform of values of the cells, ``(columns, rows, ...)``."""
         if not self.shift:
             return np.fft.fft2(values, axes=(0, 1))
-        return np.asarray(np.fft.fft(np.fft.fft(values, axis=0) * self._twist(values.ndim), axis=1))
+        return np.fft.fft(np.fft.fft(values, axis=0) * self._twist(values.ndim), axis=1)
 
     def invert(self, spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """Return the values of which a spectrum is the Fourier transform."""
@@ -90,4 +90,4 @@ class CellTorus:
     def _twist(self, dimensions: int) -> NDArray[np.complex128]:
         """Return the phases that make waves continue across the border that is shifted."""
         turns = np.outer(np.arange(self.columns), np.arange(self.rows)) * self.shift / (self.columns * self.rows)
-        return np.exp(2j * np.pi * turns).reshape(self.columns, self.rows, *(1,) * (dimensions - 2))
+        return np.asarray(np.exp(2j * np.pi * turns).reshape(self.columns, self.rows, *(1,) * (dimensions - 2)))
