@@ -33,6 +33,10 @@ def test_a_sheet_shows_each_method_and_tells_why_one_is_missing(
     assert sheet.shape[1] > 2 * 96
     spots = np.argwhere((np.abs(sheet - [1, 1, 1]).max(-1) > 0.05).any(0)).ravel()
     assert np.ptp(spots) > 96 + 64, "two pictures side by side"
+    lattice, options = nrbench.Lattice((32, 0), (16, 16)), nrbench.Options(jobs=0)
+    table = nrbench.sheet(wall, "own.png", methods="scatter", size=(64, 64), lattice=lattice, options=options)
+    assert table["method"].tolist() == ["scatter"] and f"quality {table['quality'][0]:.2f}" in printed[0]
+    np.testing.assert_array_equal(nrbench.read_image(Path("own.png"))[-60:], sheet[-60:])
 
 
 def test_a_tileable_output_tells_its_strain(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:
