@@ -262,8 +262,8 @@ def sheet(
     Returns
     -------
     pandas.DataFrame
-        One row for each method: its status, its quality, whether this is an upper bound, the perils that the output
-        lost and those that were not measured, the seconds, and why it has no output.
+        One row for each method: its status, its quality, whether this is an upper bound, the perils that set it,
+        where it is below 1, and those that were not measured, the seconds, and why it has no output.
 
     Raises
     ------

@@ -60,7 +60,7 @@ def _rate(one: CellRecord) -> dict[str, Any]:
         "status": one.status,
         "quality": one.values.get("quality.score"),
         "upper_bound": bound,
-        "lost": [name for name, score in scores.items() if score == min(scores.values()) < 1],
+        "worst": [name for name, score in scores.items() if score == min(scores.values()) < 1],
         "not_measured": [name for name in perils if name not in scores] if bound else [],
         "seconds": one.seconds,
         "message": one.message,
@@ -71,7 +71,7 @@ def describe_row(row: Mapping[str, Any]) -> str:
     """Return the method, its quality and its seconds, and what limits the quality, in three lines."""
     value, bound = row["quality"], "at most " if row["upper_bound"] else ""
     quality = "quality not measured" if value is None else f"quality {bound}{value:.2f}"
-    words = (("lost: ", row["lost"]), ("not measured: ", row["not_measured"]))
+    words = (("worst: ", row["worst"]), ("not measured: ", row["not_measured"]))
     why = "; ".join(title + ", ".join(names) for title, names in words if names)
     return f"{row['method']}\n{quality}, {row['seconds'] or 0:.1f} s\n{why}"
 
