@@ -116,8 +116,11 @@ def texture_rows(names: Iterable[str] = TEXTURES) -> Iterator[dict[str, Any]]:
 def photograph_rows(folder: Path) -> Iterator[dict[str, Any]]:
     """Yield rows of the first two pictures of a folder, with the lattices that are detected in them."""
     for path in list_pictures(folder)[:2]:
-        lattice = nrbench.detect_lattice(read_image(path)).lattice
-        vectors = {"t1": lattice.t1, "t2": lattice.t2, "origin": lattice.origin}
+        try:
+            lattice = nrbench.detect_lattice(read_image(path)).lattice
+            vectors = {"t1": lattice.t1, "t2": lattice.t2, "origin": lattice.origin}
+        except nrbench.NoLatticeFound:
+            vectors = {}
         yield {"name": path.stem, "dataset": "images", "parameters": {"path": path, **vectors}}
 
 

@@ -42,6 +42,7 @@ from .plugins.registry import NamedDetector as NamedDetector
 from .run_api import label as label
 from .run_api import plan as plan
 from .run_api import report as report
+from .run_api import sheet as sheet
 from .run_api import site as site
 from .run_api import status as status
 from .running.runner import Options as Options

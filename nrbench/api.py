@@ -314,6 +314,16 @@ def _image(image: Imagelike, where: str = "image") -> Image:
     return as_image(image, where)
 
 
+def picture_file(image: Imagelike, folder: Path) -> Path:
+    """Return the file of an :data:`Imagelike`, which is written into a folder if it is no file yet."""
+    from nrbench.imaging.files import write_image
+
+    if isinstance(image, str | os.PathLike):
+        return Path(image)
+    write_image(folder / "picture.png", _image(image))
+    return folder / "picture.png"
+
+
 def _plugin(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> Any:
     """Return the instance of a :data:`Pluginlike`; raise BadInput if it is no plugin of the kind."""
     if isinstance(plugin, str):
@@ -656,8 +666,7 @@ def audit(
         )
         for name, seed in (("published", {}), ("fresh", {"seed": "fresh"}))
     ]
-    report = plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": ("quality.score",)})
-    return report.compare(runs[1])
+    return compare(runs[0], runs[1], "quality.score")
 
 
 def load(path: str | os.PathLike[str]) -> Run:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import tempfile
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nrbench import plugins
-from nrbench.api import Latticelike, Pluginlike, as_run, plan_cells
+from nrbench.api import Imagelike, Latticelike, Pluginlike, as_run, picture_file, plan_cells
 from nrbench.errors import describe_error, strip_control
 from nrbench.plugins.parameters import parse_spec, size_text
 from nrbench.runs.records import CellRecord, Run
@@ -23,7 +24,10 @@ from nrbench.suites.cell import RESULTS_VERSION, Cell
 if TYPE_CHECKING:
     import pandas as pd
 
+    from nrbench.plugins.forms import Shape
     from nrbench.running.guard import Limits
+    from nrbench.running.pace import Progress
+    from nrbench.running.runner import Options
     from nrbench.suites.plan import Plan
     from nrbench.suites.suite import Suite
 
@@ -203,7 +207,7 @@ def site(runs: Sequence[Runlike], output: str | os.PathLike[str]) -> list[Path]:
     Returns
     -------
     list of Path
-        The files.
+        The pages, and the files that they show.
 
     Raises
     ------
@@ -220,6 +224,85 @@ def site(runs: Sequence[Runlike], output: str | os.PathLike[str]) -> list[Path]:
         loaded[0], folder
     )
     return written
+
+
+def sheet(
+    photo: Imagelike,
+    output: str | os.PathLike[str],
+    *,
+    methods: Sequence[Pluginlike] | Pluginlike = (),
+    sample: str | Shape = "384x384",
+    size: str | Shape = "384x384",
+    lattice: Latticelike = "consensus",
+    seed: int = 0,
+    progress: Progress | None = None,
+    options: Options | None = None,
+) -> pd.DataFrame:
+    """Show what all methods make of a photograph on one sheet, the best first.
+
+    The lattice is detected once and given to all methods that use one.
+
+    Parameters
+    ----------
+    photo
+        The photograph.
+    output
+        The file of the sheet. It is not written if no method has an output.
+    methods
+        As for :func:`~nrbench.run`. All that are no references and need no parameter if empty.
+    sample, size
+        The largest sample, to which the photograph is cropped, and the size of the outputs.
+    lattice
+        The lattice of the photograph, or the detector that finds it.
+    seed
+        Equal seeds give equal outputs.
+    progress, options
+        As for :func:`~nrbench.run`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row for each method: its status, its quality, whether this is an upper bound, the perils that set it,
+        where it is below 1, and those that were not measured, the seconds, and why it has no output.
+
+    Raises
+    ------
+    BadInput
+        For a bad photograph, size, method or lattice.
+
+    Examples
+    --------
+    ``sheet("wall.png", "sheet.png", methods=["rsgf", "resample"])`` shows the sample and two outputs.
+    """
+    import pandas as pd
+
+    return pd.DataFrame(sheet_rows(photo, Path(output), methods, sample, size, lattice, seed, progress, options))
+
+
+def sheet_rows(
+    photo: Imagelike,
+    output: Path,
+    methods: Sequence[Pluginlike] | Pluginlike,
+    sample: str | Shape,
+    size: str | Shape,
+    lattice: Latticelike,
+    seed: int,
+    progress: Progress | None,
+    options: Options | None,
+) -> list[dict[str, Any]]:
+    """Write the sheet of a photograph, and return the rows of :func:`sheet`; the arguments are the same."""
+    from nrbench.imaging.files import write_image
+    from nrbench.running.runner import execute
+    from nrbench.runs.photo_sheet import draw_sheet, photo_suite, rate_outputs
+
+    with tempfile.TemporaryDirectory() as folder:
+        suite = photo_suite(picture_file(photo, Path(folder)), sample, size)
+        cells, root = plan_cells(suite, methods, (), [lattice], Path(folder) / "run", seed=seed)
+        rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)
+        made = [pair for pair in rated if pair[0].status == "ok"]
+        if made:
+            write_image(output, draw_sheet(made))
+    return [row for _, row in rated]
 
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:

@@ -65,9 +65,8 @@ class SiteRow:
     @property
     def group(self) -> tuple[str, ...]:
         """What other rows must have, too, for their numbers to be comparable: the suite and its textures."""
-        content = self.run.info.get("suite", {}).get("content", {})
         textures = {f"{cell.texture} {cell.cell.recipe.shape} {cell.cell.shape}" for cell in self.run.cells}
-        return (self.suite, str(content.get("lattice")), *sorted(textures))
+        return (self.suite, *sorted(textures))
 
     @property
     def machine(self) -> str:

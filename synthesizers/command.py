@@ -145,7 +145,7 @@ def _read(output: Path, program: str, sample: Image) -> Image:
     if not output.exists():
         raise RuntimeError(f"{program} ended with exit code 0 but wrote no {{output}}")
     try:
-        image = read_image(output)
+        image = read_image(output, smallest=1)
     except BadInput as error:
         raise RuntimeError(f"{program} wrote an unusable {{output}}: {error}") from error
     return match_channels(image, sample)

@@ -32,9 +32,10 @@ class Gpdm:
     output has more patches than the sample, each patch of the sample stands for several.
 
     Ranks are computed by bins, which takes a tenth of the time of sorting. The output is drawn with a border of a
-    patch, which is cut off, because few patches hold the pixels at the border. The defaults take less time than the
-    paper's values: fewer projections a step, because each step draws new ones, larger steps, and fewer resolutions. In
-    the second half of the steps the learning rate falls to 0, so that the steps' own noise does not stay.
+    patch, which is cut off, because few patches hold the pixels at the border. If it repeats, patches cross its edges
+    instead. The defaults take less time than the paper's values: fewer projections a step, because each step draws new
+    ones, larger steps, and fewer resolutions. In the second half of the steps the learning rate falls to 0, so that the
+    steps' own noise does not stay.
     ``extras["distance"]`` holds the distance in the last step of each resolution.
 
     Parameters
@@ -70,6 +71,7 @@ class Gpdm:
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
+    wraps: ClassVar[bool] = True
     family: ClassVar[str] = "all patches at once"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -103,26 +105,29 @@ class Gpdm:
             If the sample is smaller than a patch.
         """
         resolutions = list_resolutions(task.sample.shape[:2], self.ratio, self.coarsest, self.patch)
+        border = 0 if task.tileable else self.patch
         height, width = cover_sample(task)
         image, distances = task.sample, []
         for number, factor in enumerate(resolutions):
-            shape = scale_shape((height + 2 * self.patch, width + 2 * self.patch), factor)
+            shape = scale_shape((height + 2 * border, width + 2 * border), factor)
             sample = rescale(task.sample, factor, scale_shape(task.sample.shape[:2], factor))
             if number:
-                image = rescale(image, 1 / self.ratio, shape)
+                image = rescale(image, 1 / self.ratio, shape, task.tileable)
             else:
                 grain = task.rng.standard_normal((*shape, sample.shape[2]), np.float32)
                 image = sample.mean((0, 1)) + np.float32(self.noise * SCALE) * grain
-            planes, distance = self._match_patches(to_planes(image), to_planes(sample), task.rng)
+            planes, distance = self._match_patches(to_planes(image), to_planes(sample), task.rng, task.tileable)
             image = np.clip(from_planes(planes), 0, 1)
             distances.append(distance)
             task.progress((number + 1) / len(resolutions))
-        output = image[self.patch : self.patch + task.shape[0], self.patch : self.patch + task.shape[1]]
+        output = image[border : border + task.shape[0], border : border + task.shape[1]]
         return Synthesis(output, extras={"distance": np.array(distances)})
 
-    def _match_patches(self, planes: Planes, sample: Planes, rng: np.random.Generator) -> tuple[Planes, float]:
+    def _match_patches(
+        self, planes: Planes, sample: Planes, rng: np.random.Generator, wrap: bool
+    ) -> tuple[Planes, float]:
         """Return the planes of an image after all steps, and the distance before the last one."""
-        compare = SlicedDistance(planes.shape, sample.shape, self.patch, self.projections)
+        compare = SlicedDistance(planes.shape, sample.shape, self.patch, self.projections, wrap)
         mean, square = np.zeros_like(planes), np.zeros_like(planes)
         distance = 0.0
         for step in range(1, self.steps + 1):

@@ -26,7 +26,7 @@ class RandomPhase:
     one random phase is added to the phases of all channels (section IV), after the sample's border discontinuity is
     removed (Moisan's periodic component, section V-A). For an output larger than the sample, the sample is placed on a
     plain of its mean color, faded at its border and scaled so that the variance is kept (section V-B). An output that
-    is smaller than the sample along an axis is cut from a larger one.
+    is smaller than the sample along an axis is cut from a larger one; if it must repeat, the sample is cut instead.
 
     On textures without a lattice it is a valid method rather than a baseline.
 
@@ -40,6 +40,7 @@ class RandomPhase:
 
     reference: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = False
+    wraps: ClassVar[bool] = True
     right_on: ClassVar[frozenset[Kind]] = frozenset({"stochastic"})
     version: ClassVar[str] = "1"
 
@@ -48,8 +49,9 @@ class RandomPhase:
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis."""
-        height, width = (max(pair) for pair in zip(task.shape, task.sample.shape[:2], strict=True))
-        planes = np.moveaxis(task.sample.astype(np.float64), -1, 0)
+        sample = task.sample[: task.shape[0], : task.shape[1]] if task.tileable else task.sample
+        height, width = (max(pair) for pair in zip(task.shape, sample.shape[:2], strict=True))
+        planes = np.moveaxis(sample.astype(np.float64), -1, 0)
         mean = planes.mean((1, 2), keepdims=True)
         spot = _in_plain(_periodic(planes) - mean, (height, width), self.fade)
         phases = np.angle(scipy.fft.rfft2(task.rng.standard_normal((height, width))))

@@ -16,6 +16,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Geometry, Refused, Shape, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .sampling.cell_torus import CellTorus
 from .sampling.equal_places import pixel_grid, require_two_periods
 from .sampling.patches import Patches, round_places
 from .texel_pasting.quiet_borders import TexelKind, parallelogram, quiet_texels
@@ -127,8 +128,8 @@ class RegularizedPatch:
             )
         d_max = self.tolerance * math.sqrt(stock.power)
         extent = np.zeros(2), np.array(task.shape[::-1]) - 1.0
-        periods = np.diag(task.shape[::-1]).astype(np.float64) if task.tileable else None
-        mosaic = TexelMosaic.grow(stock, extent, d_max, task.rng, task.progress, periods)
+        torus = CellTorus.closing(shape.lattice, task.shape) if task.tileable else None
+        mosaic = TexelMosaic.grow(stock, extent, d_max, task.rng, task.progress, torus)
         image, source = paint(task.shape, mosaic, reader)
         task.progress(1.0)
         return Synthesis(image, lattice, source, detection_seconds=seconds)

@@ -19,6 +19,7 @@ from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
 from .resampling.element_colors import ElementColors
 from .resampling.element_detail import ElementDetail
 from .resampling.element_map import FEWEST, map_grid, segment
+from .sampling.cell_torus import CellTorus
 from .sampling.equal_places import require_two_periods
 from .tile_set import TileSet
 
@@ -57,6 +58,9 @@ class Resample:
     the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
     tile; ``elements``, one color an element; ``attributes``, the estimated colors of the elements.
 
+    In an output that repeats, threads run around the edges. Where they are turned against the edges, most meet others,
+    and few colors are left; the note tells how many.
+
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
     An element that the sample shows whole fewer than six times joins its neighbor. If this holds for every element,
     the output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the
@@ -80,6 +84,7 @@ class Resample:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
+    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "9"
     family: ClassVar[str] = "elements drawn anew"
 
@@ -103,7 +108,8 @@ class Resample:
             shown = f"the sample shows {fewest} whole instances of an element, fewer than {FEWEST}"
             return replace(copied, detection_seconds=seconds, note=f"copied by tile-set: {shown}")
         image = model.draw(task, self.variation)
-        note = "elements are whole cells: colors of smaller elements explain too little" if model.whole_cells else ""
+        whole = "elements are whole cells: colors of smaller elements explain too little" if model.whole_cells else ""
+        note = "; ".join(filter(None, (whole, model.describe_threads(task))))
         return Synthesis(image, lattice, extras=model.pictures(), detection_seconds=seconds, note=note)
 
 
@@ -184,13 +190,30 @@ class VariationModel:
         rest = ElementDetail(self.detail.elements, own - smooth_coarsely(own, self.detail.elements))
         return replace(self, detail=rest, field=CellField.fit(self.detail.elements, own), colored=colored)
 
+    def torus(self, task: Task) -> CellTorus | None:
+        """Return the cells of the output, if it repeats."""
+        return CellTorus.closing(self.mean.lattice, task.shape) if task.tileable else None
+
+    def describe_threads(self, task: Task) -> str:
+        """Return how many threads differ in an output that repeats, if fewer do than in the sample."""
+        torus = self.torus(task)
+        if torus is None or not self.colored:
+            return ""
+        threads = {t.first: t.torus for t in self.colors.on_torus(torus).threads if t.turn != (0, 0)}
+        count = sum(own.columns * own.rows for own in threads.values() if own is not None)
+        shown = sum(int(self.colors.colors[first].known.sum()) for first in threads)
+        if count >= shown:
+            return ""
+        return f"threads run around the edges and meet others: {count} differ, {shown} in the sample"
+
     def draw(self, task: Task, variation: float) -> Image:
         """Return a new texture of the task's shape, its departures from the mean tile times ``variation``."""
         height, width = task.shape
-        colors = self.colors.draw(task.shape, task.rng)
+        torus = self.torus(task)
+        colors = self.colors.draw(task.shape, task.rng, torus)
         own = self.colors.of_sample(self.detail.rest.shape[:2])
-        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None)
-        field = None if self.field is None else self.field.draw(task.shape, task.rng)
+        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, torus)
+        field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
         image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)

@@ -32,6 +32,7 @@ class Scatter:
 
     reference: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = False
+    wraps: ClassVar[bool] = True
     right_on: ClassVar[frozenset[Kind]] = frozenset({"stochastic"})
     version: ClassVar[str] = "1"
 
@@ -47,6 +48,8 @@ class Scatter:
             If the sample does not hold a block with its borders.
         """
         grid = BlockGrid(task.shape, self.block, self.border)
+        if task.tileable:
+            grid = BlockGrid.closing(task.shape, self.block, self.border, task.sample.shape)
         rows, columns = grid.search_shape(task.sample.shape)
         places = task.rng.integers((columns, rows), size=(*grid.counts, 2)) + self.border
         image, source = compose(Patches(task.sample), grid, places.astype(np.float64))

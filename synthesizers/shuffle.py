@@ -15,6 +15,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Task
 
 from .baselines.lattice_baseline import OFFSET, LatticeBaseline, edge_points, half_extent, whole_cell_centers
+from .sampling.cell_torus import CellTorus
 
 _STEPS = 24
 """Number of places of the cell, along each vector, that are tried for the cuts."""
@@ -37,6 +38,7 @@ class Shuffle(LatticeBaseline):
     ``gncc``.
     """
 
+    wraps: ClassVar[bool] = True
     version: ClassVar[str] = "1"
 
     def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:
@@ -45,10 +47,14 @@ class Shuffle(LatticeBaseline):
         middle, places = _place_cuts(task, lattice.reduced())
         tiles = Lattice(lattice.t1, lattice.t2, (float(middle[0]), float(middle[1]))).reduced()
         low, chosen = _draw_tiles(task, tiles, len(places))
+        torus = CellTorus.closing(tiles, task.shape) if task.tileable else None
+        if torus:
+            chosen = task.rng.integers(len(places), size=(torus.columns, torus.rows))
 
         def locate(pixels: Points) -> Points:
             away = tiles.wrap(pixels - middle)
-            u, v = np.moveaxis(np.rint(tiles.to_cell(pixels - away)).astype(np.intp) - low, -1, 0)
+            cells = np.rint(tiles.to_cell(pixels - away)).astype(np.intp)
+            u, v = np.moveaxis(torus.wrap(cells) if torus else cells - low, -1, 0)
             return np.asarray(places[chosen[u, v]] + away)
 
         return locate, ""

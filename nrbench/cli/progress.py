@@ -14,6 +14,8 @@ PATIENCE = 2.0
 """Delay before the first message of progress, s."""
 PAUSE = 5.0
 """Least seconds between two lines where standard error is no terminal."""
+SHARE = 0.01
+"""Least fraction done from which the time left is estimated; the first steps are often slow."""
 
 
 @contextmanager
@@ -81,7 +83,7 @@ def waiting(what: str) -> Iterator[Callable[[float], None]]:
         while True:
             passed = time.monotonic() - start
             state = f"{passed:.0f} s"
-            if fraction:
+            if fraction >= SHARE:
                 state = f"{100 * fraction:.0f} %, about {max(1, round(passed / fraction * (1 - fraction)))} s left"
             print(f"{begin}{what}: {state}", end=end, file=sys.stderr, flush=True)
             if ended.wait(pause):

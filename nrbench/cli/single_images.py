@@ -47,8 +47,8 @@ def synth_command(
     """Synthesize a texture of any size from IMAGE.
 
     With --tileable, methods that can wrap synthesize around the edges of the output. The sample is strained, by at most
-    2.5 %, so that the lattice closes; the strain is printed, and a size nearby that needs less. If the strain would be
-    larger, the command stops, and the message names the nearest size that closes.
+    2.5 %, so that the lattice closes; the strain is printed, and a size nearby if that needs less than half of it. If
+    the strain would be larger, the command stops, and the message names the nearest size that closes.
 
     Some methods return pictures beside the output: a tile, a mask, the elements. --extras writes them as OUT-NAME.png;
     without it, their names are printed.

@@ -42,9 +42,15 @@ class SlicedDistance:
         Side of a patch in px.
     count
         Number of directions.
+    wrap
+        Whether patches cross the edges of the image.
     """
 
-    def __init__(self, shape: tuple[int, ...], other: tuple[int, ...], size: int, count: int) -> None:
+    def __init__(
+        self, shape: tuple[int, ...], other: tuple[int, ...], size: int, count: int, wrap: bool = False
+    ) -> None:
+        self._more, channels = size - 1 if wrap else 0, shape[0]
+        shape = channels, shape[1] + self._more, shape[2] + self._more
         self._own, self._theirs = (
             np.empty((count, height - size + 1, width - size + 1), np.float32) for _, height, width in (shape, other)
         )
@@ -60,10 +66,23 @@ class SlicedDistance:
         filters
             The directions.
         """
-        project_patches(planes, filters, self._own)
+        more = self._more
+        around = np.pad(planes, ((0, 0), (0, more), (0, more)), "wrap") if more else planes
+        project_patches(around, filters, self._own)
         project_patches(other, filters, self._theirs)
         count = len(filters)
         targets = np.sort(self._theirs.reshape(count, -1), 1)
         distance = match_ranks(self._own.reshape(count, -1), targets, self._slopes.reshape(count, -1))
         collect_gradient(self._slopes, filters, self._gradient)
-        return distance, self._gradient
+        return distance, sum_periods(self._gradient, planes.shape) if more else self._gradient
+
+
+def sum_periods(planes: Planes, shape: tuple[int, ...]) -> Planes:
+    """Return the sums, of shape ``(C, H, W)``, of the pixels of larger planes that lie whole periods H and W apart."""
+    _, height, width = shape
+    sums = np.zeros(shape, np.float32)
+    for top in range(0, planes.shape[1], height):
+        for left in range(0, planes.shape[2], width):
+            part = planes[:, top : top + height, left : left + width]
+            sums[:, : part.shape[1], : part.shape[2]] += part
+    return sums

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.mean_tile import Values, cell_coordinates
 from nrbench.plugins.forms import Shape
 
+from ..sampling.cell_torus import CellTorus
 from .element_map import ElementMap, Numbers
 
 _PLACES = 20
@@ -100,12 +101,16 @@ class CellField:
         some = weight.any((2, 3))
         return cls(coarse, box[some], (values * weight[..., np.newaxis])[some].astype(np.float32))
 
-    def draw(self, shape: Shape, rng: np.random.Generator) -> Values:
+    def draw(self, shape: Shape, rng: np.random.Generator, torus: CellTorus | None = None) -> Values:
         """Return a field for a picture, ``(J V, I U, C)``, on the box of :meth:`ElementMap.cells`."""
         box = self.elements.cells(shape).shape[:2]
         low = self.cells.min(0)
         span = self.cells.max(0) - low
-        white = rng.standard_normal(box + span).astype(np.float32)
+        if torus is None:
+            white = rng.standard_normal(box + span).astype(np.float32)
+        else:
+            i, j = np.moveaxis(torus.wrap(np.moveaxis(np.indices(box + span), 0, -1)), -1, 0)
+            white = rng.standard_normal((torus.columns, torus.rows))[i, j].astype(np.float32)
         numbers = np.indices(box).reshape(2, -1, 1) + (span - self.cells + low).T[:, np.newaxis]
         moved = white[numbers[0], numbers[1]] @ self.values.reshape(len(self.values), -1)
         instances = moved.reshape(*box, *self.values.shape[1:])

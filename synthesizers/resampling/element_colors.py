@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.mean_tile import Values, fold
 from nrbench.plugins.forms import Shape
 
+from ..sampling.cell_torus import CellTorus
 from .element_map import ElementMap, ElementShares, InstanceColors, Lag, Numbers
 
 Table = NDArray[np.float64]
@@ -55,15 +56,20 @@ class ElementThread:
         Cell of the instance that lies in thread (0, 0).
     turn
         Lag in cells after which the thread shows the same element again; (0, 0) if it never does.
+    torus
+        The threads of an output that repeats; None if it does not.
     """
 
     first: int
     base: Lag = (0, 0)
     turn: Lag = (0, 0)
+    torus: CellTorus | None = None
 
     def number(self, cell: Numbers) -> Numbers:
         """Return the two numbers of the thread that the instance of each cell is a part of, ``(..., 2)``."""
         number: Numbers = cell - np.array(self.base)
+        if self.torus is not None:
+            return self.torus.wrap(number)
         if self.turn == (0, 0):
             return number
         axis = int(np.argmax(np.abs(self.turn)))
@@ -227,13 +233,22 @@ class ElementColors:
         """Return the sample's own colors, for :meth:`lay` and :meth:`render`."""
         return self.spread({k: c.values for k, c in self.colors.items()}, self.low, shape)
 
-    def draw(self, shape: Shape, rng: np.random.Generator) -> Table:
+    def on_torus(self, torus: CellTorus) -> ElementColors:
+        """Return the model for an output that repeats: a thread runs around its edges, and may meet itself."""
+        return replace(self, threads=[replace(thread, torus=torus.joined(thread.turn)) for thread in self.threads])
+
+    def draw(self, shape: Shape, rng: np.random.Generator, torus: CellTorus | None = None) -> Table:
         """Return new colors for a picture: a Gaussian field with the sample's correlations, and its distribution."""
+        if torus is not None:
+            return self.on_torus(torus)._draw_numbers(shape, rng, np.zeros(2, np.int64), torus)
         cells = self.shares.elements.cells(shape)
         numbers = np.concatenate([thread.number(cells).reshape(-1, 2) for thread in self.threads])
         low = numbers.min(0)
-        extent = tuple((numbers.max(0) - low + 1 + 2 * _REACH).tolist())
-        field = draw_field(list(self.colors.values()), extent, rng)
+        extent = numbers.max(0) - low + 1 + 2 * _REACH
+        return self._draw_numbers(shape, rng, low, CellTorus.of(np.diag(extent)))
+
+    def _draw_numbers(self, shape: Shape, rng: np.random.Generator, low: Numbers, torus: CellTorus) -> Table:
+        field = draw_field(list(self.colors.values()), torus, rng)
         drawn = {
             name: match_distribution(field[:, :, k], color.values[color.known], rng)
             for k, (name, color) in enumerate(self.colors.items())
@@ -248,30 +263,32 @@ def _sums(values: NDArray[np.floating[Any]], index: Numbers, box: tuple[int, ...
     return np.asarray(sums, np.float64).reshape(*box, -1)
 
 
-def draw_field(colors: Sequence[InstanceColors], extent: tuple[int, int], rng: np.random.Generator) -> Table:
-    """Return standard Gaussian fields ``(*extent, E, C)``, periodic, correlated as the colors of E elements are.
+def draw_field(colors: Sequence[InstanceColors], torus: CellTorus, rng: np.random.Generator) -> Table:
+    """Return standard Gaussian fields on a torus, ``(I, J, E, C)``, correlated as the colors of E elements are.
 
     A correlation r estimated from n pairs is shrunk by the factor 1 - (2.5 / (r sqrt(n)))^2, to 0 where it is less than
     2.5 standard errors. The cross-spectra of the elements are made positive by cutting negative eigenvalues. Channels
     are independent.
     """
     count, channels = len(colors), colors[0].values.shape[-1]
+    extent = torus.columns, torus.rows
     kernel = np.zeros((*extent, count, count))
     kernel[0, 0] = np.eye(count)
     lags = [(i, j) for i in range(-_REACH, _REACH + 1) for j in range(-_REACH, _REACH + 1)]
+    places = torus.wrap(np.array(lags)).tolist()
     for a, b in np.ndindex(count, count):
-        for i, j in lags:
-            r, pairs = colors[a].correlation(colors[b], (i, j))
+        for lag, (i, j) in zip(lags, places, strict=True):
+            r, pairs = colors[a].correlation(colors[b], lag)
             if (a, i, j) != (b, 0, 0) and pairs * r * r > _CHANCE**2:
-                kernel[i % extent[0], j % extent[1], a, b] = r - _CHANCE**2 / (pairs * r)
-    spectrum = np.fft.fft2(kernel, axes=(0, 1))
+                kernel[i, j, a, b] = r - _CHANCE**2 / (pairs * r)
+    spectrum = torus.transform(kernel)
     power, axes = np.linalg.eigh((spectrum + spectrum.conj().swapaxes(-1, -2)) / 2)
     root = axes * np.sqrt(np.maximum(power, 0))[..., np.newaxis, :]
     root /= np.sqrt((np.abs(root) ** 2).sum(-1).mean((0, 1)))[:, np.newaxis]
     # axes^H makes the root Hermitian, so that opposite frequencies are conjugate and the field is real
     root = root @ axes.conj().swapaxes(-1, -2)
-    white = np.fft.fft2(rng.standard_normal((*extent, count, channels)), axes=(0, 1))
-    return np.asarray(np.fft.ifft2(root @ white, axes=(0, 1)).real)
+    white = torus.transform(rng.standard_normal((*extent, count, channels)))
+    return np.asarray(torus.invert(root @ white).real)
 
 
 def match_distribution(field: Table, sample: NDArray[np.float64], rng: np.random.Generator) -> Table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from nrbench.plugins.forms import Shape
 
+from ..sampling.cell_torus import CellTorus
 from .element_map import WHOLE, ElementMap, ElementShares, Lag, Numbers
 
 Colors = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -53,7 +55,9 @@ class ElementDetail:
     def _splines(self) -> list[NDArray[np.float64]]:
         return [scipy.ndimage.spline_filter(plane, 5, mode="mirror") for plane in np.moveaxis(self.rest, -1, 0)]
 
-    def draw(self, shape: Shape, rng: np.random.Generator, colors: Colors | None = None) -> Numbers:
+    def draw(
+        self, shape: Shape, rng: np.random.Generator, colors: Colors | None = None, torus: CellTorus | None = None
+    ) -> Numbers:
         """Return the cell of the sample from which each element of a picture is copied, ``(E, I, J, 2)``.
 
         The box of cells is that of :meth:`ElementMap.cells`. Neighbors are copied from different cells if there are
@@ -68,8 +72,11 @@ class ElementDetail:
             Draws the cells.
         colors
             The colors ``(E, I, J, C)`` of the sample's elements, and those of the picture's.
+        torus
+            The cells of a picture that repeats.
         """
-        box = self.elements.cells(shape).shape[:2]
+        places = self.elements.cells(shape)
+        box, equal = places.shape[:2], ... if torus is None else torus.find_equal(places)
         corner = self.elements.cells(self.rest.shape[:2])[0, 0]
         drawn = []
         for k, cells in enumerate(self.whole):
@@ -78,7 +85,7 @@ class ElementDetail:
                 own, new = colors[0][k][tuple((cells - corner).T)], colors[1][k]
                 apart = np.square(new[:, :, np.newaxis] - own).sum(-1)
                 likelihood -= apart / (2 * _ALIKE**2 * max(float(own.var(0).sum()), 1e-12))
-            drawn.append(cells[_draw_apart(likelihood, rng)])
+            drawn.append(cells[_draw_apart(likelihood, rng, equal)])
         return np.stack(drawn)
 
     def render(self, drawn: Numbers, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
@@ -101,10 +108,14 @@ class ElementDetail:
         return np.asarray(detail / np.sqrt(power)[..., np.newaxis])
 
 
-def _draw_apart(likelihood: NDArray[np.float64], rng: np.random.Generator) -> Numbers:
-    """Return random numbers of log-likelihood ``(I, J, n)``, redrawn a few times where they equal a neighbor's."""
-    drawn = (likelihood + rng.gumbel(size=likelihood.shape)).argmax(-1)
+def _draw_apart(likelihood: NDArray[np.float64], rng: np.random.Generator, shown: Any) -> Numbers:
+    """Return random numbers of log-likelihood ``(I, J, n)``, redrawn a few times where they equal a neighbor's.
+
+    ``shown`` is the index of the place whose number each place shows.
+    """
+    drawn = (likelihood + rng.gumbel(size=likelihood.shape)).argmax(-1)[shown]
     for _ in range(_REDRAWS):
         equal = np.any([drawn == np.roll(drawn, lag, (0, 1)) for lag in _AROUND], 0)
         drawn[equal] = (likelihood[equal] + rng.gumbel(size=likelihood[equal].shape)).argmax(-1)
+        drawn = drawn[shown]
     return np.asarray(drawn)

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
 
+from ..sampling.cell_torus import CellTorus
+
 Step = tuple[int, int]
 """A lattice vector, in steps along the first and the second vector, from a texel to another one."""
 NEIGHBORS: Final[tuple[Step, ...]] = tuple((u, v) for u in (-1, 0, 1) for v in (-1, 0, 1) if u or v)
@@ -229,15 +231,14 @@ class TexelMosaic:
         (u, v): cell coordinates of the first texel of ``chosen``.
     chosen
         The texel at each place.
-    periods
-        Two lattice vectors by which the mosaic repeats, in cell coordinates, as a matrix ``((a, 0), (b, d))``; then
-        ``chosen`` is of the shape (a, d). None: it does not repeat.
+    torus
+        The places of a mosaic that repeats, all of which ``chosen`` holds. None: it does not repeat.
     """
 
     stock: TexelStock
     first: NDArray[np.int64]
     chosen: Grid
-    periods: NDArray[np.int64] | None = None
+    torus: CellTorus | None = None
 
     @classmethod
     def grow(
@@ -247,7 +248,7 @@ class TexelMosaic:
         largest: float,
         rng: np.random.Generator,
         progress: Callable[[float], None],
-        periods: Points | None = None,
+        torus: CellTorus | None = None,
     ) -> TexelMosaic:
         """Choose a texel for each place in a box, in the order in which the lattice is constructed.
 
@@ -267,15 +268,13 @@ class TexelMosaic:
             The randomness.
         progress
             Is called with the fraction that is done.
-        periods
-            ``(2, 2)``, rows (x, y) px: lattice vectors by which the mosaic repeats. None: it does not.
+        torus
+            The places of a mosaic that repeats. None: it does not.
         """
         first, size = _cover(stock.shape.lattice, box)
-        hermite = None
-        if periods is not None:
-            hermite = hermite_form(np.rint(periods @ np.linalg.inv(stock.shape.lattice.matrix)).astype(np.int64))
-            first, size = np.zeros(2, np.int64), hermite.diagonal()
-        mosaic = cls(stock, first, np.full((size[0], size[1]), -1), hermite)
+        if torus is not None:
+            first, size = np.zeros(2, np.int64), np.array([torus.columns, torus.rows])
+        mosaic = cls(stock, first, np.full((size[0], size[1]), -1), torus)
         order = list(growth_order((int(size[0]), int(size[1]))))
         draws = rng.random(len(order))
         count = len(stock.middles)
@@ -295,8 +294,8 @@ class TexelMosaic:
 
     def texel_at(self, column: int, row: int) -> int:
         """Return the texel at a place of the grid, -1 if it is empty or outside."""
-        if self.periods is not None:
-            column, row = _wrap(np.array([column, row]), self.periods).tolist()
+        if self.torus is not None:
+            column, row = self.torus.wrap(np.array([column, row])).tolist()
         elif not (0 <= column < self.chosen.shape[0] and 0 <= row < self.chosen.shape[1]):
             return -1
         return int(self.chosen[column, row])
@@ -310,7 +309,7 @@ class TexelMosaic:
         for numbers, weights in shape.weights(points):
             seen = np.flatnonzero(weights > 1e-6)
             number = numbers[seen]
-            column, row = (number - self.first if self.periods is None else _wrap(number, self.periods)).T
+            column, row = (number - self.first if self.torus is None else self.torus.wrap(number)).T
             middles = self.stock.middles[self.chosen[column, row]]
             yield seen, points[seen] + (middles - shape.lattice.from_cell(number)), weights[seen]
 
@@ -321,26 +320,6 @@ def _cover(lattice: Lattice, box: tuple[Points, Points]) -> tuple[NDArray[np.int
     uv = lattice.to_cell([(left, top), (right, top), (left, bottom), (right, bottom)])
     first = np.floor(uv.min(0)).astype(np.int64) - 2
     return first, np.ceil(uv.max(0)).astype(np.int64) + 3 - first
-
-
-def hermite_form(matrix: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the Hermite normal form ``((a, 0), (b, d))`` of an integer matrix: a basis of the same lattice.
-
-    Examples
-    --------
-    >>> hermite_form(np.array([[4, 1], [2, -3]])).tolist()
-    [[14, 0], [4, 1]]
-    """
-    first, second = matrix.astype(np.int64)
-    while first[1]:
-        first, second = second - (second[1] // first[1]) * first, first
-    return np.array([first * np.sign(first[0]), second * np.sign(second[1])])
-
-
-def _wrap(numbers: NDArray[np.int64], periods: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the places, ``(..., 2)``, between 0 and the diagonal of a Hermite form that are equal to some places."""
-    rows = numbers - (numbers[..., 1:] // periods[1, 1]) * periods[1]
-    return np.asarray(rows - (rows[..., :1] // periods[0, 0]) * periods[0])
 
 
 def growth_order(size: tuple[int, int]) -> Iterator[tuple[int, int]]:

@@ -33,13 +33,17 @@ def test_a_sheet_shows_each_method_and_tells_why_one_is_missing(
     assert sheet.shape[1] > 2 * 96
     spots = np.argwhere((np.abs(sheet - [1, 1, 1]).max(-1) > 0.05).any(0)).ravel()
     assert np.ptp(spots) > 96 + 64, "two pictures side by side"
+    lattice, options = nrbench.Lattice((32, 0), (16, 16)), nrbench.Options(jobs=0)
+    table = nrbench.sheet(wall, "own.png", methods="scatter", size=(64, 64), lattice=lattice, options=options)
+    assert table["method"].tolist() == ["scatter"] and f"quality {table['quality'][0]:.2f}" in printed[0]
+    np.testing.assert_array_equal(nrbench.read_image(Path("own.png"))[-60:], sheet[-60:])
 
 
 def test_a_tileable_output_tells_its_strain(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:
     """The command prints the strain and a better size; wrong methods and sizes exit with 2."""
     assert call("synth wall.png -m tiling --lattice 32,0,16,16 --tileable --size 130x96 -o out.png") == 0
     assert "closes by a strain of 1.5 %, 128x96 would need 0 %" in capsys.readouterr().err
-    assert call("synth wall.png -m scatter --tileable --size 128x96 -o out.png") == 2
-    assert "scatter cannot make an output that repeats without a seam; ann-pixel, auto, " in capsys.readouterr().err
+    assert call("synth wall.png -m cartoon --tileable --size 128x96 -o out.png") == 2
+    assert "cartoon cannot make an output that repeats without a seam; ann-pixel, auto, " in capsys.readouterr().err
     assert call("synth wall.png -m rsgf --lattice 32,0,16,16 --tileable --size 144x96 -o out.png") == 2
     assert "use --size 128x96" in capsys.readouterr().err

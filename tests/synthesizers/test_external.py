@@ -57,6 +57,12 @@ def test_a_program_gets_the_sample_and_its_picture_comes_back(tmp_path: Path, sa
     assert made.image.shape == (30, 50, 3)
 
 
+def test_outputs_may_be_smaller_than_samples_may(tmp_path: Path, sample: Image) -> None:
+    """An output of one pixel, as ``nrbench check`` asks for it, is read; a sample needs eight a side."""
+    task = Task(sample, (1, 1), None, np.random.default_rng(0))
+    assert Command(run=f"{script(tmp_path, TILES)} {FIELDS}").synthesize(task).image.shape == (1, 1, 3)
+
+
 def test_the_seed_comes_from_the_tasks_stream(tmp_path: Path, sample: Image) -> None:
     """The same stream gives the same seed, another gives another."""
     command = f"{script(tmp_path, TILES)} {FIELDS}"

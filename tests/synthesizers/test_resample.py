@@ -18,6 +18,7 @@ from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
 from nrbench.synthesizers.resampling.element_colors import draw_field, link_threads, match_distribution
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
+from nrbench.synthesizers.sampling.cell_torus import CellTorus
 from nrbench.synthesizers.tile_set import TileSet
 
 
@@ -136,7 +137,7 @@ def test_threads_are_linked_under_detail() -> None:
 def test_the_drawn_field_has_the_covariance_of_the_sample() -> None:
     """A field drawn from 400 correlated cells has their covariance at all lags, within the error of the estimate."""
     sample = chain(20, 20, 0.6, 0.5, seed=1)
-    field = draw_field(sample, (64, 64), np.random.default_rng(2))
+    field = draw_field(sample, CellTorus(64, 64), np.random.default_rng(2))
     drawn_colors = [InstanceColors(field[:, :, k], np.ones((64, 64))) for k in (0, 1)]
     for a, b, lag, known in ((0, 0, (1, 0), 0.6), (0, 0, (2, 0), 0.36), (0, 1, (0, 0), 0.5), (0, 0, (0, 1), 0.0)):
         r, pairs = drawn_colors[a].correlation(drawn_colors[b], lag)
@@ -146,7 +147,7 @@ def test_the_drawn_field_has_the_covariance_of_the_sample() -> None:
 
 def test_chance_correlations_are_dropped() -> None:
     """A field drawn from 25 independent cells is not correlated."""
-    field = draw_field(chain(5, 5, 0.0, 0.0, seed=3), (40, 40), np.random.default_rng(4))
+    field = draw_field(chain(5, 5, 0.0, 0.0, seed=3), CellTorus(40, 40), np.random.default_rng(4))
     one, other = (InstanceColors(field[:, :, k], np.ones((40, 40))) for k in (0, 1))
     assert max(abs(one.correlation(other, (i, j))[0]) for i in (0, 1) for j in (0, 1)) < 0.1
 

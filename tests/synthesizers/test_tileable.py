@@ -9,13 +9,15 @@ import nrbench
 from nrbench import plugins
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.closing import close_lattice
+from nrbench.synthesizers.sampling.cell_torus import CellTorus
 from nrbench.synthesizers.sampling.torus import Torus
 
 SHAPE = (306, 231)
 OTHERS = {"fftm-patch", "fftm-pixel", "representative-tile"}
 """Slow methods, whose own tests make tileable outputs, and one that refuses turned lattices."""
-FROM_NOISE = {"ann-pixel", "gpnn", "texture-optimization"}
+LOSING = {"ann-pixel", "gpdm", "gpnn", "random-phase", "scatter", "texture-optimization"}
 """They know no lattice, and lose it in any output."""
+QUICK = {"gpdm": "gpdm:steps=60"}
 ABLE = [one.name for one in plugins.inventory("synthesizers") if getattr(one.cls, "wraps", False)]
 
 
@@ -37,9 +39,9 @@ def step_across_edges(image: nrbench.Image) -> float:
 @pytest.mark.parametrize("name", sorted(set(ABLE) - OTHERS))
 def test_opposite_edges_continue_each_other(name: str, hexagons: nrbench.Texture) -> None:
     """The edges are no rougher than the inside, and the closed lattice explains the outputs that keep a lattice."""
-    made = nrbench.synthesize(name, hexagons, SHAPE, hexagons.lattice, seed=1, tileable=True)
+    made = nrbench.synthesize(QUICK.get(name, name), hexagons, SHAPE, hexagons.lattice, seed=1, tileable=True)
     assert step_across_edges(made.image) < 1.1
-    if name in FROM_NOISE:
+    if name in LOSING:
         return
     assert hexagons.lattice is not None
     closed = close_lattice(hexagons.lattice, SHAPE)
@@ -100,8 +102,27 @@ def test_a_bent_sample_gives_a_straight_output_that_repeats() -> None:
 
 def test_methods_that_cannot_repeat_say_so(hexagons: nrbench.Texture) -> None:
     """The message names the methods that can."""
-    with pytest.raises(nrbench.BadInput, match=r"scatter cannot make an output that repeats without a seam; .*rsgf"):
-        nrbench.synthesize("scatter", hexagons, SHAPE, tileable=True)
+    with pytest.raises(nrbench.BadInput, match=r"cartoon cannot make an output that repeats without a seam; .*rsgf"):
+        nrbench.synthesize("cartoon", hexagons, SHAPE, tileable=True)
+
+
+def test_waves_run_on_around_a_torus_of_cells() -> None:
+    """Products of transforms are convolutions on the torus, also if its border is shifted."""
+    torus = CellTorus.of([(7, 0), (3, 5)])
+    one, other = np.random.default_rng(0).standard_normal((2, torus.columns, torus.rows))
+    cells = np.stack(np.indices(one.shape), -1)
+    expected = np.zeros(one.shape)
+    for i, j in np.ndindex(one.shape):
+        expected += one[i, j] * other[tuple(np.moveaxis(torus.wrap(cells - (i, j)), -1, 0))]
+    np.testing.assert_allclose(torus.invert(torus.transform(one) * torus.transform(other)), expected, atol=1e-12)
+
+
+def test_turned_threads_meet_others() -> None:
+    """Turned threads run on around the edges in one color; the note tells how many differ. Upright ones stay apart."""
+    for rotation, shape, note in ((17.0, (260, 246), "edges and meet others: 2 differ"), (0.0, (250, 246), "")):
+        weave = nrbench.texture("weave", shape=(128, 128), seed=3, color=0.3, rotation=rotation)
+        made = nrbench.synthesize("resample", weave, shape, weave.lattice, tileable=True)
+        assert note in made.note and bool(note) == ("meet others" in made.note)
 
 
 def test_a_torus_shows_what_is_written_everywhere() -> None:
