@@ -78,7 +78,8 @@ def _check_lattice(content: dict[str, Any] | None) -> dict[str, Any] | None:
     """Return the lattice of a result if it is one; raise :class:`ValueError` if not."""
     try:
         if content is not None:
-            Lattice.from_dict(_LATTICE.validate_python(content))
+            _LATTICE.validate_python(content)
+            Lattice.from_dict(content)
     except BadInput as error:
         raise ValueError(str(error)) from error
     return content
@@ -249,12 +250,11 @@ class CellFolder:
 
     def write_result(self, result: Result) -> Result:
         """Write how the synthesis ended, and return it."""
-        texts: Any = {
-            name: strip_control(result.get(name, ""))[:LONGEST_TEXT] for name in ("message", "note", "reason")
-        }
-        result = {**result, **{name: text for name, text in texts.items() if name in result}}
-        write_json(self.result_file, dict(result), durable=True)
-        return result
+        plain: dict[str, Any] = {**result}
+        for name in {"message", "note", "reason"} & set(plain):
+            plain[name] = strip_control(plain[name])[:LONGEST_TEXT]
+        write_json(self.result_file, plain, durable=True)
+        return cast("Result", plain)
 
     def lost_files(self, result: Result) -> list[str]:
         """Return the files of a result that are not in the folder any more."""
