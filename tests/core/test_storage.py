@@ -26,6 +26,8 @@ def test_folders_of_killed_processes_are_removed(tmp_path: Path, monkeypatch: py
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 9
     (left,) = tmp_path.iterdir()
     (tmp_path / "nrbench-mine").mkdir()
+    os.mkfifo(tmp_path / "nrbench-mine" / ".held")  # does not stop it
+    os.utime(tmp_path / "nrbench-mine" / ".held", (0, 0))
     with temporary_folder() as living:
         assert left.exists()  # it is younger than a minute
         for folder in (left, living):

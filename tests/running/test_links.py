@@ -102,6 +102,31 @@ def test_a_log_with_another_name_elsewhere_is_not_cut(tmp_path: Path) -> None:
     assert other.stat().st_size == 20 << 20 and load(tmp_path / "run").cells[0].status == "ok"
 
 
+def test_folders_too_deep_are_not_read_and_are_removed(tmp_path: Path) -> None:
+    """A cell with a thousand folders in one another is invalid, and the next run replaces it."""
+    folder = run_one_cell(tmp_path / "run")
+    with contextlib.chdir(folder):
+        for _ in range(1000):
+            Path("a").mkdir()
+            os.chdir("a")
+    [record] = load(tmp_path / "run").cells
+    assert record.status == "invalid" and "too deep" in record.message
+    assert run_one_cell(tmp_path / "run") == folder
+    assert load(tmp_path / "run").cells[0].status == "ok" and not (folder / "a").exists()
+
+
+def test_a_run_directory_that_another_takes_the_place_of_is_left(tmp_path: Path) -> None:
+    """Nothing is written into a folder that has the name of the run directory since it was claimed."""
+    directory = RunDirectory(tmp_path / "run")
+    directory.claim()
+    RunDirectory(tmp_path / "run")
+    (tmp_path / "run").rename(tmp_path / "moved")
+    (tmp_path / "run").mkdir()
+    with pytest.raises(BadInput, match="another folder has taken its place"):
+        write_json(directory.cell("abc").result_file, {})
+    assert not list((tmp_path / "run").iterdir())
+
+
 def test_a_named_pipe_does_not_stop_a_reader(tmp_path: Path) -> None:
     """``status`` ends where a pipe stands for the result of a cell."""
     folder = run_one_cell(tmp_path / "run")
@@ -217,6 +242,9 @@ def test_a_file_system_without_locks_is_no_other_run(tmp_path: Path, monkeypatch
     assert not (directory.root / ".running").exists()
 
 
+KNOWN = {"family": "", "kind": None, "regular_share": None, "region": None, "lattice": None, "lattices": []}
+
+
 @pytest.mark.parametrize(
     "part",
     [
@@ -227,13 +255,19 @@ def test_a_file_system_without_locks_is_no_other_run(tmp_path: Path, monkeypatch
         {"lattice": 5},
         {"lattice_used": {"t1": [1, 2], "t2": [3, 4]}},
         {"lattice": {"t1": [1, 2, 3], "t2": [3, 4], "origin": [0, 0]}},
+        {"lattice": {"t1": [9, 3], "t2": [9, 3], "origin": [0, 0]}},
+        {"confidence": 2},
         {"made": {"output.png": -1}},
+        {"made": {"é" * 200: 1}},
+        {"texture": {**KNOWN, "regular_share": "abc"}},
+        {"texture": {**KNOWN, "kind": 5}},
+        {"texture": {**KNOWN, "region": ["a", 1, 2, 3]}},
         {"message": None},
     ],
 )
 def test_forged_entries_of_a_result_are_refused(part: dict[str, Any]) -> None:
     """An entry of a wrong type, an unknown status and a number without bounds make no result."""
-    good = {"status": "ok", "message": "", "seconds": 1, "peak_mib": 2.5, "made": {"output.png": 7}}
+    good = {"status": "ok", "message": "", "seconds": 1, "peak_mib": 2.5, "made": {"output.png": 7}, "texture": KNOWN}
     assert is_result_part(good) and not is_result_part({**good, **part})
 
 
