@@ -11,6 +11,8 @@ import pytest
 from faults import registered_faults
 from hypothesis import HealthCheck, settings
 
+from nrbench.plugins import registry
+
 # A busy machine takes any time for an example, so no time limit says anything about the code.
 settings.register_profile("nrbench", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("nrbench")
@@ -39,6 +41,7 @@ def faulty_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any, Any],
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run every test in an empty directory of its own."""
+    """Run every test in an empty directory of its own; the plugins of files that it adds are unknown to the next one."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(registry, "_files", dict(registry._files))
     os.environ.setdefault("MPLBACKEND", "Agg")
