@@ -41,7 +41,7 @@ def faulty_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any, Any],
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run every test in an empty directory of its own; the plugins of files that it adds are unknown to the next one."""
+    """Run every test in an empty directory of its own, and forget the plugins of files that it has added."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(registry, "_files", dict(registry._files))
     os.environ.setdefault("MPLBACKEND", "Agg")
