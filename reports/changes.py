@@ -94,7 +94,7 @@ class Changes:
         Raises
         ------
         BadInput
-            If the baseline is no run, or neither run has a score that was named.
+            If the baseline is no run, neither run has a score that was named, or the runs have no cell in common.
         """
         baseline = Run(self.baseline or Path())
         _ = baseline.info
@@ -287,7 +287,7 @@ def compare_runs(first: Run, second: Run, scores: Sequence[str] = ()) -> RunChan
     Raises
     ------
     BadInput
-        For a score that neither run has.
+        For a score that neither run has, and for runs of the same methods that have no texture in common.
     """
     headlines = headline_columns(second) | headline_columns(first)
     columns = describe_scores(first) | describe_scores(second) | headlines
@@ -300,6 +300,8 @@ def compare_runs(first: Run, second: Run, scores: Sequence[str] = ()) -> RunChan
     common = [label for label in before if label in after]
     keys = ["texture", "replicate"]
     pairs = {label: before[label].merge(after[label], on=keys, suffixes=("_before", "_after")) for label in common}
+    if common and not any(map(len, pairs.values())):
+        raise BadInput(f"{first.root} and {second.root}: have no texture in common; compare runs of one suite")
     alike = {label: both["sample_before"] == both["sample_after"] for label, both in pairs.items()}
     moves = [move for label in common for move in _moves(before[label], after[label], alike[label], columns, chosen)]
     contestants = {label: rows for label, rows in after.items() if not rows["reference"].any()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
@@ -90,12 +91,12 @@ def lattice_command(
         raise BadInput(f"--diagnostics: draws how one detector works; leave {chosen[0]} out")
     if straighten and (every or pick or diagnostics):
         raise BadInput("--straighten: follows one lattice; leave --all, --pick and --diagnostics out")
-    written = {image.resolve(): "is the picture itself, which would be lost; choose another name"}
+    written = {os.path.realpath(image): "is the picture itself, which would be lost; choose another name"}
     for path in filter(None, (output, diagnostics, straighten)):
         check_output(path)
-        if path.resolve() in written:
-            raise BadInput(f"{path}: {written[path.resolve()]}")
-        written[path.resolve()] = "would be written twice; choose another name for one of the pictures"
+        if os.path.realpath(path) in written:
+            raise BadInput(f"{path}: {written[os.path.realpath(path)]}")
+        written[os.path.realpath(path)] = "would be written twice; choose another name for one of the pictures"
     picture = read_image(image)
     if every:
         return lattice_detection.print_comparison(picture, output, as_json)

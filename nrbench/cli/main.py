@@ -8,6 +8,7 @@ import gc
 import importlib
 import io
 import itertools
+import os
 import sys
 import warnings
 from collections.abc import Callable, Mapping
@@ -154,6 +155,9 @@ def main(arguments: list[str] | None = None) -> None:
     """
     if arguments is None:
         gc.set_threshold(COLLECT_AFTER)  # only in the process of a command: a program that calls main keeps its own
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # it is closed
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -212,7 +216,7 @@ def _report_exception(error: Exception, debug: bool) -> int:
     if isinstance(error, InvalidOutput):
         return _print_error(f"the method {error}", 1)
     if isinstance(error, OSError):
-        return _print_error(f"{error.filename or 'file'}: {error.strerror or error}", 2)
+        return _print_error(f"{error.filename or 'output'}: {error.strerror or error}", 2)
     return _print_error(f"internal error: {describe_error(error)}; run with --debug for the traceback", 1)
 
 
@@ -223,5 +227,6 @@ def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 def _print_error(message: str, code: int) -> int:
     from nrbench.errors import strip_control
 
-    print(f"nrbench: {' '.join(strip_control(message).split())}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # nobody can read it: the disk is full, or the reader has gone
+        print(f"nrbench: {' '.join(strip_control(message).split())}", file=sys.stderr)
     return code

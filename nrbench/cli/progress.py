@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 import time
@@ -39,7 +40,8 @@ def live_progress(estimate: bool = True, patience: bool = False) -> Iterator[Cal
 
         def print_line(done: int, total: int, what: str) -> None:
             if not patience or time.monotonic() - start > PATIENCE:
-                print(f"[{done}/{total}] {strip_control(what)}", file=sys.stderr, flush=True)
+                with contextlib.suppress(OSError):  # nobody can read it, and the work goes on
+                    print(f"[{done}/{total}] {strip_control(what)}", file=sys.stderr, flush=True)
 
         yield print_line
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,7 +62,7 @@ def synth_command(
 
     name, parameters = parse_spec(method)
     check_output(output)
-    if output.resolve() == image.resolve():
+    if os.path.realpath(output) == os.path.realpath(image):
         raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
     finder = getattr(plugins.build("synthesizers", name, parameters), "finder", "")
     shape, sample = parse_size(size), read_image(image)

@@ -263,7 +263,7 @@ class _Runner:
                 break
             running[self._start(job)] = tag
             while len(running) >= max(1, 4 * self.pool.count_slots()) and not self.options.stop.is_set():
-                yield from self._take_finished(running)
+                stopped |= yield from self._take_finished(running)
         while running:
             stopped |= yield from self._take_finished(running)
         if stopped:

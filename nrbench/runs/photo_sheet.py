@@ -9,7 +9,7 @@ from typing import Any
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import read_image, read_shape
+from nrbench.imaging.files import read_image
 from nrbench.imaging.overlays import contact_sheet, draw_lattice
 from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.runs.records import CellRecord
@@ -24,7 +24,7 @@ _PERILS = ("regularity", "integrity", "randomness", "appearance")
 
 def photo_suite(photo: Path, sample: Any, size: Any) -> Suite:
     """Return a suite of one photograph with all methods that are no references and need no parameter."""
-    height, width = map(min, read_shape(photo)[:2], parse_size(sample))
+    height, width = map(min, read_image(photo).shape[:2], parse_size(sample))
     row = {"name": "photo", "dataset": "images", "parameters": {"path": str(photo.absolute())}}
     content = {
         "name": "sheet",

@@ -14,9 +14,10 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import distributions
 from pathlib import Path
+from shutil import copyfileobj
 from typing import TYPE_CHECKING, Annotated, Any, Required, cast
 
 import psutil
@@ -33,10 +34,12 @@ from nrbench.storage import (
     follow_no_link_below,
     json_text,
     make_folder,
+    open_file,
     open_regular,
     read_bytes,
     read_json,
     remove,
+    write_aside,
     write_bytes,
     write_json,
 )
@@ -469,6 +472,7 @@ class RunDirectory:
             raise BadInput(f"{self.root}: holds something that is no run; pass an empty or new directory as --out")
         self.check_links()
         make_folder(self.cells)
+        follow_no_link_below(self.root)  # it is known only now, if it is new
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
@@ -516,17 +520,23 @@ class RunDirectory:
             mark.unlink(missing_ok=True)
 
     def copy_cells(self, other: RunDirectory, keys: Iterable[str]) -> None:
-        """Copy the finished cells of another run that have these keys and no result here; cells with links are not."""
+        """Copy the finished cells of another run that have these keys and no result here; cells with links are not.
+
+        The result comes last: without it, the cell has none. A file that another process removes meanwhile, or replaces
+        by a link, leaves its cell to be computed.
+        """
         for key in keys:
             theirs, ours = other.cell(key), self.cell(key)
-            if theirs.result() is not None and ours.result() is None:
+            result = theirs.result()
+            if result is not None and ours.result() is None:
                 ours.clear()
-                files = {path.relative_to(theirs.path) for path in theirs.path.rglob("*") if path.is_file()}
-                last = Path(theirs.result_file.name)  # without it, the cell has no result
+                files = [theirs.cell_file, theirs.sample, theirs.again, theirs.log, *theirs.scores.glob("*.*")]
+                files += [theirs.path / name for name in _made(result)]
                 try:
-                    for name in [*(files - {last}), last]:
-                        write_bytes(ours.path / name, read_bytes(theirs.path / name))
-                except BadInput:  # a link took the place of a file meanwhile
+                    for file in [*filter(Path.is_file, files), theirs.result_file]:
+                        with open_file(file) as source:
+                            write_aside(ours.path / file.relative_to(theirs.path), partial(copyfileobj, source))
+                except (BadInput, FileNotFoundError, NotADirectoryError):
                     ours.clear()
 
 

@@ -327,7 +327,7 @@ def _read(file: Path | Traversable, where: str) -> Suite:
         raise BadInput(
             f"{where}: is no TOML file; for one picture use `nrbench synth`, or pass its directory"
         ) from None
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # also of an integer of thousands of digits
         raise BadInput(f"{where}: is no valid TOML: {error}") from None
     except RecursionError:
         raise BadInput(f"{where}: is nested too deeply; a suite has three levels at most") from None
@@ -355,6 +355,7 @@ def _validated_row(row: Mapping[str, Any], directory: Path) -> TextureRow:
         return TextureRow.model_validate(row)
     except ValidationError as error:
         in_truth = error.errors()[0]["loc"][0] not in ("name", "dataset", "parameters")
+        in_truth = in_truth and (directory / "truth.json").is_file()
         where = directory / "truth.json" if in_truth else directory
         remedy = "; render the textures again, or delete the file" if in_truth else ""
         raise BadInput(f"{where}: picture {row.get('name')!r}: {_first(error)}{remedy}") from None

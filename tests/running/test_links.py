@@ -119,7 +119,6 @@ def test_a_run_directory_that_another_takes_the_place_of_is_left(tmp_path: Path)
     """Nothing is written into a folder that has the name of the run directory since it was claimed."""
     directory = RunDirectory(tmp_path / "run")
     directory.claim()
-    RunDirectory(tmp_path / "run")
     (tmp_path / "run").rename(tmp_path / "moved")
     (tmp_path / "run").mkdir()
     with pytest.raises(BadInput, match="another folder has taken its place"):

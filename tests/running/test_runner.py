@@ -11,9 +11,11 @@ import sys
 import threading
 import time
 import tomllib
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import psutil
 import pytest
@@ -310,3 +312,13 @@ def test_a_texture_that_cannot_be_drawn_is_a_row(tmp_path: Path) -> None:
     )
     statuses = {record.texture: (record.status, record.phase) for record in found.cells}
     assert statuses == {"bad": ("error", "render"), "good": ("ok", "")}
+
+
+def test_an_interrupt_while_the_last_cells_are_queued_is_not_lost(tmp_path: Path) -> None:
+    """Cells that are dropped while the runner waits behind its last submission make the run incomplete."""
+    options = Options()
+    pool: Any = SimpleNamespace(count_slots=lambda: 1, submit=lambda job: Future(), check=options.stop.set)
+    runner = _Runner(RunDirectory(tmp_path), options, [], pool)
+    jobs = [(k, Request("cell", str(tmp_path), 1.0, 1.0)) for k in range(4)]
+    with pytest.raises(KeyboardInterrupt):
+        list(runner._run_jobs(jobs))
