@@ -26,6 +26,8 @@ from nrbench.suites.suite import Suite, TextureRow
 
 MOST_CELLS = 200_000
 """Cells that a run may have at most: the process that plans them keeps each in memory."""
+MOST_SAMPLES = 20_000
+"""Samples that a run may draw at most. A plan draws each of them, which takes about a minute."""
 Draw = Callable[[Recipe, Shape], tuple[Texture, Image | None]]
 """Draws a texture by its recipe, as :func:`draw_texture` does."""
 
@@ -319,7 +321,7 @@ def make_plan(
 
 
 def _check_count(suite: Suite, textures: Sequence[str], methods: Mapping[str, PlannedMethod], sources: int) -> None:
-    """Raise BadInput if a run would have more cells than :data:`MOST_CELLS`, before a sample is drawn."""
+    """Raise BadInput if a run would have too many samples (:data:`MOST_SAMPLES`) or cells, before a sample is drawn."""
     rows = _matching_rows(suite, textures)
     lattices = {spec: sources if method.uses_lattice else 1 for spec, method in methods.items()}
     count = suite.replicates * sum(lattices[spec] for row in rows for spec in methods if suite.runs(spec, row.name))
@@ -328,6 +330,11 @@ def _check_count(suite: Suite, textures: Sequence[str], methods: Mapping[str, Pl
         raise BadInput(
             f"suite {suite.name}: a run has {MOST_CELLS:,} cells at most, this one would have {count:,} ({parts}); use "
             "fewer replicates, or choose textures by -t and methods by -m"
+        )
+    if len(rows) * suite.replicates > MOST_SAMPLES:
+        raise BadInput(
+            f"suite {suite.name}: a run draws {MOST_SAMPLES:,} samples at most, this one would draw {len(rows):,} "
+            f"textures {suite.replicates:,} times; use fewer replicates, or choose textures by -t"
         )
 
 

@@ -186,3 +186,5 @@ def test_a_run_of_too_many_cells_is_refused_before_a_sample_is_drawn() -> None:
     suite = load_suite("core").with_changes(replicates=100_000, methods=("tiling",))
     with pytest.raises(BadInput, match=r"this one would have 3,600,000 \(18 textures, 100,000 replicates, 1 methods"):
         make_plan(suite)
+    with pytest.raises(BadInput, match=r"20,000 samples at most, this one would draw 1 textures 100,000 times"):
+        make_plan(suite, ["brick-mild"])
