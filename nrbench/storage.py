@@ -65,7 +65,7 @@ def _folder_of(path: Path, make: bool = False) -> Iterator[tuple[str, int | None
         taken the place of that folder.
     """
     text = os.path.abspath(path)  # noqa: PTH100  (it keeps links)
-    root = next((each for each in _without_links if text.startswith(each)), None)
+    root = max((each for each in list(_without_links) if text.startswith(each)), key=len, default=None)
     if root is None:
         if make:
             path.parent.mkdir(parents=True, exist_ok=True)
