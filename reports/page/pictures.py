@@ -6,8 +6,6 @@ import base64
 import hashlib
 import io
 import os
-import tokenize
-import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -35,10 +33,7 @@ _SHADE = 190
 """Opacity of the marks of an overlay, of 255."""
 _CORNERS = np.array([[[0, 114, 178], [0, 158, 115]], [[213, 94, 0], [240, 228, 66]]], np.float64)
 """Colors of the corners of the sample in a source map, from the palette of Okabe and Ito."""
-_UNREADABLE = (
-    *(OSError, SyntaxError, ValueError, EOFError, KeyError, PIL.Image.DecompressionBombError),
-    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
-)
+_UNREADABLE = (OSError, SyntaxError, ValueError, EOFError, KeyError, PIL.Image.DecompressionBombError, zlib.error)
 
 Pixels = NDArray[np.uint8]
 
