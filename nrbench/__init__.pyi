@@ -14,6 +14,7 @@ from .authoring.packages import new_plugin as new_plugin
 from .catalog import Shown as Shown
 from .catalog import list_plugins as list_plugins
 from .catalog import show_plugin as show_plugin
+from .displacement.deformation_field import Deformation as Deformation
 from .errors import BadInput as BadInput
 from .imaging.convert import Image as Image
 from .imaging.convert import gray as gray
@@ -49,5 +50,4 @@ from .running.runner import Options as Options
 from .runs.records import CellRecord as CellRecord
 from .runs.records import Run as Run
 from .storage import user_path as user_path
-from .tracking.bent_lattice import Deformation as Deformation
 from .version import __version__ as __version__

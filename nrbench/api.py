@@ -24,14 +24,14 @@ from nrbench.streams import pixels_hash, stream
 
 # Runs, suites and their executors are imported by the functions that use them: one picture needs none of them.
 if TYPE_CHECKING:
+    from nrbench.displacement.bent_detection import Followed
+    from nrbench.displacement.deformation_field import Deformation
     from nrbench.running.guard import Limits
     from nrbench.running.pace import Progress
     from nrbench.running.runner import Options
     from nrbench.runs.records import Run
     from nrbench.suites.plan import Plan
     from nrbench.suites.suite import Suite
-    from nrbench.tracking.bent_lattice import Deformation
-    from nrbench.views.deformed import Followed
 
 Imagelike = Any
 """An image: an array of uint8, uint16 or float in [0, 1], with or without a channel axis; the path of a picture; or a
@@ -177,15 +177,13 @@ def follow_bent_lattice(
     Parameters
     ----------
     image, lattice, only_promising
-        As for :func:`nrbench.views.deformed.find_deformation`.
+        As for :func:`nrbench.displacement.bent_detection.find_deformation`.
     detector, parameters
         As for :func:`track_lattice`.
     """
-    from nrbench.views.deformed import find_deformation
+    from nrbench.displacement.bent_detection import find_deformation
 
-    thorough = _plugin("detectors", detector, parameters or {})
-    quick = plugins.build("detectors", "dominance", {"reject": "none"})
-    return find_deformation(image, thorough, quick, lattice, only_promising)
+    return find_deformation(image, lattice, _plugin("detectors", detector, parameters or {}), only_promising)
 
 
 def as_lattice(lattice: Latticelike) -> Lattice | None:
@@ -279,9 +277,9 @@ def synthesize(
     >>> synthesize("quilting:block=24", brick, "160x128", seed=1).image.shape
     (128, 160, 3)
     """
-    from nrbench.bending.needed_part import synthesize_from_part
-    from nrbench.bending.straightening import synthesize_in_geometry
-    from nrbench.bending.tileable import require_wrapping, synthesize_tileable
+    from nrbench.calling.bent_samples import synthesize_in_geometry
+    from nrbench.calling.large_samples import synthesize_from_part
+    from nrbench.calling.tileable import require_wrapping, synthesize_tileable
     from nrbench.running.output_checks import checked_synthesis
     from nrbench.running.preparing import briefly_prepared
 

@@ -28,7 +28,7 @@ from nrbench.storage import write_aside
 from nrbench.suites.surveying import Survey, draw_candidates, lattice_text
 
 if TYPE_CHECKING:
-    from nrbench.tracking.bent_lattice import Deformation
+    from nrbench.displacement.deformation_field import Deformation
 
 LETTERS = 38
 """Number of letters on a line of a caption."""

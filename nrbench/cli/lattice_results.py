@@ -11,8 +11,8 @@ from nrbench.plugins.forms import Alternative, Detection
 from nrbench.suites.surveying import SHOWN, candidate_dict, known_vectors, rank_candidates, vector_texts
 
 if TYPE_CHECKING:
-    from nrbench.tracking.bent_lattice import Deformation
-    from nrbench.views.deformed import Followed
+    from nrbench.displacement.bent_detection import Followed
+    from nrbench.displacement.deformation_field import Deformation
 
 
 @dataclass(frozen=True)
