@@ -13,8 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from nrbench import Lattice, Run
-from nrbench.imaging.files import read_image
-from nrbench.imaging.overlays import draw_lattice
+from nrbench.pictures.files import read_image
+from nrbench.pictures.overlays import draw_lattice
 from nrbench.runs.records import CellRecord
 
 TEXTURES = ("brick-strong", "weave-middle", "hexagon-middle-rotated")

@@ -20,7 +20,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from nrbench import Run
-from nrbench.imaging.files import read_image
+from nrbench.pictures.files import read_image
 
 TEXTURES = ("brick-middle", "weave-strong", "hexagon-strong")
 MODEL = {"sample.png": "sample", "extras/elements.png": "elements", "extras/attributes.png": "their colors"}

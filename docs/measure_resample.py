@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from nrbench import Task, Texture
-from nrbench.api import score_observation_by, synthesize
+from nrbench import Task, Texture, synthesize
+from nrbench.api.textures import score_observation_by
 from nrbench.datasets_procedural.modelling.pattern import Frame
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import fold
