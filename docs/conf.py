@@ -46,7 +46,7 @@ html_css_files = ["gallery.css"]
 
 
 def leave_out_missing_pages(app: Sphinx, page: str, text: list[str]) -> None:
-    """Leave out the lists of the gallery's pages where ``docs/make_gallery.py`` has not written them."""
+    """Leave out the lists of the gallery's pages where ``benchmarks/gallery.py`` has not written them."""
     if page == "gallery" and not Path(app.srcdir, "gallery").exists():
         text[0] = text[0].partition("```{toctree}")[0]
 

@@ -15,7 +15,8 @@ import pytest
 from nrbench import plugins
 from nrbench.cli.main import main
 
-DOCS = Path(__file__).parents[2] / "docs"
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
 BLOCK = re.compile(r"<!-- (run|file (\S+)) -->\n```(\w+)\n(.*?)```", re.DOTALL)
 PAGES = sorted(page.name for page in DOCS.glob("*.md") if BLOCK.search(page.read_text("utf-8")))
 
@@ -68,7 +69,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_scripts_are_valid() -> None:
     """The script that leads to a paper's table can be read by a shell."""
-    subprocess.run(["sh", "-n", str(DOCS / "paper_table.sh")], check=True)
+    subprocess.run(["sh", "-n", str(ROOT / "benchmarks" / "paper_table.sh")], check=True)
 
 
 def test_the_paper_table_passes_methods_on_whole(tmp_path: Path) -> None:
@@ -80,7 +81,7 @@ def test_the_paper_table_passes_methods_on_whole(tmp_path: Path) -> None:
         (tmp_path / "run" / "tables" / name).touch()
     fake.write_text(f'#!/bin/sh\nfor one in "$@"; do echo "$one" >> "{log}"; done\n')
     fake.chmod(0o755)
-    script = [str(DOCS / "paper_table.sh"), str(tmp_path / "run"), "mine.py", "mine", str(suite)]
+    script = [str(ROOT / "benchmarks" / "paper_table.sh"), str(tmp_path / "run"), "mine.py", "mine", str(suite)]
     subprocess.run(["sh", *script], check=True, env={**os.environ, "NRBENCH": str(fake)}, capture_output=True)
     given = log.read_text().splitlines()
     methods = [value for flag, value in pairwise(given) if flag == "-m"]

@@ -1,6 +1,6 @@
 """Write the gallery: a page for each method, each texture model and each of the four perils.
 
-``python docs/make_gallery.py [FOLDER]`` runs every method on seven textures and on the first two pictures of a folder,
+``python benchmarks/gallery.py [FOLDER]`` runs every method on seven textures and on the first two pictures of a folder,
 draws every texture model with each of its departures, plants defects of growing size, and writes pages and pictures to
 ``docs/gallery/``. ``make docs`` calls it (``make docs PHOTOGRAPHS=FOLDER``); no photograph comes with the project. The
 runs are kept in ``runs/gallery`` and resumed, so that only what changed is computed again.
@@ -19,12 +19,12 @@ from typing import Any
 import nrbench
 from nrbench import CellRecord, Run, plugins
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.files import list_pictures, read_image, write_image
+from nrbench.pictures.files import list_pictures, read_image, write_image
 from nrbench.plugins.registry import find, parameters_of
 from nrbench.suites.suite import Suite
 
-HERE = Path(__file__).parent
-PAGES, RUNS = HERE / "gallery", HERE.parent / "runs" / "gallery"
+ROOT = Path(__file__).parents[1]
+PAGES, RUNS = ROOT / "docs" / "gallery", ROOT / "runs" / "gallery"
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 SAMPLE, OUTPUT = 128, 256
 BROKEN = 0.5

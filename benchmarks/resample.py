@@ -1,27 +1,33 @@
-r"""Measure what the page on `resample` says of its limits, of planted defects and of rare elements.
+"""How the limits of `resample` were chosen, and how it keeps planted defects and rare elements.
 
-::
+``python benchmarks/resample.py STUDY``. The seeds are not those of the suites.
 
-    python docs/measure_resample.py elements
-    python docs/measure_resample.py fields
-    python docs/measure_resample.py detail
-    python docs/measure_resample.py defects
-    python docs/measure_resample.py rare
-
-The seeds are not those of the suites.
+``elements``, ``fields``, ``detail``
+    The limits of the element map and of threads, of fields, and of detail: on the models on which they were chosen, and
+    on others.
+``widths``
+    Quality by how closely the colors of copied detail must match.
+``defects``, ``rare``
+    Scores of defects that are planted in outputs and in fresh draws; the rate of missing and worn elements.
 """
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from nrbench import Task, Texture
-from nrbench.api import score_observation_by, synthesize
+import nrbench
+from nrbench import Task, Texture, synthesize
+from nrbench.api.textures import score_observation_by
 from nrbench.datasets_procedural.modelling.pattern import Frame
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import fold
@@ -32,7 +38,7 @@ from nrbench.running.phases import freeze
 from nrbench.suites.suite import load_suite
 from nrbench.synthesizers import resample
 from nrbench.synthesizers.planted import Planted
-from nrbench.synthesizers.resampling import element_colors, element_map
+from nrbench.synthesizers.resampling import element_colors, element_detail, element_map
 from nrbench.synthesizers.resampling.cell_field import measure_steps
 from nrbench.synthesizers.resampling.element_colors import ElementColors, ElementThread
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
@@ -40,63 +46,36 @@ from nrbench.synthesizers.resampling.element_map import ElementMap
 
 CHOOSING = frozenset(
     (
-        "brick",
-        "cans",
-        "card",
-        "cracker",
-        "knit",
-        "mat",
-        "mosaic",
-        "pavement",
-        "plaid",
-        "rug",
-        "scales",
-        "weave",
-        "windows",
+        *("brick", "cans", "card", "cracker", "knit", "mat", "mosaic"),
+        *("pavement", "plaid", "rug", "scales", "weave", "windows"),
     )
 )
 """Models on which limits are chosen. Both they and the other models have threads, walls and prints."""
 SEEDS = {True: (911, 912, 913), False: (921, 922, 923)}
 """Seeds of the draws on which limits are chosen, and of those of the other models, on which they are reported."""
-ELEMENT_LIMITS = ("_SAME", "_SALIENT", "_DOUBT", "_GROUND", "_SMALL", "_STILL")
-ELEMENTS = (
-    (0.7, 0.8, 3.0, 0.2, 0.15, 0.05),
-    (0.6, 0.8, 3.0, 0.2, 0.15, 0.05),
-    (0.8, 0.8, 3.0, 0.2, 0.15, 0.05),
-    (0.7, 0.7, 3.0, 0.2, 0.15, 0.05),
-    (0.7, 0.9, 3.0, 0.2, 0.15, 0.05),
-    (0.7, 0.8, 5.0, 0.2, 0.15, 0.05),
-    (0.7, 0.8, 3.0, 0.1, 0.15, 0.05),
-    (0.7, 0.8, 3.0, 0.3, 0.15, 0.05),
-    (0.7, 0.8, 3.0, 0.2, 0.05, 0.05),
-    (0.7, 0.8, 3.0, 0.2, 0.3, 0.05),
-    (0.7, 0.8, 3.0, 0.2, 0.15, 0.0),
-    (0.7, 0.8, 3.0, 0.2, 0.15, 0.1),
-)
-THREADS = (
-    ((0.3, 2.0), (0.5, 1.0)),
-    ((0.6, 0.0), (0.85, 0.0)),
-    ((0.2, 2.0), (0.5, 1.0)),
-    ((0.4, 2.0), (0.5, 1.0)),
-    ((0.3, 2.0), (0.4, 1.0)),
-    ((0.3, 2.0), (0.6, 1.0)),
-    ((0.3, 2.0), (0.8, 0.0)),
-)
+ELEMENT_LIMITS = {
+    "_SAME": (0.7, 0.6, 0.8),
+    "_SALIENT": (0.8, 0.7, 0.9),
+    "_DOUBT": (3.0, 5.0),
+    "_GROUND": (0.2, 0.1, 0.3),
+    "_SMALL": (0.15, 0.05, 0.3),
+    "_STILL": (0.05, 0.1, 0.0),
+}
+"""The limits of the element map: the value in use, and those that are tried in its place."""
+WITHOUT_STILL = {"_STILL": 0.0}
+THREADS = (((0.3, 2.0), (0.5, 1.0)), ((0.6, 0.0), (0.85, 0.0)), ((0.2, 2.0), (0.5, 1.0)), ((0.4, 2.0), (0.5, 1.0)))
+THREADS += (((0.3, 2.0), (0.4, 1.0)), ((0.3, 2.0), (0.6, 1.0)), ((0.3, 2.0), (0.8, 0.0)))
+"""The limits of threads of one element and of several: those in use, and those that are tried in their place."""
+WIDTHS = (0.4, 0.8, 1.2, 1.6, 3.2)
+WIDTH_SEED = 77
+"""The seed at which the width of detail is chosen. No table reports it."""
 CONTINUOUS = (0.5, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 1.0)
 ALIKE = (0.2, 0.4, 0.8, 1.2, 1.6, 2.4, 99.0)
 PERILS = ("regularity", "integrity", "randomness", "appearance")
-DEFECTS = (
-    ("none", 0.0),
-    ("phase-step", 0.3),
-    ("off-lattice", 0.4),
-    ("two-tone", 0.5),
-    ("over-regular", 0.7),
-    ("verbatim", 0.5),
-    ("blur", 1.0),
-    ("contrast", 0.3),
-    ("noise", 0.9),
-    ("color-mean", 0.1),
-)
+DEFECTS = {
+    **{"none": 0.0, "phase-step": 0.3, "off-lattice": 0.4, "two-tone": 0.5, "over-regular": 0.7},
+    **{"verbatim": 0.5, "blur": 1.0, "contrast": 0.3, "noise": 0.9, "color-mean": 0.1},
+}
 RARE = (("brick", {"missing": 0.1}), ("brick", {"damage": 0.15}), ("hexagon", {"missing": 0.1}))
 
 
@@ -203,14 +182,15 @@ def print_elements() -> None:
         tried = choosing and not jitter
         title = f"choosing: {choosing}, jitter {jitter}"
         known = [(k, k.residual(k.made.image), k.true_elements()) for k in draw_known(choosing, jitter)]
-        for choice in (*ELEMENTS[1:], ELEMENTS[0]) if tried else ELEMENTS[-2:-1] + ELEMENTS[:1]:
-            for limit, value in zip(ELEMENT_LIMITS, choice, strict=True):
-                setattr(element_map, limit, value)
+        every = [{name: value} for name, values in ELEMENT_LIMITS.items() for value in values[1:]]
+        for changes in (*(every if tried else [WITHOUT_STILL]), {}):
+            for name, values in ELEMENT_LIMITS.items():
+                setattr(element_map, name, changes.get(name, values[0]))
             maps = [element_map.segment(k.made.image, residual, k.lattice) for k, residual, _ in known]
-            print_agreement(f"{title}, elements {choice}", known, maps)
-        for choice in THREADS[1:] if tried else THREADS[1:2]:
-            element_colors._LINKED, element_colors._LINKED_ELEMENTS = choice
-            print_agreement(f"{title}, threads {choice}", known, maps)
+            print_agreement(f"{title}, elements {changes or 'as they are'}", known, maps)
+        for links in THREADS[1:] if tried else THREADS[1:2]:
+            element_colors._LINKED, element_colors._LINKED_ELEMENTS = links
+            print_agreement(f"{title}, threads {links}", known, maps)
         element_colors._LINKED, element_colors._LINKED_ELEMENTS = THREADS[0]
 
 
@@ -343,7 +323,7 @@ def print_defects() -> None:
     """Print the scores of each defect, planted in outputs and in fresh draws."""
     cases = [draws_of(name, 903, {"color": 0.3}) for name in ("brick", "weave", "hexagon")]
     print("defect, size | regularity, integrity, randomness, appearance of outputs | of fresh draws")
-    for kind, size in DEFECTS:
+    for kind, size in DEFECTS.items():
         row = []
         for planted_in in (outputs_of, lambda _, again: again):
             found = []
@@ -371,11 +351,33 @@ def print_rare() -> None:
         print(f"{name} {parameters}: sample {sample:.3f}, output {own:.3f}, fresh draw {drawn:.3f}")
 
 
+def print_widths() -> None:
+    """Print the mean quality, integrity and repetition of `resample` for each width, in standard deviations of colors.
+
+    The suites ``core`` and ``default`` are drawn at :data:`WIDTH_SEED`, and the lattice is given.
+    """
+    columns = ("quality.score", "integrity.score", "randomness.repetition")
+    print(f"| sigmas | {' | '.join(f'{suite}: {name}' for suite in ('core', 'default') for name in columns)} |")
+    chosen = {"methods": "resample", "lattice": "given", "seed": WIDTH_SEED, "replicates": 1}
+    for width in WIDTHS:
+        element_detail._ALIKE = width
+        means = []
+        for suite in ("core", "default"):
+            out = Path(tempfile.mkdtemp()) / "run"
+            table = nrbench.run(suite, **chosen, out=out, options=nrbench.Options(jobs=0)).table()
+            means += [float(table[name].mean()) for name in columns]
+        print(f"| {width} | {' | '.join(f'{mean:.3f}' for mean in means)} |", flush=True)
+
+
+STUDIES: Mapping[str, Callable[[], None]] = {
+    "elements": print_elements,
+    "fields": print_fields,
+    "detail": print_detail,
+    "widths": print_widths,
+    "defects": print_defects,
+    "rare": print_rare,
+}
+
+
 if __name__ == "__main__":
-    {
-        "elements": print_elements,
-        "fields": print_fields,
-        "detail": print_detail,
-        "defects": print_defects,
-        "rare": print_rare,
-    }[sys.argv[1]]()
+    STUDIES[sys.argv[1]]()

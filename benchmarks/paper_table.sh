@@ -1,6 +1,6 @@
 #!/bin/sh
 # From nothing to the table of a paper.
-#   sh docs/paper_table.sh [RUN] [FILE.py METHOD] [SUITE]
+#   sh benchmarks/paper_table.sh [RUN] [FILE.py METHOD] [SUITE]
 # It runs SUITE (default: default) with its methods, and METHOD of FILE.py beside them if these are given. Then it writes the
 # tables as LaTeX, the perils plane as PDF in the width of a column, and the BibTeX entries of the methods to RUN/paper.
 set -eu
