@@ -15,7 +15,7 @@ from nrbench.errors import BadInput
 
 # The help of a command imports no more than this.
 if TYPE_CHECKING:
-    from nrbench.api import Sheet
+    from nrbench.api.textures import Sheet
     from nrbench.imaging.convert import Image
     from nrbench.lattice.geometry import Lattice
 
@@ -55,8 +55,8 @@ def synth_command(
     without it, their names are printed.
     """
     from nrbench import plugins
-    from nrbench.api import synthesize
-    from nrbench.imaging.files import read_image, write_image
+    from nrbench.api.textures import synthesize
+    from nrbench.pictures.files import read_image, write_image
     from nrbench.plugins.parameters import parse_size, parse_spec
     from nrbench.running.output_checks import is_picture
 
@@ -88,7 +88,7 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
     BadInput
         If the text is neither, or the detector finds no lattice.
     """
-    from nrbench.api import as_lattice, lattice_in
+    from nrbench.api.arguments import as_lattice, lattice_in
     from nrbench.plugins.forms import NoLatticeFound
 
     if text is None or "," in text.partition(":")[0]:
@@ -105,7 +105,7 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
 
 def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
     """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
-    from nrbench.api import detect_lattice
+    from nrbench.api.textures import detect_lattice
     from nrbench.lattice.relation import relate
     from nrbench.plugins.forms import NoLatticeFound
 
@@ -151,8 +151,8 @@ def score_command(
     appearance. "≤" marks a quality that is an upper bound, because a part could not be measured. --all prints all
     scores.
     """
-    from nrbench.api import score
-    from nrbench.imaging.files import read_image
+    from nrbench.api.textures import score
+    from nrbench.pictures.files import read_image
 
     if metrics and every:
         raise BadInput("--metrics and --all: choose one of them")
@@ -216,7 +216,7 @@ def render_command(
     The command also writes truth.csv, truth.json and a contact sheet to DIR. It keeps pictures of an earlier render,
     and draws a picture of the same name again.
     """
-    from nrbench.api import render_textures
+    from nrbench.api.textures import render_textures
 
     for path in render_textures(what, output, textures, sample=sample, seed=seed, replicates=replicates):
         click.echo(path)

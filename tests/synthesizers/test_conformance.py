@@ -10,7 +10,7 @@ from conformance import violations
 
 from nrbench import plugins
 from nrbench.authoring.plugin_checks import SynthesizerSubject
-from nrbench.imaging.files import write_image
+from nrbench.pictures.files import write_image
 from nrbench.synthesizers.precomputed import name_for
 
 TILE = """
