@@ -11,7 +11,7 @@ from .api.runs import run as run
 from .api.runs import sheet as sheet
 from .api.runs import site as site
 from .api.runs import status as status
-from .api.textures import Sheet as Sheet
+from .api.textures import Scores as Scores
 from .api.textures import detect_lattice as detect_lattice
 from .api.textures import render_textures as render_textures
 from .api.textures import score as score

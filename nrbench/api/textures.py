@@ -273,7 +273,7 @@ def synthesize(
 
 
 @dataclass(frozen=True)
-class Sheet:
+class Scores:
     """The scores of one output.
 
     Parameters
@@ -289,8 +289,8 @@ class Sheet:
     --------
     >>> from nrbench import score, texture
     >>> brick = texture("brick", shape=(96, 96))
-    >>> sheet = score(brick, brick, metrics="appearance")
-    >>> sorted(sheet.values) == sorted(sheet.values.keys() | sheet.reasons.keys())
+    >>> scores = score(brick, brick, metrics="appearance")
+    >>> sorted(scores.values) == sorted(scores.values.keys() | scores.reasons.keys())
     True
     """
 
@@ -309,7 +309,7 @@ def score(
     lattice: Latticelike = None,
     metrics: Metrics = (),
     progress: Callable[[int, int, str], None] | None = None,
-) -> Sheet:
+) -> Scores:
     """Score any tool's output against its sample.
 
     Parameters
@@ -331,7 +331,7 @@ def score(
 
     Returns
     -------
-    Sheet
+    Scores
         The scores, and why some have no value.
 
     Raises
@@ -369,7 +369,7 @@ def score_observation_by(
     observation: Observation,
     metrics: Sequence[str] = (),
     progress: Callable[[int, int, str], None] | None = None,
-) -> Sheet:
+) -> Scores:
     """Score an observation by some metrics, or by all if none are named.
 
     The scores of a metric that raises an error are None, with the error as the reason.
@@ -387,7 +387,7 @@ def score_observation_by(
         scores[metric] = _score_or_failure(observation, metric)
         if progress:
             progress(number, len(names), metric)
-    return Sheet(
+    return Scores(
         {f"{metric}.{column}": value for metric, score in scores.items() for column, value in score.values.items()},
         {f"{metric}.{column}": why for metric, score in scores.items() for column, why in score.reasons.items()},
         {f"{metric}.{title}": image for metric, score in scores.items() for title, image in score.pictures.items()},

@@ -20,7 +20,7 @@ from nrbench.flags import Flag, Json, Switch
 
 # The help of a command imports no more than this.
 if TYPE_CHECKING:
-    from nrbench.api.textures import Sheet
+    from nrbench.api.textures import Scores
     from nrbench.imaging.convert import Image
     from nrbench.lattice.geometry import Lattice
 
@@ -129,7 +129,7 @@ HEADLINES = ("regularity.preserved", *(f"quality.{part}" for part in _PARTS))
 
 @verb(textures.score)
 def score_command(
-    call: Callable[..., Sheet],
+    call: Callable[..., Scores],
     sample: Path,
     output: Path,
     lattice: str | None,
@@ -158,43 +158,43 @@ def score_command(
     brief = not (metrics or every or as_json)
     names = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES)) if brief else names_of(metrics or "")
     with live_progress(patience=True) as progress:
-        sheet = call(sample=pictures[0], output=pictures[1], lattice=given, metrics=names, progress=progress)
+        scores = call(sample=pictures[0], output=pictures[1], lattice=given, metrics=names, progress=progress)
     if as_json:
-        print(json.dumps({**sheet.values, "reasons": dict(sheet.reasons)}, indent=1))
+        print(json.dumps({**scores.values, "reasons": dict(scores.reasons)}, indent=1))
         return
-    first = [name for name in HEADLINES if name in sheet.values]
-    print(_verdict_line(sheet))
-    for name in first if brief else dict.fromkeys([*first, *sheet.values]):
-        print(_score_line(sheet, name))
-    for reason, missing in _group_reasons(sheet, first if brief else list(sheet.values)).items():
+    first = [name for name in HEADLINES if name in scores.values]
+    print(_verdict_line(scores))
+    for name in first if brief else dict.fromkeys([*first, *scores.values]):
+        print(_score_line(scores, name))
+    for reason, missing in _group_reasons(scores, first if brief else list(scores.values)).items():
         print(f"{', '.join(missing)}: {reason}")
     if brief:
-        print(f"{len(sheet.values) - len(first)} more scores of these metrics, and the other metrics: --all")
+        print(f"{len(scores.values) - len(first)} more scores of these metrics, and the other metrics: --all")
 
 
-def _verdict_line(sheet: Sheet) -> str:
+def _verdict_line(scores: Scores) -> str:
     """Return the verdict on the lattice in one line; empty if it was not asked for."""
     name = HEADLINES[0]
-    if name not in sheet.values:
+    if name not in scores.values:
         return "the lattice was not judged; add regularity to --metrics"
-    if sheet.values[name] is None:
-        return f"the lattice is not judged: {sheet.reasons[name]}"
-    return f"the lattice is {'preserved' if sheet.values[name] else 'LOST'}"
+    if scores.values[name] is None:
+        return f"the lattice is not judged: {scores.reasons[name]}"
+    return f"the lattice is {'preserved' if scores.values[name] else 'LOST'}"
 
 
-def _score_line(sheet: Sheet, name: str) -> str:
-    value = sheet.values[name]
+def _score_line(scores: Scores, name: str) -> str:
+    value = scores.values[name]
     text = "-" if value is None else str(value) if isinstance(value, bool) else f"{value:.4g}"
-    bound = "≤ " if name == "quality.score" and sheet.values.get("quality.complete") is False else ""
+    bound = "≤ " if name == "quality.score" and scores.values.get("quality.complete") is False else ""
     return f"{name:<36} {bound}{text}"
 
 
-def _group_reasons(sheet: Sheet, names: list[str]) -> dict[str, list[str]]:
+def _group_reasons(scores: Scores, names: list[str]) -> dict[str, list[str]]:
     """Return the scores without a value by the reason."""
     grouped: dict[str, list[str]] = {}
     for name in names:
-        if sheet.values[name] is None:
-            grouped.setdefault(sheet.reasons[name], []).append(name)
+        if scores.values[name] is None:
+            grouped.setdefault(scores.reasons[name], []).append(name)
     return grouped
 
 
