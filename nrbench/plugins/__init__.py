@@ -14,6 +14,7 @@ from nrbench.plugins.registry import fault as fault
 from nrbench.plugins.registry import files as files
 from nrbench.plugins.registry import find as find
 from nrbench.plugins.registry import from_files as from_files
+from nrbench.plugins.registry import in_role as in_role
 from nrbench.plugins.registry import installed as installed
 from nrbench.plugins.registry import inventory as inventory
 from nrbench.plugins.registry import loaded_methods as loaded_methods

@@ -402,6 +402,22 @@ def entry_points_of(kind: str) -> dict[str, list[EntryPoint]]:
     return grouped
 
 
+@cache
+def in_role(role: str) -> str:
+    """Return the name of the plugin that nrbench declares for a role.
+
+    Parameters
+    ----------
+    role
+        ``detector``, which finds a lattice where no detector is named; ``quick-detector``, which proposes lattices of
+        bent pictures; ``pictures``, which reads files; ``comparison``, which compares two runs; ``run-site``.
+    """
+    declared = entry_points(group="nrbench.roles", name=role)
+    value = next(point.value for point in declared if distribution_of(point)[0] == "nrbench")
+    points = (point for kind in FORMS for point in entry_points(group=f"nrbench.{kind}"))
+    return next(point.name for point in points if point.value == value)
+
+
 def from_files(kind: str, name: str = "") -> Iterator[Plugin]:
     """Return the plugins of a kind that plain files define; files that were registered for later are read.
 
