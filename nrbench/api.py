@@ -546,13 +546,11 @@ def run(
     'ok'
     """
     from nrbench.running.guard import Limits
-    from nrbench.running.plugin_children import guarded_plugins
     from nrbench.running.runner import execute
 
     limits = Limits(options.timeout, options.memory) if options else None
-    with guarded_plugins():
-        plan, root = plan_cells(suite, methods, textures, lattice, out, limits=limits, **changes)
-        return execute(plan, root, options, progress or (lambda step: None))
+    plan, root = plan_cells(suite, methods, textures, lattice, out, limits=limits, **changes)
+    return execute(plan, root, options, progress or (lambda step: None))
 
 
 def plan_cells(
@@ -583,7 +581,8 @@ def plan_cells(
     BadInput
         As for :func:`run`.
     """
-    from nrbench.running.plugin_children import LIMITS, plan_run
+    from nrbench.running.guard import LIMITS
+    from nrbench.running.runner import plan_run
 
     chosen = _suite(suite)
     specs = [_spec(method) for method in _texts(methods)]

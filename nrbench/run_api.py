@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from nrbench.plugins.forms import Shape
-    from nrbench.running.guard import Limits
     from nrbench.running.pace import Progress
     from nrbench.running.runner import Options
     from nrbench.suites.plan import Plan
@@ -74,11 +73,8 @@ def plan(
     """
     import pandas as pd
 
-    from nrbench.running.plugin_children import guarded_plugins
-
-    with guarded_plugins():
-        planned, root = plan_cells(suite, methods, textures, lattice, out, **changes)
-        return pd.DataFrame(plan_summary(planned, root, retry_failed)["cells"])
+    planned, root = plan_cells(suite, methods, textures, lattice, out, **changes)
+    return pd.DataFrame(plan_summary(planned, root, retry_failed)["cells"])
 
 
 def status(run: Runlike) -> dict[str, Any]:
@@ -390,7 +386,6 @@ def write_reports(
     formats: Mapping[str, Mapping[str, Any]] | None = None,
     tables_only: bool = False,
     shared: Mapping[str, Any] | None = None,
-    limits: Limits | None = None,
     progress: Callable[[int, int, str], None] | None = None,
     tell: Callable[[str], None] = warnings.warn,
 ) -> tuple[list[Path], bool]:
@@ -406,8 +401,6 @@ def write_reports(
         Whether reports other than tables are left out.
     shared
         Parameters of all reports that have them, such as the files of labelers' answers, ``labels``.
-    limits
-        Limits of each report of another package; None for the default ones.
     progress
         Called after each report with the number of reports done, of all, and the name of the last one.
     tell
@@ -420,7 +413,6 @@ def write_reports(
     broken
         Whether any report failed.
     """
-    from nrbench.running.plugin_children import LIMITS, write_guarded
     from nrbench.running.runner import working_plugins
 
     made_by = run.info.get("results_version")
@@ -434,13 +426,10 @@ def write_reports(
     reports = {name: build_report(name, shared or {}, given) for name, given in formats.items()}
     wanted = {name: report for name, report in reports.items() if not tables_only or _folder(report) == "tables"}
     written: list[Path] = []
-    broken, allowed = False, limits or LIMITS
+    broken = False
     for number, (name, report) in enumerate(wanted.items(), 1):
-        folder = _folder(report)
-        own = plugins.find("reports", name).own
         try:
-            files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder, allowed)
-            written += [Path(path) for path in files]
+            written += [Path(path) for path in report.write(run, run.root / _folder(report))]
         except (Exception, SystemExit) as error:
             broken = True
             tell(f"report {name} failed: {describe_error(error)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
@@ -77,8 +78,7 @@ def _plan_options(command: F) -> F:
 def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
     from nrbench.api import plan_cells
-    from nrbench.running.guard import Limits
-    from nrbench.running.plugin_children import LIMITS
+    from nrbench.running.guard import LIMITS, Limits
 
     limits = Limits(arguments.get("timeout", LIMITS.seconds), arguments.get("memory", LIMITS.mib))
     names = ("suite", "methods", "textures", "lattice", "out", "seed", "sample", "size", "replicates")
@@ -93,7 +93,7 @@ def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     type=click.IntRange(0),
     help="Number of cells that run at the same time; 0 runs them in this process.  [default: number of cores]",
 )
-@limit_options("synthesis, metric or report")
+@limit_options("synthesis or metric")
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="Run the cells on a Dask cluster.")
 @click.option(
     "--worker-wait",
@@ -114,7 +114,6 @@ def run_command(**arguments: Any) -> int:
     from nrbench.cli import summary
     from nrbench.run_api import write_reports
     from nrbench.running.cluster import ClusterLost
-    from nrbench.running.guard import Limits
     from nrbench.running.pace import first_interrupt
     from nrbench.running.runner import Options, execute
     from nrbench.running.supervisor import print_notice
@@ -141,12 +140,11 @@ def run_command(**arguments: Any) -> int:
         except ClusterLost as error:
             run = Run(root)
             tell(f"{error}; run the same command again to resume")
-    limits = Limits(options.timeout, options.memory)
     with lock, live_progress(patience=True) as show:
         stale = summary.remove_stale_report(run) if arguments["no_report"] else None
         told = None if arguments["as_json"] else show
-        written, broken = write_reports(run, None, arguments["no_report"], None, limits, told, print_notice)
-    failed = summary.print_summary(run, written, arguments["as_json"], columns, limits)
+        written, broken = write_reports(run, None, arguments["no_report"], None, told, print_notice)
+    failed = summary.print_summary(run, written, arguments["as_json"], columns)
     if lacking:
         tell(
             f"{root} holds {lacking} more {'cell' if lacking == 1 else 'cells'} of an earlier command, which the "
@@ -193,6 +191,12 @@ def plan_command(**arguments: Any) -> None:
     print(json.dumps(cells, indent=1) if arguments["as_json"] else "\n".join(summary.plan_lines(cells)))
 
 
+def _warn_without_limits(context: click.Context, option: click.Parameter, value: float | None) -> None:
+    if value is not None:
+        text = "report: --timeout and --memory have no effect, because reports are written in this process; omit them"
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
+
+
 @click.command("report")
 @click.argument("run", type=_PATH)
 @click.argument("more", nargs=-1, type=_PATH, metavar="")
@@ -215,7 +219,7 @@ def plan_command(**arguments: Any) -> None:
 @click.option(
     "--population", is_flag=True, help="Intervals over a population of textures, of which the suite is a sample."
 )
-@limit_options("synthesis, metric or report")
+@click.option("--timeout", "--memory", type=float, hidden=True, expose_value=False, callback=_warn_without_limits)
 def report_command(
     run: Path,
     more: tuple[Path, ...],
@@ -224,16 +228,10 @@ def report_command(
     single_file: bool,
     no_tests: bool,
     population: bool,
-    timeout: float,
-    memory: float,
 ) -> int:
-    """Write the reports of RUN again from its files. No cell is run.
-
-    The limits hold for reports of other packages.
-    """
+    """Write the reports of RUN again from its files. No cell is run."""
     from nrbench.labelling.labels import read_labelers
     from nrbench.run_api import parse_formats, write_reports
-    from nrbench.running.guard import Limits
     from nrbench.running.supervisor import print_notice
     from nrbench.runs.records import Run
 
@@ -250,9 +248,8 @@ def report_command(
         shared["tests"] = False
     if population:
         shared["population"] = True
-    limits = Limits(timeout, memory)
     with live_progress(patience=True) as progress:
-        written, broken = write_reports(record, wanted, False, shared, limits, progress, print_notice)
+        written, broken = write_reports(record, wanted, False, shared, progress, print_notice)
     for path in written:
         print(path)
     return int(broken)

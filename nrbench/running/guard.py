@@ -71,6 +71,10 @@ class Limits:
     start_mib: float = 0.0
 
 
+LIMITS = Limits(120.0, 4096.0)
+"""The limits where no others are given."""
+
+
 @dataclass(frozen=True)
 class Reply:
     """How a request ended.

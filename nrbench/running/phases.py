@@ -24,7 +24,6 @@ from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.answers import answer
 from nrbench.plugins.forms import (
     Again,
     Column,
@@ -42,7 +41,6 @@ from nrbench.running.guard import Message, cpu_seconds
 from nrbench.running.output_checks import InvalidOutput, checked_synthesis, is_picture
 from nrbench.running.preparing import prepare_method
 from nrbench.running.sample_surveys import survey_once
-from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder, Result, metric_key
 from nrbench.storage import make_folder, read_arrays, read_json, write_arrays, write_json
 from nrbench.streams import pixels_hash, stream
@@ -217,31 +215,6 @@ def _write(where: CellFolder, synthesis: Synthesis) -> None:
     write_image(where.output, synthesis.image)
 
 
-def describe(folder: Path, send: Send) -> None:
-    """Import the plugin about which ``cell.json`` asks, and send what is known of it."""
-    try:
-        facts = answer(read_json(CellFolder(folder).cell_file) or {})
-    except BadInput as error:
-        send({"status": "refused", "message": str(error)})
-    else:
-        send(cast("Message", {"status": "ok", "message": "", "facts": facts}))
-
-
-def write_report(folder: Path, send: Send) -> None:
-    """Write the report of a run that ``cell.json`` names, and send the paths of its files, or its text."""
-    wanted = read_json(CellFolder(folder).cell_file) or {}
-    run = Run(Path(wanted["run"]))
-    plugin = plugins.build("reports", wanted["report"], wanted["parameters"])
-    if wanted["folder"] is None:
-        send(cast("Message", {"status": "ok", "message": "", "text": str(plugin.render(run))}))
-        return
-    folder = (run.root / wanted["folder"]).resolve()
-    if not folder.is_relative_to(run.root.resolve()):
-        raise BadInput(f"folder {wanted['folder']!r} of the report lies outside the run; give one inside")
-    folder.mkdir(parents=True, exist_ok=True)
-    send({"status": "ok", "message": "", "written": [str(path) for path in plugin.write(run, folder)]})
-
-
 def score_cell(folder: Path, send: Send, *metrics: str) -> None:
     """Score a cell by some metrics, and write one file for each; send ``{"scored": metric}`` after each.
 
@@ -264,9 +237,9 @@ def score_cell(folder: Path, send: Send, *metrics: str) -> None:
 
 @cache  # a search among all plugins for each request would touch, and so copy, much memory that children share
 def is_own(kind: str, name: str) -> bool:
-    """Return whether a plugin is known, loads, and belongs to nrbench."""
+    """Return whether a plugin is known, and belongs to nrbench."""
     try:
-        return plugins.find(kind, name).own
+        return plugins.lookup(kind, name).own
     except BadInput:
         return False
 

@@ -12,24 +12,28 @@ import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from nrbench import plugins
 from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image
 from nrbench.imaging.files import write_image
-from nrbench.plugins.forms import FoundLattice
+from nrbench.plugins.forms import FoundLattice, Shape, Texture
 from nrbench.running.executors import Executor, executor
+from nrbench.running.guard import LIMITS, Limits
 from nrbench.running.output_checks import InvalidOutput
 from nrbench.running.pace import Pace, Progress
-from nrbench.running.phases import read_output
-from nrbench.running.supervisor import print_notice
+from nrbench.running.phases import read_output, read_texture
+from nrbench.running.supervisor import RequestRunner, Supervisor, print_notice, third_party
 from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
-from nrbench.storage import make_folder, remove, remove_folder, write_json, write_text
-from nrbench.suites.cell import Cell, reader_of
-from nrbench.suites.plan import Plan, PlannedSample
+from nrbench.storage import make_folder, remove, remove_folder, temporary_folder, write_json, write_text
+from nrbench.suites.cell import Cell, Recipe, reader_of
+from nrbench.suites.plan import Plan, PlannedSample, make_plan
+from nrbench.suites.suite import Suite
 
 T = TypeVar("T")
 TICK = 0.2
@@ -104,11 +108,11 @@ def working_plugins(kind: str, tell: Callable[[str], None] = print_notice) -> li
     kind
         The kind.
     tell
-        Called with a sentence about each plugin of others that does not load.
+        Called with a sentence about each third-party plugin that does not load.
     """
     listed = plugins.inventory(kind)
     for plugin in listed:
-        if plugin.cls is None and not (plugin.own or plugin.error.startswith("duplicate")):
+        if plugin.cls is None and not plugin.duplicate:
             why = plugin.error.strip().splitlines()[-1]
             tell(f"{plugins.FORMS[kind].noun} {plugin.name!r} of {plugin.distribution} is left out: {why}")
     return [plugin.name for plugin in listed if plugin.cls is not None]
@@ -123,6 +127,48 @@ def find_metrics(names: Iterable[str], tell: Callable[[str], None] = lambda text
         When a metric is not known or does not load.
     """
     return [plugins.find("metrics", name).name for name in dict.fromkeys(names)] or working_plugins("metrics", tell)
+
+
+def plan_run(
+    suite: Suite,
+    textures: Sequence[str] = (),
+    limits: Limits = LIMITS,
+    progress: Callable[[float], None] = lambda done: None,
+) -> Plan:
+    """Draw every sample and list every cell, as :func:`~nrbench.suites.plan.make_plan` does.
+
+    A third-party dataset draws in a child process: if it fails, hangs or kills its process, the cells of its texture
+    fail, with the cause.
+
+    Parameters
+    ----------
+    suite, textures, progress
+        See :func:`~nrbench.suites.plan.make_plan`.
+    limits
+        The limits of the drawing of one texture.
+    """
+    with Supervisor(warm=False) as supervisor:  # it starts a process when it is first used
+        return make_plan(suite, textures, partial(draw_guarded, supervisor, limits), progress)
+
+
+def draw_guarded(runner: RequestRunner, limits: Limits, recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
+    """Draw a texture in a child process under limits; see :func:`~nrbench.suites.plan.draw_texture`.
+
+    Raises
+    ------
+    BadInput
+        If that fails. The error has the last lines that the dataset printed as a note.
+    """
+    with temporary_folder() as folder:
+        write_json(CellFolder(folder).cell_file, {"recipe": recipe.as_dict(), "shape": list(shape)})
+        request = Request("render", str(folder), limits.seconds, limits.mib, plugin_files=tuple(plugins.files()))
+        result = runner.run(request).result
+        if result["status"] == "ok" and "texture" in result:
+            return read_texture(folder, result["texture"])
+        cause = result["message"] or "ended without an answer"
+        error = BadInput(cause if result["status"] == "invalid" else f"dataset {recipe.dataset}: {cause}")
+        error.add_note(CellFolder(folder).log_tail())
+        raise error
 
 
 def execute(
@@ -235,6 +281,8 @@ class _Runner:
             if log:
                 write_text(where.log, log + "\n")
             phase = "render" if sample.size is None else "detect" if cell.detector else "given"
+            if cell.fault_status == "error" and phase == "given":
+                phase = "load"
             result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
             return {**where.write_result(result), "wall": 0.0}
         return self._job("cell", where, cell.texture)
@@ -247,8 +295,8 @@ class _Runner:
             options.timeout,
             options.memory,
             metrics=tuple(self.metrics),
-            plugins=plugins.files(),
-            imports=tuple(plugins.shared_plugins()),
+            plugin_files=tuple(plugins.files()),
+            imports=tuple(third_party()[1]),
             side_by_side=float(options.jobs > 1 or options.scheduler is not None),
             group=group,
         )

@@ -43,6 +43,8 @@ START = 900.0
 """Seconds that a worker may take to start. A busy machine compiles all kernels for minutes."""
 COMPILING = "compiling kernels (once per machine, up to some minutes)"
 """The notice of a worker that compiles kernels."""
+KINDS = ("synthesizers", "detectors", "datasets", "metrics")
+"""The kinds of plugins that run in child processes."""
 _compiling = threading.Lock()
 """Held from the first notice on, so that a process gives it once."""
 
@@ -144,7 +146,7 @@ def _can_write(folder: Path) -> bool:
 def _score(job: Request, where: CellFolder, runner: RequestRunner) -> None:
     """Score by every metric that has not scored the cell yet; record the failure of one that kills the child."""
     missing = where.missing_scores(job.metrics)
-    own = [metric for metric in missing if plugins.find("metrics", metric).own]
+    own = [metric for metric in missing if plugins.lookup("metrics", metric).own]
     for group in (own, *([metric] for metric in missing if metric not in own)):
         _score_group(job, where, runner, group)
 
@@ -180,7 +182,7 @@ class Supervisor:
 
     def __init__(self, tell: Callable[[str], None] = print_notice, *, warm: bool = True, forks: bool = True) -> None:
         self._tell, self._warm, self._forks = tell, warm, forks
-        self._imports: dict[str, Any] = {}
+        self._imports: tuple[list[str], list[tuple[str, str]]] = ([], [])
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
@@ -194,7 +196,7 @@ class Supervisor:
         The reply reports how the request ended, whatever the plugin does. Raises :class:`Closed` after :meth:`end`.
         """
         self._check_open()
-        if self._worker is not None and self._warm and self._imports != _known_imports():
+        if self._worker is not None and self._warm and self._imports != third_party():
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
         if self._worker is None:
             self._start()
@@ -220,12 +222,14 @@ class Supervisor:
             self.close()
             raise Closed
 
-    def _start(self, *, bare: bool = False) -> None:
-        """Start the worker, and wait until it is ready. If plugins of others keep it from that, start a bare one."""
-        self._imports = _known_imports()
+    def _start(self) -> None:
+        """Start the worker, and wait until it is ready."""
+        self._imports = third_party()
         self._folder = self._stack.enter_context(temporary_folder())
-        content = {"once": False, "warm": self._warm, "fresh": not self._forks, "folder": str(self._folder / "imports")}
-        content |= {"methods": plugins.loaded_methods(), **({"files": {}, "imports": []} if bare else self._imports)}
+        (files, named), known = self._imports, plugins.inventory("synthesizers")
+        methods = [("synthesizers", plugin.name) for plugin in known if plugin.own and plugin.is_loaded]
+        content = {"once": False, "warm": self._warm, "fresh": not self._forks}
+        content |= {"files": files, "imports": [*named, *methods]}
         self._worker = start_worker(content, stderr=subprocess.DEVNULL, env=worker_environment())
         self._lines, self._reader = read_lines(self._worker)
         first: Any = guard.parse_message(self._line(START) or "") or {}
@@ -236,12 +240,8 @@ class Supervisor:
             first = guard.parse_message(self._line(START) or "") or {}
             if told:
                 self._tell(f"the kernels are compiled ({time.monotonic() - start:.0f} s)")
-        if not first.get("ready") and not bare and not self._ended:
-            how = "starts threads in" if first.get("threads") else "ends"
-            if any(self._imports.values()):
-                self._tell(f"a plugin {how} the process that imports it, so each cell imports its plugins anew")
-            self.close()
-            self._start(bare=True)
+        if first.get("threads"):
+            self._tell("a plugin starts threads when it is imported, so each cell imports its plugins anew")
 
     def _line(self, seconds: float) -> str | None:
         with contextlib.suppress(queue.Empty):
@@ -279,9 +279,12 @@ class Supervisor:
         self.close()
 
 
-def _known_imports() -> dict[str, Any]:
-    """Return the plugins of others that a worker imports before it forks."""
-    return {"files": plugins.files(shared=True), "imports": plugins.shared_plugins()}
+def third_party() -> tuple[list[str], list[tuple[str, str]]]:
+    """Return the third-party plugins that a worker imports before it forks: files, and kind and name of the others."""
+    known = [plugin for kind in KINDS for plugin in plugins.inventory(kind) if plugin.is_loaded and not plugin.own]
+    apart = any(plugin.in_file and not plugin.shared for plugin in known)
+    named = [(plugin.kind, plugin.name) for plugin in known if plugin.shared and not (plugin.in_file and apart)]
+    return [] if apart else plugins.files(), named
 
 
 class InProcessRunner:
@@ -290,7 +293,7 @@ class InProcessRunner:
     def run(self, request: Request) -> Reply:
         """Run one request here."""
         messages: list[Message] = []
-        with np.errstate(), plugins.asking(None):  # so that no plugin changes it for the next one
+        with np.errstate():  # so that no plugin changes it for the next one
             perform(request, messages.append)
         return Reply.of(messages)
 

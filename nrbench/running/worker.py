@@ -31,10 +31,8 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 from nrbench import plugins
-from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
 from nrbench.plugins.parameters import prepare_conversion
-from nrbench.plugins.registry import count_threads
 from nrbench.running import guard, phases
 from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import Send
@@ -86,10 +84,10 @@ class Request:
         Limits of each phase, see :class:`~nrbench.running.guard.Limits`.
     metrics
         The metrics that score the cell.
-    plugins
-        Kind and name of the plugins of files, by the path of each file, which is read when one of them is needed.
+    plugin_files
+        Files of plugins.
     imports
-        Kind and name of the installed plugins of others that a worker of a cluster imports before it forks.
+        Kind and name of the installed third-party plugins that a worker of a cluster imports before it forks.
     side_by_side
         1 if other cells run at the same time, else 0; it is recorded beside the costs.
     group
@@ -107,7 +105,7 @@ class Request:
     seconds: float
     mib: float
     metrics: tuple[str, ...] = ()
-    plugins: Mapping[str, Sequence[Sequence[str]]] = dataclasses.field(default_factory=dict)
+    plugin_files: tuple[str, ...] = ()
     imports: tuple[tuple[str, str], ...] = ()
     side_by_side: float = 0.0
     group: str = ""
@@ -129,10 +127,9 @@ class Request:
         temporary = Path(self.temporary)
         temporary.mkdir(mode=0o700, parents=True, exist_ok=True)  # a system may have cleaned its temporary files
         os.environ["TMPDIR"] = tempfile.tempdir = self.temporary
-        for file, named in self.plugins.items():
-            plugins.add_file(file, named)
-        if self.phase != "describe":  # parameters that are paths start from the user's folder
-            leave_user_folder(Path(self.user_folder), temporary / "work")
+        for file in self.plugin_files:
+            plugins.add_file(file)
+        leave_user_folder(Path(self.user_folder), temporary / "work")  # parameters that are paths start there
 
     def tidy(self) -> None:
         """Remove what the phase left among its temporary files.
@@ -182,30 +179,28 @@ def perform(request: Request, send: Callable[[Message], None]) -> None:
         phases.send_error(error, send_with_memory)
 
 
-def warm(compiling: Callable[[], None], imports: Iterable[tuple[str, str]] = (), methods: Collection[str] = ()) -> None:
+def warm(compiling: Callable[[], None], imports: Iterable[Sequence[str]] = ()) -> None:
     """Import plugins and all that they use, and load every compiled kernel, before children are forked.
 
-    The plugins are those of nrbench, those of files, and the given ones. Kernels of methods that no cell needs take
-    seconds to compile.
+    These are the datasets, detectors and metrics of nrbench, and the given plugins. Kernels of methods that no cell
+    needs take seconds to compile.
 
     Parameters
     ----------
     compiling
         Called if kernels have to be compiled, which takes minutes, before that begins.
     imports
-        Kind and name of installed plugins of others.
-    methods
-        The names of the synthesizers of nrbench; all if empty. A child imports any other one when it needs it.
+        Kind and name of plugins. If no synthesizer is among them, all those of nrbench are imported. A child imports
+        any other plugin when it needs it.
     """
     for name in DEFERRED:
         importlib.import_module(name)
-    for kind in ("datasets", "detectors", "metrics", *(() if methods else ("synthesizers",))):
-        for plugin in plugins.installed(kind):
-            prepare_conversion(plugin.cls)
-    for plugin in plugins.from_files("synthesizers"):
+    wanted = {plugins.find(kind, name) for kind, name in imports}
+    for kind in ("datasets", "detectors", "metrics", "synthesizers"):
+        if kind != "synthesizers" or all(plugin.kind != kind for plugin in wanted):
+            wanted.update(plugin for plugin in plugins.inventory(kind) if plugin.own)
+    for plugin in wanted:
         prepare_conversion(plugin.cls)
-    for kind, name in (*(("synthesizers", name) for name in methods), *imports):
-        prepare_conversion(plugins.find(kind, name).cls)
     for read in (Cell, Recipe, KeptSurvey):
         reader_of(read)
     load_kernels(compiling)
@@ -218,7 +213,7 @@ def may_fork() -> bool:
     """Return whether forking is safe here: a system that forks, and a single thread."""
     if not sys.platform.startswith("linux") or os.environ.get("NRBENCH_FORK") == "no":
         return False
-    return count_threads() == 1
+    return len(list(Path("/proc/self/task").iterdir())) == 1  # also threads that Python does not know
 
 
 class ForkedChild:
@@ -550,12 +545,9 @@ def run_worker() -> None:
     - ``once``: whether a single request is run in this process.
     - ``fresh``: whether no child is forked.
     - ``warm``: whether it imports plugins and loads kernels before it forks.
-    - ``files``, ``imports``: the plugins that it imports then: those of files, by their paths, and kind and name of
-      installed plugins of others.
-    - ``methods``: the synthesizers of nrbench that it imports then; all if there are none.
-    - ``folder``: the working directory in which they are imported.
+    - ``files``, ``imports``: the plugins that it imports then: files, and kind and name of others.
 
-    The first line of output is ``{"ready": true}``, or ``{"threads": true}`` if an import started a thread: then this
+    The first line of output is ``{"ready": true}``, with ``"threads": true`` if an import started a thread: then this
     process cannot fork. Where kernels have to be compiled, the line ``{"compiling": true}`` comes before it.
     """
     options: Mapping[str, Any] = json.loads(sys.argv[1])
@@ -570,15 +562,12 @@ def run_worker() -> None:
     guard.go_on_in_child(sys.stdin.fileno())
     home, forks = working_folder(), may_fork() and not options["fresh"]
     if forks and options["warm"]:
-        leave_user_folder(Path(home), Path(options["folder"]))
-        for file, named in options["files"].items():
-            plugins.add_file(file, named)
-        warm(lambda: write({"compiling": True}), options["imports"], options["methods"])
-        if not may_fork():
-            write({"threads": True})
-            return
-    server = ChildServer(forks, home)
-    write({"ready": True})
+        for file in options["files"]:
+            plugins.add_file(file)
+        warm(lambda: write({"compiling": True}), options["imports"])
+    threads = forks and not may_fork()
+    server = ChildServer(forks and not threads, home)
+    write({"ready": True, "threads": threads})
     server.prepare()
     for line in sys.stdin:
         write(server.run(Request.from_json(line)).as_dict())
@@ -592,25 +581,9 @@ def _run_fresh(send: Send) -> None:
     request = Request.from_json(sys.stdin.readline())
     try:
         request.settle()
-        _import_plugins(request)
         send(cast("Message", {"held": guard.held_bytes(os.getpid())}))
         perform(request, send)
     except BaseException as error:
         phases.send_error(error, send)
     sys.stderr.flush()
     os._exit(0)
-
-
-def _import_plugins(request: Request) -> None:
-    """Import the plugins that a request names, so that its limits do not count that, as in a forked child."""
-    content: Any = read_json(CellFolder(Path(request.folder)).cell_file) or {}
-    recipe = content.get("recipe")
-    named = [("datasets", recipe.get("dataset") if isinstance(recipe, dict) else None)]
-    if request.phase == "score_cell":
-        named += [("metrics", metric) for metric in request.metrics]
-    else:
-        named += [("synthesizers", content.get("method")), ("detectors", content.get("detector"))]
-    for kind, name in named:
-        if isinstance(name, str):
-            with contextlib.suppress(BadInput):  # its phase says why it does not load
-                plugins.find(kind, name)

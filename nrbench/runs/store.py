@@ -121,7 +121,7 @@ class Result(TypedDict, total=False):
     status, message
         ``ok``, ``refused`` or one of :data:`FAILED`, and the reason (of a detection: why there is no lattice).
     phase
-        Where the cell failed or was refused: ``render``, ``given``, ``detect`` or ``synthesize``.
+        Where the cell failed or was refused: ``load``, ``render``, ``given``, ``detect`` or ``synthesize``.
     note
         A remark of the method on its run.
     seconds, cpu_seconds, detection_seconds
@@ -436,7 +436,7 @@ class RunDirectory:
             "created": created[1].decode() if created else datetime.now(UTC).isoformat(timespec="seconds"),
             "suite": {**shown, "seed": suite.seed, "content": suite.model_dump(mode="json")},
             **_provenance(argv),
-            "plugin_files": list(plugins.files()),
+            "plugin_files": plugins.files(),
             "metrics": {metric: metric_key(metric) for metric in metrics},
         }
         # One cell a line, compared as text: indented or parsed, a run of many cells takes ten times the memory.
@@ -547,7 +547,11 @@ def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
         "argv": list(argv),
         "results_version": RESULTS_VERSION,
         "versions": {"python": platform.python_version(), **dict(sorted(installed.items()))},
-        "plugins": plugins.origins(),
+        "plugins": [
+            {"kind": kind, "name": each.name, "distribution": each.distribution, "version": each.release}
+            for kind in plugins.FORMS
+            for each in plugins.inventory(kind)
+        ],
         "machine": {
             "system": platform.platform(),
             "processor": _processor(),

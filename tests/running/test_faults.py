@@ -186,7 +186,7 @@ def test_metrics(way: Any, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("faulty")
 def test_datasets(supervisors: list[Supervisor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A texture whose dataset fails is a failed cell with its cause and log; one whose dataset litters is drawn."""
-    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda **_: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.runner.Supervisor", lambda **_: nullcontext(supervisors[0]))
     fine = ("flood", "seed", "folder", "fine")  # the textures are drawn again for the scores, in this process
     rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*DATASETS, *fine)]
     options = Options(jobs=0, timeout=SECONDS, memory=300)
@@ -291,22 +291,6 @@ def test_a_slow_import_takes_no_ones_time(tmp_path: Path, monkeypatch: pytest.Mo
     # This process may have threads; then it imports in its working directory.
     assert {path.name for path in Path.cwd().glob("imported by *")} <= {f"imported by {os.getpid()}"}
     assert not list(found.root.rglob("imported by *"))
-
-
-@pytest.mark.usefixtures("faulty")
-def test_a_worker_that_ends_when_it_imports_a_plugin(tmp_path: Path) -> None:
-    """Where a plugin ends every process that imports all plugins, cells run in fresh interpreters."""
-    text = "import os, sys\nif '\"once\": false' in sys.argv[-1]:\n    os._exit(0)\n"
-    (tmp_path / "fatal.py").write_text(
-        f"{text}from dataclasses import dataclass\n@dataclass(frozen=True)\nclass Fatal:\n    'A method.'\n"
-        "    def synthesize(self, task): ...\n"
-    )
-    plugins.add_file(tmp_path / "fatal.py")
-    try:
-        found = run(wall_suite(["fine"], "cost"), out=tmp_path / "run", options=Options(timeout=30))
-    finally:
-        plugins.registry._files.pop((tmp_path / "fatal.py").resolve())
-    assert [record.status for record in found.cells] == ["ok"]
 
 
 def test_parameters_that_json_cannot_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,6 @@ from nrbench.api import run, synthesize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.running import guard, phases, runner, worker
 from nrbench.running.pace import Step
-from nrbench.running.plugin_children import write_guarded
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
 from nrbench.running.worker import FreshChild, Request, _is_own
@@ -61,28 +59,6 @@ def is_scorer(child: psutil.Process) -> bool:
     with contextlib.suppress(psutil.Error):
         return child.cwd() == "/"
     return False
-
-
-def test_a_report_that_dies_takes_nothing_with_it(
-    supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A report of others is written in a process of its own: how it fails is an error with its cause."""
-    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda **_: nullcontext(supervisors[0]))
-    done = faulty_run(wall_suite(["fine"], "cost"), Options(jobs=0))
-    causes = {
-        "exit": "ended without an answer",
-        "segfault": "died by SIGSEGV",
-        "mute": "Mute: its message raised",
-        "interrupt": "KeyboardInterrupt",
-    }
-    with registered_faults():
-        for how, cause in causes.items():
-            with pytest.raises(RuntimeError, match=cause):
-                write_guarded(done, "sheet", plugins.build("reports", "sheet", {"how": how}), "sheets")
-        (path,) = write_guarded(done, "sheet", plugins.build("reports", "sheet", {"how": "fine"}), "sheets")
-        assert Path(path).read_text() == "1"
-        assert plugins.find("reports", "sheet").cls is not None
-        assert "sheet" not in plugins.names("datasets")
 
 
 @pytest.mark.usefixtures("warm_workers")
@@ -543,7 +519,8 @@ def test_the_last_message_is_read_behind_forged_lines(tmp_path: Path, monkeypatc
 def test_a_worker_imports_no_other_methods_than_those_of_the_run() -> None:
     """The kernels of the others would take seconds to compile; without a plan it imports all."""
     program = "from nrbench import plugins; from nrbench.running import worker; worker.load_kernels = print; "
-    program += "worker.warm('', (), {}); print(*plugins.loaded_methods())"
+    program += "worker.warm('', {}); print(*(p.name for p in plugins.inventory('synthesizers') if p.is_loaded))"
     for methods, count in ((["rsgf"], 1), ([], len(plugins.names("synthesizers")))):
-        imported = subprocess.check_output([sys.executable, "-c", program.format(methods)], text=True).split()
+        named = [("synthesizers", name) for name in methods]
+        imported = subprocess.check_output([sys.executable, "-c", program.format(named)], text=True).split()
         assert len(imported) == count and "rsgf" in imported
