@@ -15,9 +15,9 @@ from nrbench.authoring.plugin_checks import CLAUSES, MARK, MARKUP, Clause
 from nrbench.errors import BadInput
 from nrbench.plugins.parameters import nearest
 from nrbench.running.guard import Limits
+from nrbench.running.phases import Request
 from nrbench.running.runner import Options, execute
 from nrbench.running.supervisor import InProcessRunner, RequestRunner, Supervisor
-from nrbench.running.worker import Request
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import temporary_folder, write_json
 from nrbench.suites.plan import make_plan

@@ -116,7 +116,7 @@ class Plugin:
 
     @cached_property
     def _loaded(self) -> tuple[type[Any] | None, str]:
-        if not isinstance(self.source, EntryPoint):
+        if isinstance(self.source, type):
             return self.source, ""
         if self.duplicate:
             used = f"the name {self.name!r} was registered before; this one ({self.source.value}) is not used"
@@ -134,7 +134,7 @@ class Plugin:
     @property
     def in_file(self) -> bool:
         """Whether a plain file defines it."""
-        return not isinstance(self.source, EntryPoint)
+        return isinstance(self.source, type)
 
     @property
     def is_loaded(self) -> bool:

@@ -23,8 +23,8 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
+from nrbench.running.phases import Request
 from nrbench.running.supervisor import own_supervisor, run_job
-from nrbench.running.worker import Request
 from nrbench.runs.store import CellFolder, Result
 
 CONNECT = 10.0
@@ -240,7 +240,7 @@ def run_on_worker(job: Request, code: str) -> Result:
             plugins.add_file(file)
         for kind, name in job.imports:
             plugins.find(kind, name)
-        return run_job(job)
+        return run_job(job, own_supervisor())
 
 
 @contextmanager

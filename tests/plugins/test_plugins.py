@@ -20,8 +20,7 @@ from nrbench import api, plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Observation
 from nrbench.plugins.overview import summaries
-from nrbench.plugins.parameters import nearest, parse_spec, validated
-from nrbench.storage import user_path
+from nrbench.plugins.parameters import nearest, parse_spec, user_path, validated
 
 
 @pytest.mark.parametrize(
@@ -237,7 +236,7 @@ def test_paths_start_from_the_folder_of_the_user(
     folder: Path | None, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Once a process has left the user's folder, every parameter that is a path is absolute; texts are unchanged."""
-    monkeypatch.setattr("nrbench.storage._user_folder", folder)
+    monkeypatch.setattr("nrbench.plugins.parameters._user_folder", folder)
     given = {"one": "a.txt", "maybe": "a.txt", "several": "a.txt,/b", "listed": ["a.txt"], "text": "a.txt"}
     found = validated(Places, given, "method places")
     assert found == Places(file, file, (file, Path("/b")), [file], "a.txt")

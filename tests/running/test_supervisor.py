@@ -30,9 +30,10 @@ from nrbench.api import run, synthesize
 from nrbench.imaging.files import read_image, write_image
 from nrbench.running import guard, phases, runner, worker
 from nrbench.running.pace import Step
+from nrbench.running.phases import Request, perform
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
-from nrbench.running.worker import FreshChild, Request, _is_own
+from nrbench.running.worker import FreshChild
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.suite import Suite
 
@@ -55,9 +56,9 @@ def server_of(supervisor: Supervisor) -> psutil.Process:
 
 
 def is_scorer(child: psutil.Process) -> bool:
-    """Return whether a child of a worker is its scorer: it works in the root directory, so that it is in no cell's."""
+    """Return whether a child of a worker is its scorer, which works in the folder of all working directories."""
     with contextlib.suppress(psutil.Error):
-        return child.cwd() == "/"
+        return Path(child.cwd()).name.startswith("nrbench-")
     return False
 
 
@@ -90,9 +91,6 @@ def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
                 (again,) = run(suite, out=done.root, options=options).cells
                 assert again.status == "ok", (file.name, damage[:20])
                 assert again.values["cost.seconds"] is not None
-        result.unlink()
-        result.mkdir()
-        assert [cell.status for cell in run(suite, out=done.root, options=options).cells] == ["ok"]
         (record.folder / "cell.json").write_bytes(b"\xff")
         assert [cell.status for cell in Run(done.root).cells] == ["ok"]
 
@@ -308,8 +306,8 @@ def test_a_phase_finds_nothing_of_the_last_one(supervisors: list[Supervisor], tm
     after = look_around(supervisors[0], folder)
     assert {clean["pid"], messy["pid"], after["pid"]} > {clean["pid"], messy["pid"]}
     for found in (clean, messy, after):
-        assert found["found"] == ["work"]
-        assert found["folder"] == f"{found['place']}/work"
+        assert found["found"] == []
+        assert found["folder"] == found["place"]
         assert not Path(found["place"]).is_relative_to(tmp_path)
         assert found["leads"]
         assert len(found["place"]) <= 70 + len(tempfile.gettempdir())  # a socket's path has room for 107 bytes
@@ -392,7 +390,8 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
         endings = []
         for record in cells:
             shutil.rmtree(record.folder / "scores", ignore_errors=True)
-            reply = supervisor.run(Request("score_cell", str(record.folder), seconds, 500, (metric,)))
+            own = metric == "cost"
+            reply = supervisor.run(Request("score_cell", str(record.folder), seconds, 500, (metric,), own=own))
             endings.append(reply.result["status"])
         children = server_of(supervisor).children()
         return {child.pid for child in children if is_scorer(child)}, endings
@@ -417,27 +416,17 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
     assert [record.values["cost.peak_mib"] for record in Run(tmp_path / "run").cells] == whole
 
 
-def test_only_the_own_code_of_nrbench_shares_a_process(faulty: Path, tmp_path: Path) -> None:
-    """A score is made in the shared process if metrics and dataset are nrbench's, and the cell's file says so."""
-    file = tmp_path / "cell.json"
-
-    def is_shared(dataset: Any, *metrics: str) -> bool:
-        file.write_text(json.dumps({"recipe": {"dataset": dataset}}))
-        return _is_own(Request("score_cell", str(tmp_path), 1, 1, metrics))
-
-    assert is_shared("brick", "cost", "source")
-    assert not is_shared("brick", "cost", "judge-fine")
-    assert not any(is_shared(name, "cost") for name in ("picture", "none such", None, ["brick"], {}))
-    for damage in ("", "[]", '{"recipe": 3}', "{}"):
-        file.write_text(damage)
-        assert not _is_own(Request("score_cell", str(tmp_path), 1, 1, ("cost",)))
-    file.unlink()
-    file.mkdir()
-    assert not _is_own(Request("score_cell", str(tmp_path), 1, 1, ("cost",)))
-    assert not _is_own(Request("synthesize_cell", str(tmp_path), 1, 1))
-    file.rmdir()
-    assert is_shared("brick", "cost")
-    assert not is_shared("brick", "cost", "none such")
+def test_only_the_own_code_of_nrbench_shares_a_process(faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cell is scored in the shared process by the metrics of nrbench alone, and if its dataset is nrbench's, too."""
+    rows = [{"name": name, "dataset": name} for name in ("brick", "picture")]
+    shared = []
+    monkeypatch.setattr(
+        "nrbench.running.supervisor.perform", lambda request, send: shared.append(request) or perform(request, send)
+    )
+    faulty_run(wall_suite(["fine"], "cost", "judge-fine", texture=rows), Options(jobs=0))
+    scored = [(request.metrics, request.own) for request in shared if request.phase == "score_cell"]
+    assert scored == [(("cost",), True), (("judge-fine",), False), (("cost",), False), (("judge-fine",), False)]
+    assert not any(request.own for request in shared if request.phase != "score_cell")
 
 
 def test_a_method_prepares_once_for_a_sample(supervisors: list[Supervisor], faulty: Path, tmp_path: Path) -> None:
@@ -474,7 +463,7 @@ def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor],
     """
     supervisor = supervisors[0]
     cell = run(wall_suite(["oracle"], "cost"), out=tmp_path / "run", options=Options(jobs=0)).cells[0]
-    request = Request("score_cell", str(cell.folder), seconds=20, mib=500, metrics=("cost",))
+    request = Request("score_cell", str(cell.folder), seconds=20, mib=500, metrics=("cost",), own=True)
     assert supervisor.run(request).scored == ("cost",)
     server = server_of(supervisor)
     wait_until(lambda: len(server.children()) == 2)
