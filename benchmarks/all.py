@@ -25,6 +25,7 @@ BENCHMARKS = {
     "geometry.py --seeds 0 --bends 0.5 --models brick": "geometry.py",
     "quilting_peer.py --textures brick-middle weave-middle hexagon-middle": "quilting_peer.py",
     "representative_tile.py": "the same",
+    "resample.py rare": "resample.py elements",
     "detector_accuracy.py --count 1 --stochastic 14 consensus gncc ssdn dominance": "detector_accuracy.py",
     "consensus_calibration.py --count 1 --kinds 0": "consensus_calibration.py",
     "bent_lattices.py bent --count 1 --bends 0.5 --tilts 20": "bent_lattices.py",

@@ -25,10 +25,10 @@ from pathlib import Path
 
 from unit import cpu_unit
 
-from nrbench import plugins
-from nrbench.api import changed, run
-from nrbench.imaging.files import write_image
+from nrbench import plugins, run
+from nrbench.api.runs import changed
 from nrbench.jit import load_kernels
+from nrbench.pictures.files import write_image
 from nrbench.running.runner import Options
 from nrbench.runs.records import CellRecord
 from nrbench.suites.plan import draw_samples

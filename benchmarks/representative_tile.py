@@ -1,18 +1,14 @@
 """Speed of representative-tile, as multiples of the machine unit u, and of its exact search beside brute force.
 
 Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/representative_tile.py``. The lattice is given, kernels are
-warm, every figure is the median of CPU seconds.
+warm, every figure is the median of CPU times, each over that of a unit taken right before it.
 """
 
 from __future__ import annotations
 
-import statistics
-import time
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from unit import cpu_unit, median_units
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.detectors.ssdn import Ssdn, ssdn
@@ -29,23 +25,6 @@ METHODS = {
     "representative-tile rated_share=0.0001": RepresentativeTile(rated_share=1e-4),
     "representative-tile rescale=false": RepresentativeTile(rescale=False),
 }
-
-
-def cpu_seconds(call: Callable[[], object], repeats: int = 7) -> float:
-    """Return the median CPU seconds of a call, after one that warms up."""
-    call()
-    taken = []
-    for _ in range(repeats):
-        start = time.process_time()
-        call()
-        taken.append(time.process_time() - start)
-    return statistics.median(taken)
-
-
-def machine_unit() -> float:
-    """Return u in CPU seconds."""
-    image = np.random.default_rng(0).random((1024, 1024), np.float32)
-    return cpu_seconds(lambda: fft.irfft2(fft.rfft2(image), image.shape), 15)
 
 
 def wall(height: int, width: int, brick: float, course: float) -> tuple[Image, Lattice]:
@@ -71,37 +50,36 @@ def brute_force(image: Image, size: tuple[int, int], places: NDArray[np.int64]) 
     return found
 
 
-def search_table(u: float, image: Image, size: tuple[int, int]) -> None:
+def search_table(image: Image, size: tuple[int, int]) -> None:
     """Print what rating every place costs, exactly, and by brute force as told by ten places; and how they differ."""
     height, width = image.shape[:2]
     room = (height - size[0] + 1, width - size[1] + 1)
     places = np.random.default_rng(0).integers((0, 0), room, (10, 2))
-    exact = cpu_seconds(lambda: resemblance(image, size), 5)
-    naive = cpu_seconds(lambda: brute_force(image, size, places), 1) / len(places) * room[0] * room[1]
+    exact = median_units(lambda: resemblance(image, size), 5)
+    naive = median_units(lambda: brute_force(image, size, places), 1) / len(places) * room[0] * room[1]
     costs = resemblance(image, size)
     error = np.abs(costs[places[:, 0], places[:, 1]] - brute_force(image, size, places)).max()
     print(f"{width} x {height}, tile {size[1]} x {size[0]}: {room[0] * room[1]} places", end="")
-    print(f"  exact {exact / u:.1f} u, continuity {cpu_seconds(lambda: continuity(image, size), 5) / u:.1f} u,", end="")
-    print(f" brute force {naive / u:.0f} u ({naive / exact:.0f} times), difference {error:.0e}")
+    print(f"  exact {exact:.1f} u, continuity {median_units(lambda: continuity(image, size), 5):.1f} u,", end="")
+    print(f" brute force {naive:.0f} u ({naive / exact:.0f} times), difference {error:.0e}")
 
 
 def main() -> None:
     """Print the tables."""
     load_kernels()
-    u = machine_unit()
-    print(f"u = {u * 1e3:.2f} ms")
+    print(f"u = {cpu_unit() * 1e3:.2f} ms")
     sample, lattice = wall(600, 1200, 196.37, 74.11)
     print("\n1200 x 600 from 1200 x 600, tile 196 x 148")
     for name, method in METHODS.items():
-        print(f"{name:38} {cpu_seconds(lambda m=method: synthesis(m, sample, lattice, (600, 1200)), 3) / u:8.1f} u")
-    print(f"{'its detection by ssdn':38} {cpu_seconds(lambda: Ssdn(primitive=False).detect(sample), 3) / u:8.1f} u")
+        print(f"{name:38} {median_units(lambda m=method: synthesis(m, sample, lattice, (600, 1200)), 3):8.1f} u")
+    print(f"{'its detection by ssdn':38} {median_units(lambda: Ssdn(primitive=False).detect(sample), 3):8.1f} u")
     print("\nthe search")
-    search_table(u, sample, TILE)
-    search_table(u, sample[:300, :600], (74, 98))
+    search_table(sample, TILE)
+    search_table(sample[:300, :600], (74, 98))
     small, fine = wall(128, 128, 27.3, 12.2)
     print("\nfrom 128 x 128: cost by output")
     for side in (256, 512, 1024, 2048, 4096):
-        cost = cpu_seconds(lambda s=side: synthesis(RepresentativeTile(), small, fine, (s, s)), 1) / u
+        cost = median_units(lambda s=side: synthesis(RepresentativeTile(), small, fine, (s, s)), 1)
         print(f"{side:5} x {side:<5} {cost:8.1f} u   {cost / side**2 * 256**2:6.2f} u per 256 x 256")
 
 

@@ -59,9 +59,9 @@ import nrbench
 from nrbench import Lattice, plugins
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.correlation import half_autocorrelation
-from nrbench.imaging.files import read_image, write_image
 from nrbench.jit import load_kernels
 from nrbench.lattice.relation import lattice_error
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
 from nrbench.running.pace import Step

@@ -214,10 +214,11 @@ def leave_user_folder(user_folder: Path, working: Path) -> None:
     user_folder
         The folder in which the user started nrbench.
     working
-        The new working directory.
+        The new working directory. It is made if it does not exist.
     """
     global _user_folder
     sys.path[:] = [str(user_folder / entry) if (user_folder / entry).exists() else entry for entry in sys.path]
+    working.mkdir(parents=True, exist_ok=True)
     os.chdir(working)
     _user_folder = user_folder
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib
 import json
 import os
 import tempfile
@@ -26,8 +25,8 @@ from nrbench import plugins
 from nrbench.bending.straightening import synthesize_in_geometry
 from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import (
     Again,
     Column,
@@ -70,7 +69,7 @@ class Request:
     Parameters
     ----------
     phase
-        What to do: the name of a function of :mod:`nrbench.running.phases`, or the whole path of another function.
+        What to do: the name of a function below: ``render``, ``detect``, ``synthesize_cell`` or ``score_cell``.
         :func:`~nrbench.running.supervisor.run_job` takes ``cell``, too: synthesize and score.
     folder
         The cell's folder, which holds ``cell.json`` and ``sample.png``.
@@ -117,9 +116,9 @@ class Request:
     def set_up_process(self) -> None:
         """Set up the calling process for the phase: its working directory, temporary files and plugins."""
         os.environ["TMPDIR"] = tempfile.tempdir = self.temporary
+        leave_user_folder(Path(self.user_folder), Path(self.temporary))
         for file in self.plugin_files:
             plugins.add_file(file)
-        leave_user_folder(Path(self.user_folder), Path(self.temporary))  # parameters that are paths start there
 
     def to_json(self) -> str:
         """Return the request as one line of JSON."""
@@ -144,10 +143,9 @@ def perform(request: Request, send: Send) -> None:
             used = {"peak_mib": max(mib, cast("Any", message).get("peak_mib", 0.0))}
         send(cast("Message", {**message, **used}))
 
-    module, _, name = request.phase.rpartition(".")
-    phase = getattr(importlib.import_module(module or __name__), name)
+    phases = {"render": render, "detect": detect, "synthesize_cell": synthesize_cell, "score_cell": score_cell}
     try:
-        phase(Path(request.folder), send_with_memory, *request.metrics)
+        phases[request.phase](Path(request.folder), send_with_memory, *request.metrics)
     except FAULTS as error:
         send_error(error, send_with_memory)
 

@@ -18,7 +18,7 @@ from typing import TypeVar
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import write_image
+from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import FoundLattice, Shape, Texture
 from nrbench.running.executors import Executor, executor
 from nrbench.running.guard import LIMITS, Limits

@@ -29,7 +29,7 @@ from typing import IO, Any, NoReturn, cast
 
 from nrbench import plugins
 from nrbench.jit import load_kernels
-from nrbench.plugins.parameters import prepare_conversion
+from nrbench.plugins.parameters import leave_user_folder, prepare_conversion
 from nrbench.running import guard
 from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import PREPARED, Request, Send, perform, send_error
@@ -413,13 +413,14 @@ def run_worker() -> None:
     if options["once"]:
         _run_fresh(cast("Send", write))
     guard.go_on_in_child(sys.stdin.fileno(), options["folder"])
-    forks = may_fork() and not options["fresh"]
+    home, forks = os.getcwd(), may_fork() and not options["fresh"]  # noqa: PTH109
     if forks and options["warm"]:
+        leave_user_folder(Path(home), Path(options["folder"]))
         for file in options["files"]:
             plugins.add_file(file)
         warm(lambda: write({"compiling": True}), options["imports"])
     threads = forks and not may_fork()
-    server = ChildServer(forks and not threads, os.getcwd(), options["folder"])  # noqa: PTH109
+    server = ChildServer(forks and not threads, home, options["folder"])
     write({"ready": True, "threads": threads})
     lines = iter(sys.stdin)
     while True:
