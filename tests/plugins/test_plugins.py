@@ -16,7 +16,7 @@ import pytest
 from commands import call as shell
 
 import nrbench
-from nrbench import api, plugins
+from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Observation
 from nrbench.plugins.overview import summaries
@@ -25,7 +25,7 @@ from nrbench.plugins.parameters import nearest, parse_spec, user_path, validated
 
 @pytest.mark.parametrize(
     ("kind", "call"),
-    [("datasets", api.texture), ("detectors", api.detect_lattice), ("synthesizers", api.synthesize)],
+    [("datasets", nrbench.texture), ("detectors", nrbench.detect_lattice), ("synthesizers", nrbench.synthesize)],
 )
 def test_names_taken_by_the_call_are_those_of_its_arguments(kind: str, call: Callable[..., Any]) -> None:
     """No parameter can be called like an argument of the call that takes it; ``tileable`` of a method sets both."""

@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 from commands import call
 
-from nrbench import api, texture
+import nrbench
+from nrbench import texture
 from nrbench.pictures.files import write_image
 from nrbench.pictures.truth import table_text
 from nrbench.running.runner import Options
@@ -83,7 +84,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     try:
         command = "command:run=false {sample} {output},label=<script>alert('nrmark')"
         with redirect_stderr(io.StringIO()):
-            api.run(
+            nrbench.run(
                 folder,
                 methods=["tiling", command],
                 lattice=["given"],

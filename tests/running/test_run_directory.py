@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from commands import call
 
-from nrbench.api import run
+from nrbench import run
 from nrbench.errors import BadInput
 from nrbench.running.runner import Options
 from nrbench.runs.store import RunDirectory, is_result_part
