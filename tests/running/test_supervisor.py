@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import os
 import re
@@ -27,12 +26,11 @@ from suites import wall_suite, write_sleepers
 
 from nrbench import plugins, run, synthesize
 from nrbench.pictures.files import read_image, write_image
-from nrbench.running import guard, phases, runner, worker
+from nrbench.running import guard, runner
 from nrbench.running.pace import Step
 from nrbench.running.phases import Request, perform
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
-from nrbench.running.worker import FreshChild
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.suite import Suite
 
@@ -131,18 +129,6 @@ def test_only_a_full_disk_of_the_run_ends_it(faulty_run: FaultyRun, monkeypatch:
     monkeypatch.setattr("nrbench.running.supervisor._can_write", lambda folder: False)
     with pytest.raises(OSError, match="No space left"):
         faulty_run(suite, Options(jobs=0))
-
-
-def test_an_error_is_sent_where_the_log_has_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An error of a full disk arrives as such, although its traceback cannot be written."""
-    full, messages = OSError(errno.ENOSPC, "No space left on device"), []
-
-    def fail(error: BaseException) -> None:
-        raise error
-
-    monkeypatch.setattr("traceback.print_exception", fail)
-    phases.send_error(full, messages.append)
-    assert messages == [{"status": "storage", "message": "No space left on device"}]
 
 
 def test_a_long_log_keeps_its_end(tmp_path: Path) -> None:
@@ -485,30 +471,11 @@ def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor],
     assert supervisor.run(request).scored == ("cost",)
 
 
-def test_the_last_message_is_read_behind_forged_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message that an interpreter sends just before its end counts, whatever stands before it."""
-    program = 'import sys; sys.stdin.readline(); print("[1]\\n{\\n" + \'{"scored": "cost"}\')'
-
-    def start(_: Any, **options: Any) -> subprocess.Popen[str]:
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "start_new_session": True}
-        return subprocess.Popen([sys.executable, "-c", program], **pipes, **options)
-
-    monkeypatch.setattr(worker, "start_worker", start)
-    log = tmp_path / "log.txt"
-    child = FreshChild(log, str(tmp_path))
-    child._process.stdin.write("\n")
-    child._process.stdin.close()
-    child._process.wait()  # it has ended before its messages are taken
-    watch = guard.Watch(child, guard.Limits(60, 4096, ("cost",)), 0, log)
-    assert watch.watch() is None
-    assert watch.messages == [{"scored": "cost"}]
-
-
 def test_a_worker_imports_no_other_methods_than_those_of_the_run() -> None:
     """The kernels of the others would take seconds to compile; without a plan it imports all."""
     program = "from nrbench import plugins; from nrbench.running import worker; worker.load_kernels = print; "
     program += "worker.warm('', {}); print(*(p.name for p in plugins.inventory('synthesizers') if p.is_loaded))"
-    for methods, count in ((["rsgf"], 1), ([], len(plugins.names("synthesizers")))):
+    for methods, count in ((["rsgf"], 1), ([], len([each for each in plugins.inventory("synthesizers") if each.own]))):
         named = [("synthesizers", name) for name in methods]
         imported = subprocess.check_output([sys.executable, "-c", program.format(named)], text=True).split()
         assert len(imported) == count and "rsgf" in imported
