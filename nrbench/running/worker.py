@@ -415,7 +415,7 @@ def run_worker() -> None:
     guard.go_on_in_child(sys.stdin.fileno(), options["folder"])
     home, forks = os.getcwd(), may_fork() and not options["fresh"]  # noqa: PTH109
     if forks and options["warm"]:
-        leave_user_folder(Path(home), Path(options["folder"]))
+        leave_user_folder(Path(home), Path(options["folder"], "imports"))
         for file in options["files"]:
             plugins.add_file(file)
         warm(lambda: write({"compiling": True}), options["imports"])
