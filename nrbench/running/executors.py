@@ -12,8 +12,9 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from nrbench.running.cluster import connect
+from nrbench.running.options import print_notice
 from nrbench.running.phases import Request
-from nrbench.running.supervisor import InProcessRunner, close_all, own_supervisor, print_notice, run_job
+from nrbench.running.supervisor import InProcessRunner, close_all, own_supervisor, run_job
 from nrbench.runs.store import Result
 
 
