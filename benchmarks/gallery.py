@@ -19,7 +19,7 @@ from typing import Any
 import nrbench
 from nrbench import CellRecord, Run, plugins
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.files import list_pictures, read_image, write_image
+from nrbench.pictures.files import list_pictures, read_image, write_image
 from nrbench.plugins.registry import find, parameters_of
 from nrbench.suites.suite import Suite
 

@@ -1,15 +1,20 @@
-r"""Draw the pictures of the README and of the page on `resample` from stored runs, into ``docs/``.
+r"""Draw the pictures of the docs, into ``docs/``: of the README and the page on `resample` from runs, and of the tree.
 
 ``python benchmarks/pictures.py first-light runs/core`` draws ``first-light.jpg`` from a run of the suite ``core``.
 ``python benchmarks/pictures.py resample runs/resample`` draws ``resample.jpg`` and ``resample_perils.jpg`` from ::
 
     nrbench run core -m resample -m rsgf -m tile-set -m copier -m cartoon -m oracle --lattice given --replicates 5 \
         --seed 5 --out runs/resample
+
+``python benchmarks/pictures.py structure`` draws ``structure.svg`` from the packages and their docstrings.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
+import textwrap
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +28,8 @@ import matplotlib.pyplot as plt
 from nrbench import Lattice, Run, draw_lattice, read_image
 from nrbench.runs.records import CellRecord
 
-DOCS = Path(__file__).parents[1] / "docs"
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 LIGHT = ("brick-strong", "weave-middle", "hexagon-middle-rotated")
 LIGHT_COLUMNS = {
@@ -113,14 +119,65 @@ def draw_perils(run: Run) -> None:
     save(figure, "resample_perils.jpg", 75, 88)
 
 
+STEPS = {"cli": 1, "suites": 2, "running": 3, "detectors": 4, "synthesizers": 4, "metrics": 5, "runs": 6, "reports": 7}
+"""The packages through which a cell goes, in order."""
+FILLS = {"plugins": "#fff3d6", "core": "#e4eefb", "base": "#eeeeee"}
+WIDE, MARGIN, GAP, LINE = 1000, 20, 10, 15
+"""px: width of the picture, margin, gap between boxes, and height of a line of text."""
+
+
+def list_floors() -> list[list[str]]:
+    """Return the packages of each floor, from the highest to the lowest, as the tests of the structure declare them."""
+    tree = ast.parse((ROOT / "tests" / "core" / "test_structure.py").read_text("utf-8"))
+    named = (node for node in tree.body if isinstance(node, ast.Assign))
+    floors = next(ast.literal_eval(node.value) for node in named if ast.unparse(node.targets[0]) == "FLOORS")
+    return [[name.removeprefix("nrbench.") for name in floor if not name.endswith("__")] for floor in floors]
+
+
+def describe(name: str) -> str:
+    """Return the first line of a package's or a module's docstring."""
+    places = (ROOT / name / "__init__.py", ROOT / "nrbench" / name / "__init__.py", ROOT / "nrbench" / f"{name}.py")
+    page = ast.get_docstring(ast.parse(next(path for path in places if path.exists()).read_text("utf-8"))) or ""
+    return page.partition("\n")[0].rstrip(".")
+
+
+def draw_structure() -> None:
+    """Draw one row a floor and one box a package; numbers are the way of a cell."""
+    parts, top, floors = [], MARGIN, list_floors()
+    for floor in floors:
+        width = (WIDE - 2 * MARGIN - GAP * (len(floor) - 1)) / len(floor)
+        texts = {name: textwrap.wrap(describe(name), int(width / 6.6)) for name in floor}
+        height = LINE * max(map(len, texts.values())) + 34
+        for k, (name, lines) in enumerate(texts.items()):
+            left, wing = MARGIN + k * (width + GAP), (ROOT / name).is_dir() or name == "detectors"
+            fill = FILLS["plugins" if wing else "base" if floor is floors[-1] else "core"]
+            box = f'width="{width:.0f}" height="{height}" rx="5" fill="{fill}" stroke="#8090a0"'
+            parts.append(f'<rect x="{left:.0f}" y="{top}" {box}/>')
+            parts.append(f'<text x="{left + 10:.0f}" y="{top + 20}" class="name">{name}</text>')
+            for n, line in enumerate(lines):
+                parts.append(f'<text x="{left + 10:.0f}" y="{top + 38 + n * LINE}">{escape(line)}</text>')
+            if name in STEPS:
+                x, y = left + width - 18, top + 17
+                parts.append(f'<circle cx="{x:.0f}" cy="{y}" r="11" fill="#b03020"/>')
+                parts.append(f'<text x="{x:.0f}" y="{y + 4}" class="step">{STEPS[name]}</text>')
+        top += height + GAP
+    style = "text{font:12px sans-serif;fill:#202830}.name{font-weight:bold;font-size:14px}"
+    style += ".step{fill:#fff;font-weight:bold;text-anchor:middle}"
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDE} {top + GAP}" width="{WIDE}">'
+    ground = f'<style>{style}</style>\n<rect width="{WIDE}" height="{top + GAP}" fill="#fff"/>'
+    (DOCS / "structure.svg").write_text("\n".join([head, ground, *parts, "</svg>", ""]), "utf-8")
+
+
 def main() -> None:
     """Draw the pictures of one page."""
     drawn = {"first-light": (draw_light,), "resample": (draw_methods, draw_perils)}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("page", choices=drawn)
-    parser.add_argument("run", type=Path, help="directory of the run")
+    parser.add_argument("page", choices=[*drawn, "structure"])
+    parser.add_argument("run", type=Path, nargs="?", help="directory of the run")
     options = parser.parse_args()
-    for draw in drawn[options.page]:
+    if options.page == "structure":
+        draw_structure()
+    for draw in drawn.get(options.page, ()):
         draw(Run(options.run))
 
 

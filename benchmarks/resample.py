@@ -26,8 +26,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 import nrbench
-from nrbench import Task, Texture
-from nrbench.api import score_observation_by, synthesize
+from nrbench import Task, Texture, synthesize
+from nrbench.api.textures import score_observation_by
 from nrbench.datasets_procedural.modelling.pattern import Frame
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import fold

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from nrbench.cli.options import limit_options
-from nrbench.cli.runs import show_steps
+from nrbench.cli.run_commands import show_steps
 
 
 @click.command("audit")
@@ -35,7 +35,7 @@ def audit_command(
     The method runs at both seeds. If its quality falls at the fresh seed by more than other draws of the textures move
     it, it knows the published samples, and the exit code is 1.
     """
-    from nrbench.api import audit
+    from nrbench.api.runs import audit
     from nrbench.running.runner import Options
 
     options = Options(jobs=os.cpu_count() or 1 if jobs is None else jobs, timeout=timeout, memory=memory)

@@ -68,7 +68,7 @@ def lattice_command(
     FOLDER` reads, and contact sheets by which you can check it.
     """
     from nrbench.cli import lattice_detection
-    from nrbench.imaging.files import read_image
+    from nrbench.pictures.files import read_image
 
     context = click.get_current_context()
     sources = ((option.opts[0], context.get_parameter_source(str(option.name))) for option in context.command.params)

@@ -13,19 +13,20 @@ import click
 import numpy as np
 
 from nrbench import plugins
-from nrbench.api import as_lattice, follow_bent_lattice
+from nrbench.api.arguments import as_lattice
+from nrbench.api.surveying import Survey, draw_candidates, lattice_text
+from nrbench.api.textures import follow_bent_lattice
 from nrbench.cli.lattice_results import LatticeResult
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import write_image
-from nrbench.imaging.overlays import contact_sheet, draw_lattice, draw_overlay, draw_segments, stack
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import write_image
+from nrbench.pictures.overlays import contact_sheet, draw_lattice, draw_overlay, draw_segments, stack
 from nrbench.plugins.forms import NoLatticeFound
 from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_aside
-from nrbench.suites.surveying import Survey, draw_candidates, lattice_text
 
 if TYPE_CHECKING:
     from nrbench.tracking.bent_lattice import Deformation

@@ -6,9 +6,9 @@ import json
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from nrbench.api.surveying import SHOWN, candidate_dict, known_vectors, rank_candidates, vector_texts
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Alternative, Detection
-from nrbench.suites.surveying import SHOWN, candidate_dict, known_vectors, rank_candidates, vector_texts
 
 if TYPE_CHECKING:
     from nrbench.tracking.bent_lattice import Deformation

@@ -6,7 +6,7 @@ import json
 
 import click
 
-from nrbench.catalog import KINDS, entries, show_plugin
+from nrbench.api.catalog import KINDS, entries, show_plugin
 from nrbench.errors import BadInput
 
 

@@ -20,11 +20,11 @@ import click
 COLLECT_AFTER = 500_000
 """New objects after which garbage is collected. Imports alone make about 300 000, and none of them is garbage."""
 VERBS: Mapping[str, tuple[str, str]] = {
-    "run": ("runs", "Run SUITE and print the comparison table."),
-    "plan": ("runs", "List the cells that `run` would reuse and those that it would start."),
-    "report": ("runs", "Write the reports of RUN again from its files."),
-    "status": ("runs", "Print the number of cells of RUN with each status."),
-    "label": ("runs", "Write a page on which people label the outputs of RUN."),
+    "run": ("run_commands", "Run SUITE and print the comparison table."),
+    "plan": ("run_commands", "List the cells that `run` would reuse and those that it would start."),
+    "report": ("run_commands", "Write the reports of RUN again from its files."),
+    "status": ("run_commands", "Print the number of cells of RUN with each status."),
+    "label": ("run_commands", "Write a page on which people label the outputs of RUN."),
     "compare": ("comparing", "Compare RUN_B with RUN_A: which scores moved by more than noise."),
     "site": ("publishing", "Write a static site that compares RUNs, such as those of several people."),
     "audit": ("auditing", "Tell whether METHOD is better at the published seed of SUITE than at a fresh one."),

@@ -18,7 +18,7 @@ def site_command(runs: tuple[Path, ...], output: Path) -> None:
     It has a leaderboard with a filter and a page for each method. Each row names the versions, the seed and the
     machine; rows of fresh seeds are marked. The pages work from a folder and from any web server.
     """
-    from nrbench.run_api import site
+    from nrbench.api.runs import site
 
     for path in site(runs, output):
         print(path)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from nrbench.cli.options import check_output, limit_options
-from nrbench.cli.runs import show_steps
+from nrbench.cli.run_commands import show_steps
 
 _PATH = click.Path(path_type=Path)
 
@@ -48,9 +48,9 @@ def sheet_command(
     The lattice is detected once and given to all methods that use one. Methods without an output are printed with the
     reason.
     """
-    from nrbench.run_api import sheet_rows
+    from nrbench.api.photo_sheet import describe_row
+    from nrbench.api.runs import sheet_rows
     from nrbench.running.runner import Options
-    from nrbench.runs.photo_sheet import describe_row
 
     check_output(output)
     options = Options(jobs=os.cpu_count() or 1 if jobs is None else jobs, timeout=timeout, memory=memory)

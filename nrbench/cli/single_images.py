@@ -15,7 +15,7 @@ from nrbench.errors import BadInput
 
 # The help of a command imports no more than this.
 if TYPE_CHECKING:
-    from nrbench.api import Sheet
+    from nrbench.api.textures import Scores
     from nrbench.imaging.convert import Image
     from nrbench.lattice.geometry import Lattice
 
@@ -55,8 +55,8 @@ def synth_command(
     without it, their names are printed.
     """
     from nrbench import plugins
-    from nrbench.api import synthesize
-    from nrbench.imaging.files import read_image, write_image
+    from nrbench.api.textures import synthesize
+    from nrbench.pictures.files import read_image, write_image
     from nrbench.plugins.parameters import parse_size, parse_spec
     from nrbench.running.output_checks import is_picture
 
@@ -88,7 +88,7 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
     BadInput
         If the text is neither, or the detector finds no lattice.
     """
-    from nrbench.api import as_lattice, lattice_in
+    from nrbench.api.arguments import as_lattice, lattice_in
     from nrbench.plugins.forms import NoLatticeFound
 
     if text is None or "," in text.partition(":")[0]:
@@ -105,7 +105,7 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
 
 def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
     """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
-    from nrbench.api import detect_lattice
+    from nrbench.api.textures import detect_lattice
     from nrbench.lattice.relation import relate
     from nrbench.plugins.forms import NoLatticeFound
 
@@ -151,8 +151,8 @@ def score_command(
     appearance. "≤" marks a quality that is an upper bound, because a part could not be measured. --all prints all
     scores.
     """
-    from nrbench.api import score
-    from nrbench.imaging.files import read_image
+    from nrbench.api.textures import score
+    from nrbench.pictures.files import read_image
 
     if metrics and every:
         raise BadInput("--metrics and --all: choose one of them")
@@ -161,43 +161,43 @@ def score_command(
     brief = not (metrics or every or as_json)
     names = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES)) if brief else split_names(metrics)
     with live_progress(patience=True) as progress:
-        sheet = score(*pictures, given, names, progress)
+        scores = score(*pictures, given, names, progress)
     if as_json:
-        print(json.dumps({**sheet.values, "reasons": dict(sheet.reasons)}, indent=1))
+        print(json.dumps({**scores.values, "reasons": dict(scores.reasons)}, indent=1))
         return
-    first = [name for name in HEADLINES if name in sheet.values]
-    print(_verdict_line(sheet))
-    for name in first if brief else dict.fromkeys([*first, *sheet.values]):
-        print(_score_line(sheet, name))
-    for reason, missing in _group_reasons(sheet, first if brief else list(sheet.values)).items():
+    first = [name for name in HEADLINES if name in scores.values]
+    print(_verdict_line(scores))
+    for name in first if brief else dict.fromkeys([*first, *scores.values]):
+        print(_score_line(scores, name))
+    for reason, missing in _group_reasons(scores, first if brief else list(scores.values)).items():
         print(f"{', '.join(missing)}: {reason}")
     if brief:
-        print(f"{len(sheet.values) - len(first)} more scores of these metrics, and the other metrics: --all")
+        print(f"{len(scores.values) - len(first)} more scores of these metrics, and the other metrics: --all")
 
 
-def _verdict_line(sheet: Sheet) -> str:
+def _verdict_line(scores: Scores) -> str:
     """Return the verdict on the lattice in one line; empty if it was not asked for."""
     name = HEADLINES[0]
-    if name not in sheet.values:
+    if name not in scores.values:
         return "the lattice was not judged; add regularity to --metrics"
-    if sheet.values[name] is None:
-        return f"the lattice is not judged: {sheet.reasons[name]}"
-    return f"the lattice is {'preserved' if sheet.values[name] else 'LOST'}"
+    if scores.values[name] is None:
+        return f"the lattice is not judged: {scores.reasons[name]}"
+    return f"the lattice is {'preserved' if scores.values[name] else 'LOST'}"
 
 
-def _score_line(sheet: Sheet, name: str) -> str:
-    value = sheet.values[name]
+def _score_line(scores: Scores, name: str) -> str:
+    value = scores.values[name]
     text = "-" if value is None else str(value) if isinstance(value, bool) else f"{value:.4g}"
-    bound = "≤ " if name == "quality.score" and sheet.values.get("quality.complete") is False else ""
+    bound = "≤ " if name == "quality.score" and scores.values.get("quality.complete") is False else ""
     return f"{name:<36} {bound}{text}"
 
 
-def _group_reasons(sheet: Sheet, names: list[str]) -> dict[str, list[str]]:
+def _group_reasons(scores: Scores, names: list[str]) -> dict[str, list[str]]:
     """Return the scores without a value by the reason."""
     grouped: dict[str, list[str]] = {}
     for name in names:
-        if sheet.values[name] is None:
-            grouped.setdefault(sheet.reasons[name], []).append(name)
+        if scores.values[name] is None:
+            grouped.setdefault(scores.reasons[name], []).append(name)
     return grouped
 
 
@@ -216,7 +216,7 @@ def render_command(
     The command also writes truth.csv, truth.json and a contact sheet to DIR. It keeps pictures of an earlier render,
     and draws a picture of the same name again.
     """
-    from nrbench.api import render_textures
+    from nrbench.api.textures import render_textures
 
     for path in render_textures(what, output, textures, sample=sample, seed=seed, replicates=replicates):
         click.echo(path)

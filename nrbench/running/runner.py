@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.imaging.files import write_image
+from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import FoundLattice
 from nrbench.running.executors import Executor, executor
 from nrbench.running.output_checks import InvalidOutput

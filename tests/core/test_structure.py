@@ -24,7 +24,6 @@ PLUGIN_FOLDERS = {
 }
 FLOORS = (
     ("nrbench.cli", "nrbench.__main__"),
-    ("nrbench.run_api", "nrbench.catalog"),
     ("nrbench.api",),
     ("nrbench.reports",),
     ("nrbench.labelling", "nrbench.authoring"),
@@ -37,7 +36,8 @@ FLOORS = (
     ("nrbench.plugins",),
     ("nrbench.spectra",),
     ("nrbench.tracking",),
-    ("nrbench.imaging", "nrbench.truth"),
+    ("nrbench.pictures",),
+    ("nrbench.imaging",),
     ("nrbench.lattice",),
     ("nrbench.errors", "nrbench.streams", "nrbench.storage", "nrbench.jit", "nrbench.source_tree", "nrbench.version"),
 )

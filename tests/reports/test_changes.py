@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench.api import run
+from nrbench import run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.reports.changes import Changes, RunChanges, compare_runs

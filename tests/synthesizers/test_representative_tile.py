@@ -15,8 +15,8 @@ from synthesis_cases import noise, waves
 from nrbench.cli.single_images import synth_command
 from nrbench.detectors.ssdn import ssdn
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.synthesizers.representative_tile import (
     Costs,

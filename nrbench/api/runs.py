@@ -1,9 +1,11 @@
-"""The Python functions of runs: plan a run; read, report, label and publish those that are on disk."""
+"""The Python functions of runs: start and plan them; read, compare, report, label and publish those on disk."""
 
 from __future__ import annotations
 
+import operator
 import os
 import re
+import secrets
 import tempfile
 import warnings
 from collections import Counter
@@ -13,11 +15,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nrbench import plugins
-from nrbench.api import Imagelike, Latticelike, Pluginlike, as_run, picture_file, plan_cells
-from nrbench.errors import describe_error, strip_control
+from nrbench.api.arguments import (
+    Imagelike,
+    Latticelike,
+    Pluginlike,
+    lattice_source_text,
+    list_of,
+    method_text,
+    picture_file,
+)
+from nrbench.errors import BadInput, describe_error, strip_control
+from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.parameters import parse_spec, size_text
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED, RunDirectory
+from nrbench.storage import read_json
 from nrbench.suites.cell import RESULTS_VERSION, Cell
 
 # What runs cells and child processes is imported by the functions that need it: `status` only reads files.
@@ -33,6 +45,325 @@ if TYPE_CHECKING:
 
 Runlike = Run | str | os.PathLike[str]
 """A run, or its directory."""
+
+
+def run(
+    suite: str | os.PathLike[str] | Suite = "default",
+    *,
+    methods: Sequence[Pluginlike] | Pluginlike = (),
+    textures: Sequence[str] | str = (),
+    lattice: Sequence[Latticelike] | str = (),
+    out: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+    options: Options | None = None,
+    **changes: Any,
+) -> Run:
+    """Run a suite and return the run; cells that have results on disk are not run again.
+
+    Parameters
+    ----------
+    suite
+        A suite, its name, a TOML file, or a directory of pictures.
+    methods, textures, lattice
+        They replace those of the suite. Methods are ``name:param=value``, or registered classes or instances of them;
+        textures are shell patterns of names; lattices are entries of the lattice axis, or a :data:`Latticelike`. A
+        single one needs no list.
+    out
+        The run directory. If None, ``runs/SUITE``, and ``runs/SUITE-fresh`` for a fresh seed.
+    progress
+        Called after each cell with a :class:`~nrbench.running.pace.Step`.
+    options
+        How to run: jobs, limits, and so on. An interrupt (Ctrl-C) stops at once. ``options.stop.set()``, called in
+        ``progress`` or in another thread, lets the running cells end first. Both raise KeyboardInterrupt.
+    **changes
+        Other keys of the suite: ``seed``, ``replicates``, ``sample``, ``size``. The seed ``"fresh"`` is drawn from the
+        system; ``run.info["suite"]["seed"]`` tells it.
+
+    Returns
+    -------
+    Run
+        The run, as :func:`load` returns it.
+
+    Raises
+    ------
+    BadInput
+        For an unknown suite, method, texture or lattice, or a class that is not registered: cells run in other
+        processes, which find plugins by their names.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from nrbench import Options, run
+    >>> folder = tempfile.mkdtemp()
+    >>> done = run(
+    ...     "core",
+    ...     methods="scatter",
+    ...     textures="brick-mild",
+    ...     size="64x64",
+    ...     out=folder,
+    ...     options=Options(jobs=0),
+    ...     metrics=["cost"],
+    ... )
+    >>> done.cells[0].status
+    'ok'
+    """
+    from nrbench.running.guard import Limits
+    from nrbench.running.plugin_children import guarded_plugins
+    from nrbench.running.runner import execute
+
+    limits = Limits(options.timeout, options.memory) if options else None
+    with guarded_plugins():
+        plan, root = plan_cells(suite, methods, textures, lattice, out, limits=limits, **changes)
+        return execute(plan, root, options, progress or (lambda step: None))
+
+
+def plan_cells(
+    suite: str | os.PathLike[str] | Suite,
+    methods: Sequence[Pluginlike] | Pluginlike = (),
+    textures: Sequence[str] | str = (),
+    lattice: Sequence[Latticelike] | str = (),
+    out: str | os.PathLike[str] | None = None,
+    *,
+    limits: Limits | None = None,
+    progress: Callable[[float], None] = lambda done: None,
+    seed: int | str | None = None,
+    **changes: Any,
+) -> tuple[Plan, Path]:
+    """Return the plan of a run, and its directory.
+
+    Parameters
+    ----------
+    suite, methods, textures, lattice, out, seed, **changes
+        As for :func:`run`.
+    limits
+        The limits of the drawing of one texture.
+    progress
+        Called with the share of the samples that are drawn, in [0, 1].
+
+    Raises
+    ------
+    BadInput
+        As for :func:`run`.
+    """
+    from nrbench.running.plugin_children import LIMITS, plan_run
+
+    chosen = find_suite(suite)
+    specs = [method_text(method) for method in list_of(methods)]
+    sources = [lattice_source_text(each) for each in ([lattice] if isinstance(lattice, Lattice) else list_of(lattice))]
+    root = run_directory(out, chosen, seed)
+    changes |= choose_seed(seed, root)
+    return plan_run(changed(chosen, specs, sources, **changes), list_of(textures), limits or LIMITS, progress), root
+
+
+def find_suite(suite: str | os.PathLike[str] | Suite) -> Suite:
+    """Return a suite, or load it by its name or from its file or directory."""
+    from nrbench.suites.suite import Suite, load_suite
+
+    return suite if isinstance(suite, Suite) else load_suite(suite if isinstance(suite, str) else Path(suite))
+
+
+def audit(
+    method: Pluginlike,
+    suite: str | os.PathLike[str] | Suite = "default",
+    *,
+    textures: Sequence[str] | str = (),
+    replicates: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+    options: Options | None = None,
+) -> Any:
+    """Compare the quality of a method at the published seed of a suite with its quality at a fresh one.
+
+    A method that knows the published samples loses its quality where it has not seen the samples. The test changes the
+    sign of the difference of each texture: for any other method both draws of a texture are alike.
+
+    Parameters
+    ----------
+    method
+        ``name:param=value``, or a registered class or an instance of it.
+    suite
+        A suite of texture models, its name, or a TOML file.
+    textures
+        As for :func:`run`.
+    replicates
+        Number of draws of each texture at each seed. More draws find smaller differences.
+    out
+        Directory of the two runs ``published`` and ``fresh``; ``runs/audit-METHOD`` if None. If it holds an audit,
+        that audit is resumed with its fresh seed.
+    progress, options
+        As for :func:`run`.
+
+    Returns
+    -------
+    nrbench.reports.changes.RunChanges
+        The changes from the published to the fresh run, one for each source of the lattice.
+
+    Raises
+    ------
+    BadInput
+        As for :func:`run`, and if the suite holds photographs, which no seed draws again.
+
+    Examples
+    --------
+    ``audit("rsgf").changes[0].state`` is ``"worse"`` if the method is worse at the fresh seed, ``"noise"`` if its
+    quality moved by no more than other draws move it, and ``"unknown"`` if fewer than six textures were run.
+    """
+    chosen = find_suite(suite)
+    for row in chosen.texture:
+        if not getattr(plugins.find("datasets", row.dataset).cls, "procedural", True):
+            raise BadInput(f"texture {row.name}: is a picture, which no seed draws again; audit a suite of models")
+    spec = method_text(method)
+    folder = Path(out) if out is not None else Path("runs") / f"audit-{parse_spec(spec)[0]}"
+    runs = [
+        run(
+            chosen,
+            methods=spec,
+            metrics=["quality"],
+            textures=textures,
+            out=folder / name,
+            progress=progress,
+            options=options,
+            replicates=replicates,
+            **seed,
+        )
+        for name, seed in (("published", {}), ("fresh", {"seed": "fresh"}))
+    ]
+    return compare(runs[0], runs[1], "quality.score")
+
+
+def load(path: str | os.PathLike[str]) -> Run:
+    """Return a run that is on disk.
+
+    Parameters
+    ----------
+    path
+        The run directory.
+
+    Returns
+    -------
+    Run
+        Its cells, tables and plot.
+
+    Raises
+    ------
+    BadInput
+        If the directory is no run.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from nrbench import Options, load, run
+    >>> folder = tempfile.mkdtemp()
+    >>> _ = run(
+    ...     "core",
+    ...     methods="scatter",
+    ...     textures="brick-mild",
+    ...     size="64x64",
+    ...     out=folder,
+    ...     options=Options(jobs=0),
+    ...     metrics=["cost"],
+    ... )
+    >>> load(folder).cells[0].status
+    'ok'
+    """
+    from nrbench.runs.records import Run
+
+    found = Run(Path(path))
+    _ = found.info
+    return found
+
+
+def as_run(run: Run | str | os.PathLike[str]) -> Run:
+    """Return a run, or that of a directory as :func:`load`."""
+    return load(run) if isinstance(run, str | os.PathLike) else run
+
+
+def compare(
+    first: Run | str | os.PathLike[str], second: Run | str | os.PathLike[str], columns: str | Sequence[str] = ()
+) -> Any:
+    """Compare a run with an earlier one: which scores moved, and whether by more than draws move them.
+
+    Parameters
+    ----------
+    first, second
+        The earlier and the later run, or their directories.
+    columns
+        The scores, as a list or joined by commas; empty for the headlines, the share of preserved lattices and the
+        seconds.
+
+    Returns
+    -------
+    nrbench.reports.changes.RunChanges
+        The changes. ``table()`` is a table with one row for each method and score, which a notebook shows; ``worse``
+        lists those for the worse, ``notes`` says what the table does not.
+
+    Raises
+    ------
+    BadInput
+        If a directory is no run, or neither run has a score that was named.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from nrbench import Options, compare, run
+    >>> folder = tempfile.mkdtemp()
+    >>> done = run(
+    ...     "core",
+    ...     methods="scatter",
+    ...     textures="brick-mild",
+    ...     size="64x64",
+    ...     out=folder,
+    ...     options=Options(jobs=0),
+    ...     metrics=["cost"],
+    ... )
+    >>> set(compare(folder, done).table()["state"])
+    {'same'}
+    """
+    runs = [as_run(first), as_run(second)]
+    names = columns.split(",") if isinstance(columns, str) else columns
+    return plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": tuple(names)}).compare(runs[1])
+
+
+def choose_seed(seed: int | str | None, root: Path) -> dict[str, Any]:
+    """Return the changes of a suite that give it a seed: a number, or ``"fresh"`` for one that the system draws.
+
+    A run directory that holds a run of a fresh seed keeps this seed, so that the same command resumes the run.
+
+    Raises
+    ------
+    BadInput
+        For another word.
+    """
+    if seed is None:
+        return {}
+    if seed != "fresh":
+        try:
+            return {"seed": operator.index(seed), "fresh_seed": False}  # type: ignore[arg-type]
+        except TypeError:
+            raise BadInput(f"seed {seed!r}: give a whole number from 0 on, or 'fresh'") from None
+    from nrbench.runs.store import RUN_FILE
+
+    content = ((read_json(root / RUN_FILE) or {}).get("suite") or {}).get("content") or {}
+    drawn = content["seed"] if content.get("fresh_seed") is True else secrets.randbelow(10**12)
+    return {"seed": drawn, "fresh_seed": True}
+
+
+def run_directory(out: str | os.PathLike[str] | None, suite: Suite, seed: int | str | None) -> Path:
+    """Return the directory of a run: ``out``, or ``runs/SUITE``, or ``runs/SUITE-fresh`` for a fresh seed."""
+    return Path(out) if out is not None else Path("runs") / (suite.name + ("-fresh" if seed == "fresh" else ""))
+
+
+def changed(suite: Suite, methods: Sequence[str] = (), lattice: Sequence[str] = (), **changes: Any) -> Suite:
+    """Return a suite with the options of a command line applied; a size replaces that of every texture."""
+    given = {key: value for key, value in changes.items() if value is not None}
+    if methods:
+        given["methods"] = list(methods)
+    if lattice:
+        given["lattice"] = list(lattice)
+    own = {key: None for key in ("sample", "size") if key in given}
+    if own:
+        given["texture"] = [{**row.model_dump(mode="json"), **own} for row in suite.texture]
+    return suite.with_changes(**given) if given else suite
 
 
 def plan(
@@ -291,9 +622,9 @@ def sheet_rows(
     options: Options | None,
 ) -> list[dict[str, Any]]:
     """Write the sheet of a photograph, and return the rows of :func:`sheet`; the arguments are the same."""
-    from nrbench.imaging.files import write_image
+    from nrbench.api.photo_sheet import draw_sheet, photo_suite, rate_outputs
+    from nrbench.pictures.files import write_image
     from nrbench.running.runner import execute
-    from nrbench.runs.photo_sheet import draw_sheet, photo_suite, rate_outputs
 
     with tempfile.TemporaryDirectory() as folder:
         suite = photo_suite(picture_file(photo, Path(folder)), sample, size)

@@ -76,7 +76,7 @@ def _plan_options(command: F) -> F:
 
 def _make_plan(arguments: dict[str, Any]) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
-    from nrbench.api import plan_cells
+    from nrbench.api.runs import plan_cells
     from nrbench.running.guard import Limits
     from nrbench.running.plugin_children import LIMITS
 
@@ -111,8 +111,8 @@ def run_command(**arguments: Any) -> int:
 
     SUITE is the name of a suite, a TOML file, or a directory of pictures.
     """
+    from nrbench.api.runs import write_reports
     from nrbench.cli import summary
-    from nrbench.run_api import write_reports
     from nrbench.running.cluster import ClusterLost
     from nrbench.running.guard import Limits
     from nrbench.running.pace import first_interrupt
@@ -185,8 +185,8 @@ def _describe_step(step: Step) -> str:
 @_plan_options
 def plan_command(**arguments: Any) -> None:
     """List the cells that `run` would reuse and those that it would start. Nothing is started."""
+    from nrbench.api.runs import plan_summary
     from nrbench.cli import summary
-    from nrbench.run_api import plan_summary
 
     plan, root = _make_plan(arguments)
     cells = plan_summary(plan, root, arguments["retry_failed"])
@@ -231,8 +231,8 @@ def report_command(
 
     The limits hold for reports of other packages.
     """
+    from nrbench.api.runs import parse_formats, write_reports
     from nrbench.labelling.labels import read_labelers
-    from nrbench.run_api import parse_formats, write_reports
     from nrbench.running.guard import Limits
     from nrbench.running.supervisor import print_notice
     from nrbench.runs.records import Run
@@ -263,7 +263,7 @@ def report_command(
 @click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
 def status_command(run: Path, as_json: bool) -> None:
     """Print the number of cells of RUN with each status, and the cells that failed."""
-    from nrbench.run_api import status
+    from nrbench.api.runs import status
 
     found = status(run)
     if as_json:

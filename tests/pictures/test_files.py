@@ -15,7 +15,7 @@ import skimage.io
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.files import read_image, write_image
+from nrbench.pictures.files import read_image, write_image
 
 RAMP = np.arange(16 * 12, dtype=np.uint8).reshape(12, 16)
 

@@ -12,8 +12,8 @@ import PIL.ImageFont
 import skimage
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import to_pil
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.pictures.files import to_pil
 
 COLOR = (1.0, 0.1, 0.6)
 """sRGB color of lattices; rare in brick, cloth and tile."""

@@ -16,15 +16,15 @@ from typing import Any
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import read_image, write_image
-from nrbench.imaging.overlays import contact_sheet
+from nrbench.pictures.files import read_image, write_image
+from nrbench.pictures.overlays import contact_sheet
+from nrbench.pictures.truth import KNOWN_FILE, SHEET, TRUTH_FIELDS, TRUTH_FILE, TruthTable, table_text
 from nrbench.plugins.forms import Texture
 from nrbench.plugins.parameters import parse_spec, size_text
 from nrbench.storage import write_json, write_text
 from nrbench.streams import pixels_hash
 from nrbench.suites.plan import Sample
 from nrbench.suites.suite import Suite, validated_suite
-from nrbench.truth import KNOWN_FILE, SHEET, TRUTH_FIELDS, TRUTH_FILE, TruthTable, table_text
 
 _ELSEWHERE = "pass another -o, or move it away"
 _ByName = dict[str, tuple[Sample, Texture]]

@@ -14,13 +14,13 @@ import numpy as np
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import list_pictures, read_image, write_image
-from nrbench.imaging.overlays import contact_sheet, draw_overview, zoom_panels
 from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.pictures.files import list_pictures, read_image, write_image
+from nrbench.pictures.overlays import contact_sheet, draw_overview, zoom_panels
+from nrbench.pictures.truth import KNOWN_FILE, ORIGIN, SHEET, TRUTH_FILE, VECTORS, TruthRow, TruthTable, table_text
 from nrbench.plugins.forms import Alternative, Detection, Detector, NoLatticeFound
 from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_text
-from nrbench.truth import KNOWN_FILE, ORIGIN, SHEET, TRUTH_FILE, VECTORS, TruthRow, TruthTable, table_text
 
 SHOWN = 3
 """Number of candidates that are drawn and listed."""

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.overlays import COLOR, contact_sheet, draw_lattice, draw_overview, zoom_panels
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.overlays import COLOR, contact_sheet, draw_lattice, draw_overview, zoom_panels
 
 
 @pytest.mark.parametrize("channels", [1, 3])

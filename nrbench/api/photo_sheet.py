@@ -9,8 +9,8 @@ from typing import Any
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import read_image
-from nrbench.imaging.overlays import contact_sheet, draw_lattice
+from nrbench.pictures.files import read_image
+from nrbench.pictures.overlays import contact_sheet, draw_lattice
 from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.runs.records import CellRecord
 from nrbench.suites.suite import Suite, validated_suite
