@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import pandas as pd
@@ -439,8 +439,7 @@ def _measured_shares(cells: pd.DataFrame) -> dict[tuple[str, str], float]:
     """Return the share of preserved replicates by method and texture; failures and refusals count as lost."""
     decided = cells[cells["verdict"].isin(["preserved", "lost", "failed", "refused"])]
     shares = decided["verdict"].eq("preserved").groupby([decided["label"], decided["texture"]]).mean()
-    found: dict[Any, float] = shares.to_dict()
-    return found
+    return cast(dict[tuple[str, str], float], shares.to_dict())
 
 
 def _compare_rates(group: str, method: Method, pairs: pd.DataFrame) -> ExpectationResult:
