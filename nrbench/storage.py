@@ -66,6 +66,16 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8", "backslashreplace"))
 
 
+def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
+    """Write files of text or bytes by their names, each atomically, and return their paths."""
+    for name, content in contents.items():
+        if isinstance(content, str):
+            write_text(folder / name, content)
+        else:
+            write_bytes(folder / name, content)
+    return [folder / name for name in contents]
+
+
 def remove(path: Path) -> None:
     """Remove a file or link, or a folder with all it holds, if there is one."""
     if path.is_dir() and not path.is_symlink():
