@@ -145,14 +145,12 @@ def run(
     'ok'
     """
     from nrbench.running.guard import Limits
-    from nrbench.running.plugin_children import guarded_plugins
     from nrbench.running.runner import execute
 
     limits = Limits(options.timeout, options.memory) if options else None
-    with guarded_plugins():
-        changes |= {"sample": sample, "size": size, "seed": seed, "replicates": replicates}
-        plan, root = plan_cells(suite, methods, textures, lattice, out, limits=limits, **changes)
-        return execute(plan, root, options, progress or (lambda step: None))
+    changes |= {"sample": sample, "size": size, "seed": seed, "replicates": replicates}
+    plan, root = plan_cells(suite, methods, textures, lattice, out, limits=limits, **changes)
+    return execute(plan, root, options, progress or (lambda step: None))
 
 
 def plan_cells(
@@ -183,7 +181,8 @@ def plan_cells(
     BadInput
         As for :func:`run`.
     """
-    from nrbench.running.plugin_children import LIMITS, plan_run
+    from nrbench.running.guard import LIMITS
+    from nrbench.running.runner import plan_run
 
     chosen = find_suite(suite)
     specs = [method_text(method) for method in list_of(methods)]
@@ -361,8 +360,8 @@ def compare(first: FirstRun, second: SecondRun, columns: Columns = ()) -> Any:
     {'same'}
     """
     runs = [as_run(first), as_run(second)]
-    names = tuple(names_of(columns))
-    return plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": names}).compare(runs[1])
+    given = {"baseline": runs[0].root, "columns": tuple(names_of(columns))}
+    return plugins.build("reports", plugins.in_role("comparison"), given).compare(runs[1])
 
 
 def choose_seed(seed: int | str | None, root: Path) -> dict[str, Any]:
@@ -470,12 +469,9 @@ def plan(
     """
     import pandas as pd
 
-    from nrbench.running.plugin_children import guarded_plugins
-
-    with guarded_plugins():
-        changes |= {"sample": sample, "size": size, "seed": seed, "replicates": replicates}
-        planned, root = plan_cells(suite, methods, textures, lattice, out, **changes)
-        return pd.DataFrame(plan_summary(planned, root, retry_failed)["cells"])
+    changes |= {"sample": sample, "size": size, "seed": seed, "replicates": replicates}
+    planned, root = plan_cells(suite, methods, textures, lattice, out, **changes)
+    return pd.DataFrame(plan_summary(planned, root, retry_failed)["cells"])
 
 
 def status(run: Runlike) -> dict[str, Any]:
@@ -539,7 +535,7 @@ def report(
     tell_failure
         Called with a sentence about each report that fails; by default a warning.
     options
-        Limits of each report of another package.
+        Without effect: reports are written in this process, without limits.
     **parameters
         Parameters of all reports that have them: ``single_file``, ``tests``, ``population``, and so on.
 
@@ -564,7 +560,7 @@ def report(
     read_labelers(read, files)
     wanted = parse_formats(list_of(format)) if format else None
     shared = {"labels": files, **parameters}
-    return write_reports(read, wanted, False, shared, options, progress, tell_failure)
+    return write_reports(read, wanted, False, shared, progress, tell_failure)
 
 
 def label(
@@ -642,9 +638,8 @@ def site(runs: Runs, output: OutputFolder) -> list[Path]:
     """
     loaded, folder = [as_run(each) for each in runs], Path(output)
     folder.mkdir(parents=True, exist_ok=True)
-    written: list[Path] = plugins.build("reports", "site", {"runs": tuple(each.root for each in loaded)}).write(
-        loaded[0], folder
-    )
+    given = {"runs": tuple(each.root for each in loaded)}
+    written: list[Path] = plugins.build("reports", plugins.in_role("run-site"), given).write(loaded[0], folder)
     return written
 
 
@@ -655,7 +650,7 @@ def sheet(
     methods: Methods = (),
     sample: SampleSize = "384x384",
     size: SampleSize = "384x384",
-    lattice: Latticelike = "consensus",
+    lattice: Latticelike = None,
     seed: Number = 0,
     progress: Progress | None = None,
     options: Options | None = None,
@@ -681,7 +676,7 @@ def sheet(
     size
         Size of the outputs.
     lattice
-        The lattice of PHOTO, or the detector that finds it, once for all methods.
+        The lattice of PHOTO, or the detector that finds it, once for all methods.  [default: consensus]
     seed
         Equal seeds give equal outputs.
     progress, options
@@ -710,7 +705,8 @@ def sheet(
 
     with tempfile.TemporaryDirectory() as folder:
         suite = photo_suite(picture_file(photo, Path(folder)), sample, size)
-        cells, root = plan_cells(suite, methods, (), [lattice], Path(folder) / "run", seed=seed)
+        sources = [lattice or plugins.in_role("detector")]
+        cells, root = plan_cells(suite, methods, (), sources, Path(folder) / "run", seed=seed)
         rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)
         made = [pair for pair in rated if pair[0].status == "ok"]
         if made:

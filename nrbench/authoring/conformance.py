@@ -20,16 +20,16 @@ from typing import Any, Literal
 import psutil
 
 from nrbench import plugins
-from nrbench.authoring.plugin_checks import CHECKS, MARK, MARKUP, Subject, demand_of, earlier_clause
+from nrbench.authoring.plugin_checks import CHECKS, EXAMPLES, MARK, MARKUP, Subject, demand_of, earlier_clause
 from nrbench.errors import BadInput, describe_error
 from nrbench.plugins.forms import Refused
-from nrbench.plugins.parameters import nearest
+from nrbench.plugins.parameters import leave_user_folder, nearest
 from nrbench.running.guard import Limits, explain_exit
 from nrbench.running.output_checks import InvalidOutput
 from nrbench.running.phases import FAULTS
 from nrbench.running.runner import Options, execute
 from nrbench.running.supervisor import worker_environment
-from nrbench.storage import leave_user_folder, read_json, temporary_folder, working_folder, write_json
+from nrbench.storage import read_json, temporary_folder, write_json
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import validated_suite
 
@@ -155,7 +155,7 @@ def _check_in_child(subject: Subject, clause: str, limits: Limits, place: Path) 
     folder = place / clause
     folder.mkdir()
     program = f"from {__name__} import check_alone; check_alone(*__import__('sys').argv[1:])"
-    words = [subject.to_json(), clause, working_folder(), str(folder), str(limits.seconds), str(limits.mib)]
+    words = [subject.to_json(), clause, str(Path.cwd()), str(folder), str(limits.seconds), str(limits.mib)]
     with (folder / "log.txt").open("w+b") as log:
         process = subprocess.Popen(
             [sys.executable, "-c", program, *words],
@@ -213,16 +213,10 @@ def make_example_run(root: Path) -> Path:
     texts = {"family": " ".join(sorted(set(MARKUP.values()))), "description": f"<script>{MARK} \\input{{{MARK}}}"}
     names = (f"=1+{MARK} <script>{MARK}", f"{MARK} & 100% _of_ $x$ #1 \u202e")
     suite = {
+        **EXAMPLES["run"],
         "name": f"check <script>{MARK}",
-        "sample": "48x48",
-        "size": "64x64",
-        "lattice": ["given"],
-        "methods": ["oracle", "tiling", "scatter", f"command:run=no-such-program-{MARK} {{sample}} {{output}}"],
-        "metrics": ["quality", "regularity", "cost"],
-        "texture": [
-            {"name": name, "dataset": "brick", "parameters": {"width": 20, "height": 10, "color": 0.2}, **texts}
-            for name in names
-        ],
+        "methods": [*EXAMPLES["run"]["methods"], EXAMPLES["failing"]["method"].format(mark=MARK)],
+        "texture": [{**EXAMPLES["texture"], "name": name, **texts} for name in names],
     }
     with contextlib.redirect_stderr(io.StringIO()):  # the traceback of the method that fails
         execute(make_plan(validated_suite(suite, "check")), root, Options(jobs=0), lambda step: None)
