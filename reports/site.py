@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -116,9 +116,11 @@ class RunSite:
         BadInput
             If a path is no run.
         """
-        if not self.runs:
-            return []
-        roots = list(dict.fromkeys(root.resolve() for root in (run.root, *self.runs)))
+        return replace(self, runs=(run.root, *self.runs)).publish(directory) if self.runs else []
+
+    def publish(self, directory: Path) -> list[Path]:
+        """Write the pages of the runs, as :meth:`write`."""
+        roots = list(dict.fromkeys(root.resolve() for root in self.runs))
         rows = [row for root, title in zip(roots, _titles(roots), strict=True) for row in _read_rows(Run(root), title)]
         if not rows:
             raise BadInput("the runs hold no cells; nothing can be compared")

@@ -362,7 +362,7 @@ def compare(first: FirstRun, second: SecondRun, columns: Columns = ()) -> Any:
     """
     runs = [as_run(first), as_run(second)]
     names = tuple(names_of(columns))
-    return plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": names}).compare(runs[1])
+    return plugins.build_with("reports", "compare", {"baseline": runs[0].root, "columns": names}).compare(runs[1])
 
 
 def choose_seed(seed: int | str | None, root: Path) -> dict[str, Any]:
@@ -642,9 +642,8 @@ def site(runs: Runs, output: OutputFolder) -> list[Path]:
     """
     loaded, folder = [as_run(each) for each in runs], Path(output)
     folder.mkdir(parents=True, exist_ok=True)
-    written: list[Path] = plugins.build("reports", "site", {"runs": tuple(each.root for each in loaded)}).write(
-        loaded[0], folder
-    )
+    pages = plugins.build_with("reports", "publish", {"runs": tuple(each.root for each in loaded)})
+    written: list[Path] = pages.publish(folder)
     return written
 
 

@@ -9,6 +9,7 @@ from nrbench.plugins.registry import Plugin as Plugin
 from nrbench.plugins.registry import add_file as add_file
 from nrbench.plugins.registry import asking as asking
 from nrbench.plugins.registry import build as build
+from nrbench.plugins.registry import build_with as build_with
 from nrbench.plugins.registry import describe_patches as describe_patches
 from nrbench.plugins.registry import fault as fault
 from nrbench.plugins.registry import files as files

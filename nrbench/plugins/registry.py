@@ -366,6 +366,23 @@ class NamedDetector:
         return found
 
 
+def build_with(kind: str, method: str, parameters: Mapping[str, Any] | None = None) -> Any:
+    """Return an instance of the first plugin of a kind that has an optional method of its form.
+
+    Raises
+    ------
+    BadInput
+        If no plugin has the method, or as for :func:`build`.
+    """
+    for name in names(kind):
+        cls = None
+        with contextlib.suppress(BadInput):  # a broken plugin has no method
+            cls = find(kind, name).cls
+        if hasattr(cls, method):
+            return build(kind, name, parameters)
+    raise BadInput(f"no installed {FORMS[kind].noun} has a method {method}; see `nrbench list {kind}`")
+
+
 def read_fingerprint(plugin: Any, where: str) -> str | int | float | None:
     """Return a hash of the files that a plugin reads, from its own ``fingerprint()``; None if it has none.
 
