@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -106,7 +106,7 @@ class RunSite:
     folder: ClassVar[str] = "site"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "runs", tuple(Path(root) for root in self.runs))
+        object.__setattr__(self, "runs", tuple(Path(root) for root in (run.root, *self.runs)))
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``index.html`` and a page for each method, and return their paths; none without other runs.
@@ -116,11 +116,9 @@ class RunSite:
         BadInput
             If a path is no run.
         """
-        return replace(self, runs=(run.root, *self.runs)).publish(directory) if self.runs else []
-
-    def publish(self, directory: Path) -> list[Path]:
-        """Write the pages of the runs, as :meth:`write`."""
-        roots = list(dict.fromkeys(root.resolve() for root in self.runs))
+        if not self.runs:
+            return []
+        roots = list(dict.fromkeys(root.resolve() for root in (run.root, *self.runs)))
         rows = [row for root, title in zip(roots, _titles(roots), strict=True) for row in _read_rows(Run(root), title)]
         if not rows:
             raise BadInput("the runs hold no cells; nothing can be compared")

@@ -8,11 +8,11 @@ from nrbench.plugins.registry import NamedDetector as NamedDetector
 from nrbench.plugins.registry import Plugin as Plugin
 from nrbench.plugins.registry import add_file as add_file
 from nrbench.plugins.registry import build as build
-from nrbench.plugins.registry import build_with as build_with
 from nrbench.plugins.registry import describe_patches as describe_patches
 from nrbench.plugins.registry import fault as fault
 from nrbench.plugins.registry import files as files
 from nrbench.plugins.registry import find as find
+from nrbench.plugins.registry import in_role as in_role
 from nrbench.plugins.registry import inventory as inventory
 from nrbench.plugins.registry import lookup as lookup
 from nrbench.plugins.registry import name_of as name_of

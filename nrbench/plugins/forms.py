@@ -790,19 +790,6 @@ class Report(Protocol):
         True: after a run, the text that its method ``render(run)`` returns is printed; it has a parameter ``width``,
         the number of characters in a line.
 
-    Optional methods, of which the first installed report that has one serves the functions of Python:
-
-    ``tables(run)``
-        The tables of a run as data frames, by name. ``summary`` and ``comparison`` serve the methods of a run.
-    ``notebook(run)``
-        The HTML by which a notebook shows a run.
-    ``plot(run, kind)``
-        The plot of a run as a file of a kind, ``svg``, ``pdf`` or ``png``; the parameter ``width`` is in inches.
-    ``compare(run)``
-        The changes since another run, whose directory is the parameter ``baseline``; ``columns`` are the scores.
-    ``publish(directory)``
-        Write the pages that compare several runs, whose directories are the parameter ``runs``; return their paths.
-
     If it has a parameter ``labels``, it receives the files of ``nrbench report RUN --labels FILE...``.
     """
 

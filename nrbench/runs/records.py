@@ -175,7 +175,7 @@ class Plot:
     savefig = save
 
     def _render(self, kind: str) -> bytes:
-        content: bytes = plugins.build_with("reports", "plot", {"width": self.width}).plot(self.run, kind)
+        content: bytes = plugins.build("reports", plugins.in_role("plot"), {"width": self.width}).plot(self.run, kind)
         return content
 
     def _repr_svg_(self) -> str:
@@ -338,12 +338,12 @@ class Run:
         return Plot(self, width)
 
     def _tables(self) -> dict[str, pd.DataFrame]:
-        tables: dict[str, pd.DataFrame] = plugins.build_with("reports", "tables").tables(self)
+        tables: dict[str, pd.DataFrame] = plugins.build("reports", plugins.in_role("tables")).tables(self)
         return tables
 
     def _repr_html_(self) -> str:
         """Return the methods, and textures by methods, as HTML tables with marks, for notebooks."""
-        return str(plugins.build_with("reports", "notebook").notebook(self))
+        return str(plugins.build("reports", plugins.in_role("tables")).notebook(self))
 
 
 def _read_cell(where: CellFolder, entry: Mapping[str, Any], known: dict[int, Recipe]) -> Cell:
