@@ -106,7 +106,7 @@ class RunSite:
     folder: ClassVar[str] = "site"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "runs", tuple(Path(root) for root in (run.root, *self.runs)))
+        object.__setattr__(self, "runs", tuple(Path(root) for root in self.runs))
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``index.html`` and a page for each method, and return their paths; none without other runs.
