@@ -45,7 +45,7 @@ from .plugins.forms import Texture as Texture
 from .plugins.forms import find_lattice as find_lattice
 from .plugins.forms import require_lattice as require_lattice
 from .plugins.registry import NamedDetector as NamedDetector
-from .running.runner import Options as Options
+from .running.options import Options as Options
 from .runs.records import CellRecord as CellRecord
 from .runs.records import Run as Run
 from .storage import user_path as user_path

@@ -1,4 +1,8 @@
-"""What users pass to the Python functions: images, lattices, plugins, sizes, in any of their forms."""
+"""What users pass to the Python functions and on the command line: images, lattices, plugins, sizes, in any form.
+
+A parameter whose type is one of the aliases with a :class:`~nrbench.flags.Flag` is also an argument or an option of the
+command line, which is built from signatures and docstrings, see :mod:`nrbench.cli.verbs`.
+"""
 
 from __future__ import annotations
 
@@ -6,28 +10,54 @@ import operator
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, as_image
-from nrbench.lattice.geometry import Lattice, Vector, require_visible
-from nrbench.plugins.forms import Detection, Shape, Synthesis, Texture
+from nrbench.flags import ARGUMENT, Flag
 from nrbench.plugins.parameters import LARGEST_SIDE, nearest, parse_size, parse_spec, validated
 
-Imagelike = Any
-"""An image: an array of uint8, uint16 or float in [0, 1], with or without a channel axis; the path of a picture; or a
-:class:`~nrbench.plugins.forms.Texture` or :class:`~nrbench.plugins.forms.Synthesis`, whose image is taken."""
+# The help of a command imports no array library.
+if TYPE_CHECKING:
+    from nrbench.imaging.convert import Image
+    from nrbench.lattice.geometry import Lattice, Vector
+    from nrbench.plugins.forms import Detection, Shape
+    from nrbench.runs.records import Run
+    from nrbench.suites.suite import Suite
+
+METHOD = "METHOD[:param=value,...]"
+LATTICE = "x1,y1,x2,y2[,x,y]"
+
+
 Pluginlike = str | type[Any] | Any
 """A plugin: its name; ``name:param=value,...`` as on the command line; its class; or an instance, whose parameters are
 then those of the instance."""
-Latticelike = Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None
+Imagelike = Any
+"""An image: an array of uint8, uint16 or float in [0, 1], with or without a channel axis; the path of a picture; or a
+:class:`~nrbench.plugins.forms.Texture` or :class:`~nrbench.plugins.forms.Synthesis`, whose image is taken."""
+Latticelike = Annotated[
+    "Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None",
+    Flag(metavar=f"{LATTICE}|DETECTOR"),
+]
 """A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``; or the detector that finds
 it, e.g. ``"consensus"``. None: no lattice is given."""
-Shapelike = Shape | str
+Shapelike = Annotated["Shape | str", Flag("--size", "WxH")]
 """(height, width) in px, or ``"WIDTHxHEIGHT"`` as on the command line."""
+Runlike = Annotated["Run | str | os.PathLike[str]", Flag(ARGUMENT, kind=Path)]
+"""A run, or its directory."""
+Suitelike = Annotated["str | os.PathLike[str] | Suite", Flag(ARGUMENT)]
+"""A suite, its name, a TOML file, or a directory of pictures."""
+Picture = Annotated[Imagelike, Flag(ARGUMENT, kind=Path)]
+"""An :data:`Imagelike`; on the command line the path of a picture."""
+OutputFolder = Annotated["str | os.PathLike[str]", Flag("-o --output", "DIR", kind=Path)]
+
+Method = Annotated[Pluginlike, Flag("-m", METHOD)]
+Methods = Annotated[Sequence[Pluginlike] | Pluginlike, Flag("-m", METHOD, many=True)]
+Textures = Annotated[Sequence[str] | str, Flag("-t", "GLOB", many=True)]
+LatticeSources = Annotated["Sequence[Latticelike] | str", Flag(metavar=f"given|own|DETECTOR|{LATTICE}", many=True)]
+SampleSize = Annotated["str | Shape | None", Flag(metavar="WxH")]
+SuiteSeed = Annotated["int | str | None", Flag(metavar="NUMBER|fresh")]
+Folder = Annotated["str | os.PathLike[str] | None", Flag(kind=Path)]
 
 
 def as_lattice(lattice: Latticelike) -> Lattice | None:
@@ -38,6 +68,8 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
     BadInput
         If it has none of these forms, or repeats in less than 2 px.
     """
+    from nrbench.lattice.geometry import Lattice, require_visible
+
     if lattice is None:
         return None
     if isinstance(lattice, str):
@@ -72,9 +104,13 @@ def lattice_in(image: Imagelike, lattice: Latticelike) -> Lattice | None:
 
 def image_in(image: Imagelike, where: str = "image") -> Image:
     """Return an :data:`Imagelike` as an image."""
-    if isinstance(image, str | os.PathLike):
-        from nrbench.pictures.files import read_image
+    import numpy as np
 
+    from nrbench.imaging.convert import as_image
+    from nrbench.pictures.files import read_image
+    from nrbench.plugins.forms import Synthesis, Texture
+
+    if isinstance(image, str | os.PathLike):
         return read_image(Path(image))
     if isinstance(image, Texture | Synthesis):
         image = image.image
@@ -123,6 +159,12 @@ def shape_in(shape: Shapelike) -> Shape:
     if min(height, width) < 1 or max(height, width) > LARGEST_SIDE:
         raise BadInput(f"shape {shape}: give (height, width) in px, each at least 1 and at most {LARGEST_SIDE}")
     return height, width
+
+
+def names_of(given: Sequence[str] | str) -> list[str]:
+    """Return the names of a sequence, or of a text in which commas join them."""
+    names = given.split(",") if isinstance(given, str) else given
+    return [name.strip() for name in names if name.strip()]
 
 
 def list_of(given: Any) -> list[Any]:

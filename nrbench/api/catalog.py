@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench.errors import BadInput
+from nrbench.flags import ARGUMENT, Flag
 
 # A list on the command line needs no table.
 if TYPE_CHECKING:
@@ -15,9 +16,11 @@ if TYPE_CHECKING:
 
 _BETTER = {"one": "nearest to 1", "none": "neither higher nor lower"}
 KINDS = ("datasets", "detectors", "synthesizers", "metrics", "reports", "suites")
+ListedKind = Annotated[str, Flag(ARGUMENT, choices=KINDS)]
+ShownName = Annotated[str, Flag(ARGUMENT)]
 
 
-def list_plugins(kind: str = "") -> pd.DataFrame:
+def list_plugins(kind: ListedKind = "") -> pd.DataFrame:
     """List plugins and suites.
 
     Parameters
@@ -52,7 +55,7 @@ def list_plugins(kind: str = "") -> pd.DataFrame:
     return pd.DataFrame([{"kind": each, **entry} for each in kinds for entry in entries(each, True)])
 
 
-def show_plugin(name: str) -> Shown:
+def show_plugin(name: ShownName) -> Shown:
     """Show a plugin or a suite.
 
     Parameters

@@ -4,56 +4,74 @@ from __future__ import annotations
 
 import operator
 import os
-import re
 import secrets
 import tempfile
 import warnings
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
 from nrbench.api.arguments import (
-    Imagelike,
+    METHOD,
+    Folder,
     Latticelike,
+    LatticeSources,
+    Methods,
+    OutputFolder,
+    Picture,
     Pluginlike,
+    Runlike,
+    SampleSize,
+    Suitelike,
+    SuiteSeed,
+    Textures,
     lattice_source_text,
     list_of,
     method_text,
+    names_of,
     picture_file,
 )
-from nrbench.errors import BadInput, describe_error, strip_control
-from nrbench.lattice.geometry import Lattice
+from nrbench.errors import BadInput
+from nrbench.flags import ARGUMENT, Count, Flag, Number, Switch
 from nrbench.plugins.parameters import parse_spec, size_text
-from nrbench.runs.records import CellRecord, Run
-from nrbench.runs.store import FAILED, RunDirectory
 from nrbench.storage import read_json
-from nrbench.suites.cell import RESULTS_VERSION, Cell
 
-# What runs cells and child processes is imported by the functions that need it: `status` only reads files.
+# What reads and runs cells is imported by the functions that need it: the help of a command needs none of it.
 if TYPE_CHECKING:
     import pandas as pd
 
-    from nrbench.plugins.forms import Shape
     from nrbench.running.guard import Limits
+    from nrbench.running.options import Options
     from nrbench.running.pace import Progress
-    from nrbench.running.runner import Options
+    from nrbench.runs.records import Run
+    from nrbench.suites.cell import Cell
     from nrbench.suites.plan import Plan
     from nrbench.suites.suite import Suite
 
-Runlike = Run | str | os.PathLike[str]
-"""A run, or its directory."""
+AuditedMethod = Annotated[Pluginlike, Flag(ARGUMENT, METHOD)]
+FirstRun = Annotated[Runlike, Flag(ARGUMENT, "RUN_A", kind=Path)]
+SecondRun = Annotated[Runlike, Flag(ARGUMENT, "RUN_B", kind=Path)]
+Runs = Annotated["Sequence[Runlike]", Flag(ARGUMENT, "RUN...", kind=Path, many=True)]
+Columns = Annotated[str | Sequence[str], Flag(metavar="NAME,...")]
+Formats = Annotated[Sequence[str] | str, Flag(metavar="NAME[:param=value,...],...", many=True)]
+AnswerFiles = Annotated[Sequence[str | os.PathLike[str]], Flag(metavar="FILE...", kind=Path, many=True)]
+LabelFile = Annotated[str | os.PathLike[str] | None, Flag("-o", "FILE.html", kind=Path)]
+SheetFile = Annotated[str | os.PathLike[str], Flag("-o --output", "SHEET.png", kind=Path)]
+Share = Annotated[float, Flag(metavar="SHARE", kind=float, least=0, most=1)]
 
 
 def run(
-    suite: str | os.PathLike[str] | Suite = "default",
+    suite: Suitelike = "default",
     *,
-    methods: Sequence[Pluginlike] | Pluginlike = (),
-    textures: Sequence[str] | str = (),
-    lattice: Sequence[Latticelike] | str = (),
-    out: str | os.PathLike[str] | None = None,
+    methods: Methods = (),
+    textures: Textures = (),
+    lattice: LatticeSources = (),
+    sample: SampleSize = None,
+    size: SampleSize = None,
+    seed: SuiteSeed = None,
+    replicates: Count = None,
+    out: Folder = None,
     progress: Progress | None = None,
     options: Options | None = None,
     **changes: Any,
@@ -64,20 +82,39 @@ def run(
     ----------
     suite
         A suite, its name, a TOML file, or a directory of pictures.
-    methods, textures, lattice
-        They replace those of the suite. Methods are ``name:param=value``, or registered classes or instances of them;
-        textures are shell patterns of names; lattices are entries of the lattice axis, or a :data:`Latticelike`. A
-        single one needs no list.
+    methods
+        A method; repeatable.
+
+        They replace those of the suite: ``name:param=value``, or registered classes or instances of them. A single one
+        needs no list, as a single texture or lattice needs none.
+    textures
+        Run only these textures; repeatable.
+
+        Shell patterns of names.
+    lattice
+        The lattice that methods use: the true one, the one that each method finds, the one that a detector finds, or
+        yours; repeatable.
+
+        Entries of the lattice axis, or a :data:`Latticelike`. They replace those of the suite.
+    sample
+        Size of the samples.
+    size
+        Size of the outputs.
+    seed
+        Seed of the suite, or ``fresh`` for one that the system draws.
+
+        ``run.info["suite"]["seed"]`` tells it.
+    replicates
+        Number of draws of each texture.
     out
-        The run directory. If None, ``runs/SUITE``, and ``runs/SUITE-fresh`` for a fresh seed.
+        Run directory.  [default: runs/SUITE; runs/SUITE-fresh for a fresh seed]
     progress
         Called after each cell with a :class:`~nrbench.running.pace.Step`.
     options
         How to run: jobs, limits, and so on. An interrupt (Ctrl-C) stops at once. ``options.stop.set()``, called in
         ``progress`` or in another thread, lets the running cells end first. Both raise KeyboardInterrupt.
     **changes
-        Other keys of the suite: ``seed``, ``replicates``, ``sample``, ``size``. The seed ``"fresh"`` is drawn from the
-        system; ``run.info["suite"]["seed"]`` tells it.
+        Other keys of the suite, such as ``metrics``.
 
     Returns
     -------
@@ -113,16 +150,17 @@ def run(
 
     limits = Limits(options.timeout, options.memory) if options else None
     with guarded_plugins():
+        changes |= {"sample": sample, "size": size, "seed": seed, "replicates": replicates}
         plan, root = plan_cells(suite, methods, textures, lattice, out, limits=limits, **changes)
         return execute(plan, root, options, progress or (lambda step: None))
 
 
 def plan_cells(
-    suite: str | os.PathLike[str] | Suite,
-    methods: Sequence[Pluginlike] | Pluginlike = (),
-    textures: Sequence[str] | str = (),
-    lattice: Sequence[Latticelike] | str = (),
-    out: str | os.PathLike[str] | None = None,
+    suite: Suitelike = "default",
+    methods: Methods = (),
+    textures: Textures = (),
+    lattice: LatticeSources = (),
+    out: Folder = None,
     *,
     limits: Limits | None = None,
     progress: Callable[[float], None] = lambda done: None,
@@ -149,7 +187,8 @@ def plan_cells(
 
     chosen = find_suite(suite)
     specs = [method_text(method) for method in list_of(methods)]
-    sources = [lattice_source_text(each) for each in ([lattice] if isinstance(lattice, Lattice) else list_of(lattice))]
+    lattices: list[Any] = [lattice] if hasattr(lattice, "t1") else list_of(lattice)
+    sources = [lattice_source_text(each) for each in lattices]
     root = run_directory(out, chosen, seed)
     changes |= choose_seed(seed, root)
     return plan_run(changed(chosen, specs, sources, **changes), list_of(textures), limits or LIMITS, progress), root
@@ -163,12 +202,12 @@ def find_suite(suite: str | os.PathLike[str] | Suite) -> Suite:
 
 
 def audit(
-    method: Pluginlike,
-    suite: str | os.PathLike[str] | Suite = "default",
+    method: AuditedMethod,
+    suite: Suitelike = "default",
     *,
-    textures: Sequence[str] | str = (),
-    replicates: int | None = None,
-    out: str | os.PathLike[str] | None = None,
+    textures: Textures = (),
+    replicates: Count = None,
+    out: Folder = None,
     progress: Progress | None = None,
     options: Options | None = None,
 ) -> Any:
@@ -184,12 +223,15 @@ def audit(
     suite
         A suite of texture models, its name, or a TOML file.
     textures
-        As for :func:`run`.
+        Run only these textures; repeatable.
     replicates
-        Number of draws of each texture at each seed. More draws find smaller differences.
+        Number of draws of each texture at each seed.
+
+        More draws find smaller differences.
     out
-        Directory of the two runs ``published`` and ``fresh``; ``runs/audit-METHOD`` if None. If it holds an audit,
-        that audit is resumed with its fresh seed.
+        Directory of both runs.  [default: runs/audit-METHOD]
+
+        It holds the runs ``published`` and ``fresh``. If it holds an audit, that audit is resumed with its fresh seed.
     progress, options
         As for :func:`run`.
 
@@ -273,14 +315,12 @@ def load(path: str | os.PathLike[str]) -> Run:
     return found
 
 
-def as_run(run: Run | str | os.PathLike[str]) -> Run:
+def as_run(run: Runlike) -> Run:
     """Return a run, or that of a directory as :func:`load`."""
     return load(run) if isinstance(run, str | os.PathLike) else run
 
 
-def compare(
-    first: Run | str | os.PathLike[str], second: Run | str | os.PathLike[str], columns: str | Sequence[str] = ()
-) -> Any:
+def compare(first: FirstRun, second: SecondRun, columns: Columns = ()) -> Any:
     """Compare a run with an earlier one: which scores moved, and whether by more than draws move them.
 
     Parameters
@@ -288,8 +328,9 @@ def compare(
     first, second
         The earlier and the later run, or their directories.
     columns
-        The scores, as a list or joined by commas; empty for the headlines, the share of preserved lattices and the
-        seconds.
+        The scores.  [default: the headlines]
+
+        As a list or joined by commas; if empty, also the share of preserved lattices and the seconds.
 
     Returns
     -------
@@ -320,8 +361,8 @@ def compare(
     {'same'}
     """
     runs = [as_run(first), as_run(second)]
-    names = columns.split(",") if isinstance(columns, str) else columns
-    return plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": tuple(names)}).compare(runs[1])
+    names = tuple(names_of(columns))
+    return plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": names}).compare(runs[1])
 
 
 def choose_seed(seed: int | str | None, root: Path) -> dict[str, Any]:
@@ -338,8 +379,9 @@ def choose_seed(seed: int | str | None, root: Path) -> dict[str, Any]:
         return {}
     if seed != "fresh":
         try:
-            return {"seed": operator.index(seed), "fresh_seed": False}  # type: ignore[arg-type]
-        except TypeError:
+            digits = isinstance(seed, str) and seed.isascii() and seed.isdigit()
+            return {"seed": int(seed) if digits else operator.index(seed), "fresh_seed": False}  # type: ignore[arg-type]
+        except (TypeError, ValueError):
             raise BadInput(f"seed {seed!r}: give a whole number from 0 on, or 'fresh'") from None
     from nrbench.runs.store import RUN_FILE
 
@@ -367,23 +409,46 @@ def changed(suite: Suite, methods: Sequence[str] = (), lattice: Sequence[str] = 
 
 
 def plan(
-    suite: str | os.PathLike[str] | Suite = "default",
+    suite: Suitelike = "default",
     *,
-    methods: Sequence[Pluginlike] | Pluginlike = (),
-    textures: Sequence[str] | str = (),
-    lattice: Sequence[Latticelike] | str = (),
-    out: str | os.PathLike[str] | None = None,
-    retry_failed: bool = False,
+    methods: Methods = (),
+    textures: Textures = (),
+    lattice: LatticeSources = (),
+    sample: SampleSize = None,
+    size: SampleSize = None,
+    seed: SuiteSeed = None,
+    replicates: Count = None,
+    out: Folder = None,
+    retry_failed: Switch = False,
     **changes: Any,
 ) -> pd.DataFrame:
     """List the cells that :func:`~nrbench.run` would reuse and those that it would start. Nothing is started.
 
     Parameters
     ----------
-    suite, methods, textures, lattice, out
+    suite
         As for :func:`~nrbench.run`.
+    methods
+        A method; repeatable.
+    textures
+        Run only these textures; repeatable.
+    lattice
+        The lattice that methods use: the true one, the one that each method finds, the one that a detector finds, or
+        yours; repeatable.
+    sample
+        Size of the samples.
+    size
+        Size of the outputs.
+    seed
+        Seed of the suite, or ``fresh`` for one that the system draws.
+    replicates
+        Number of draws of each texture.
+    out
+        Run directory.  [default: runs/SUITE; runs/SUITE-fresh for a fresh seed]
     retry_failed
-        Whether failed cells would run again.
+        Run failed cells again.
+
+        They then count as new ones.
     **changes
         As for :func:`~nrbench.run`.
 
@@ -408,6 +473,7 @@ def plan(
     from nrbench.running.plugin_children import guarded_plugins
 
     with guarded_plugins():
+        changes |= {"sample": sample, "size": size, "seed": seed, "replicates": replicates}
         planned, root = plan_cells(suite, methods, textures, lattice, out, **changes)
         return pd.DataFrame(plan_summary(planned, root, retry_failed)["cells"])
 
@@ -434,6 +500,8 @@ def status(run: Runlike) -> dict[str, Any]:
     --------
     ``status("runs/default")["status"]`` is ``{"ok": 741, "refused": 3}``.
     """
+    from nrbench.api.run_reports import failures, status_counts
+
     read = as_run(run)
     cells = read.ends()
     return {
@@ -445,7 +513,14 @@ def status(run: Runlike) -> dict[str, Any]:
 
 
 def report(
-    run: Runlike, format: Sequence[str] | str = (), *, labels: Sequence[str | os.PathLike[str]] = (), **parameters: Any
+    run: Runlike,
+    format: Formats = (),
+    *,
+    labels: AnswerFiles = (),
+    progress: Callable[[int, int, str], None] | None = None,
+    tell_failure: Callable[[str], None] = warnings.warn,
+    options: Options | None = None,
+    **parameters: Any,
 ) -> list[Path]:
     """Write the reports of a run again from its files. No cell is run.
 
@@ -454,9 +529,17 @@ def report(
     run
         The run, or its directory.
     format
-        The reports, as ``"html,latex:width=column"`` or as a list of such texts; all if empty.
+        The reports to write, e.g. html,latex:labels=...; repeatable.  [default: all]
+
+        As ``"html,latex:width=column"`` or as a list of such texts.
     labels
-        Files with answers to pages of :func:`label`, one for each labeler.
+        Files with answers to pages, one for each labeler. The reports then compare the verdicts with them.
+    progress
+        Called after each report with the number of reports done, of all, and the name of the last one.
+    tell_failure
+        Called with a sentence about each report that fails; by default a warning.
+    options
+        Limits of each report of another package.
     **parameters
         Parameters of all reports that have them: ``single_file``, ``tests``, ``population``, and so on.
 
@@ -474,21 +557,23 @@ def report(
     --------
     ``report("runs/default", "html,latex:width=column")`` writes the page and the tables of an article.
     """
+    from nrbench.api.run_reports import parse_formats, write_reports
     from nrbench.labelling.labels import read_labelers
 
     read, files = as_run(run), tuple(map(Path, labels))
     read_labelers(read, files)
-    wanted = parse_formats([format] if isinstance(format, str) else format) if format else None
-    return write_reports(read, wanted, shared={"labels": files, **parameters})[0]
+    wanted = parse_formats(list_of(format)) if format else None
+    shared = {"labels": files, **parameters}
+    return write_reports(read, wanted, False, shared, options, progress, tell_failure)
 
 
 def label(
     run: Runlike,
-    output: str | os.PathLike[str] | None = None,
+    output: LabelFile = None,
     *,
-    repeat: float = 0.1,
-    seed: int = 0,
-    questions: Sequence[str] | str = "lattice,elements,more",
+    repeat: Share = 0.1,
+    seed: Number = 0,
+    questions: Columns = "lattice,elements,more",
 ) -> Path:
     """Write a page on which people label the outputs of a run, without the methods' names.
 
@@ -497,13 +582,17 @@ def label(
     run
         The run, or its directory.
     output
-        The page; if None, it lies in the folder ``labels`` of the run, beside its key.
+        The page.  [default: RUN/labels/...]
+
+        By default it lies beside its key.
     repeat
         Share of the outputs that are shown twice.
     seed
         Seed of the items' order and ids.
     questions
-        The questions about each output in this order, as a list or joined by commas.
+        The questions about each output, in this order.
+
+        As a list or joined by commas.
 
     Returns
     -------
@@ -521,11 +610,11 @@ def label(
     """
     from nrbench.labelling.labels import write_page
 
-    asked = questions.split(",") if isinstance(questions, str) else questions
-    return write_page(as_run(run).root, None if output is None else Path(output), repeat, seed, asked)[0]
+    place = None if output is None else Path(output)
+    return write_page(as_run(run).root, place, repeat, seed, names_of(questions))[0]
 
 
-def site(runs: Sequence[Runlike], output: str | os.PathLike[str]) -> list[Path]:
+def site(runs: Runs, output: OutputFolder) -> list[Path]:
     """Write a static site that compares runs, such as those of several people.
 
     Parameters
@@ -533,7 +622,9 @@ def site(runs: Sequence[Runlike], output: str | os.PathLike[str]) -> list[Path]:
     runs
         The runs, or their directories.
     output
-        The directory of the pages. It is made if it does not exist.
+        Directory of the pages.
+
+        It is made if it does not exist.
 
     Returns
     -------
@@ -558,14 +649,14 @@ def site(runs: Sequence[Runlike], output: str | os.PathLike[str]) -> list[Path]:
 
 
 def sheet(
-    photo: Imagelike,
-    output: str | os.PathLike[str],
+    photo: Picture,
+    output: SheetFile,
     *,
-    methods: Sequence[Pluginlike] | Pluginlike = (),
-    sample: str | Shape = "384x384",
-    size: str | Shape = "384x384",
+    methods: Methods = (),
+    sample: SampleSize = "384x384",
+    size: SampleSize = "384x384",
     lattice: Latticelike = "consensus",
-    seed: int = 0,
+    seed: Number = 0,
     progress: Progress | None = None,
     options: Options | None = None,
 ) -> pd.DataFrame:
@@ -578,13 +669,19 @@ def sheet(
     photo
         The photograph.
     output
-        The file of the sheet. It is not written if no method has an output.
+        The sheet.
+
+        It is not written if no method has an output.
     methods
-        As for :func:`~nrbench.run`. All that are no references and need no parameter if empty.
-    sample, size
-        The largest sample, to which the photograph is cropped, and the size of the outputs.
+        A method; repeatable.  [default: all]
+
+        As for :func:`~nrbench.run`; by default all that are no references and need no parameter.
+    sample
+        Largest sample; PHOTO is cropped.
+    size
+        Size of the outputs.
     lattice
-        The lattice of the photograph, or the detector that finds it.
+        The lattice of PHOTO, or the detector that finds it, once for all methods.
     seed
         Equal seeds give equal outputs.
     progress, options
@@ -607,21 +704,6 @@ def sheet(
     """
     import pandas as pd
 
-    return pd.DataFrame(sheet_rows(photo, Path(output), methods, sample, size, lattice, seed, progress, options))
-
-
-def sheet_rows(
-    photo: Imagelike,
-    output: Path,
-    methods: Sequence[Pluginlike] | Pluginlike,
-    sample: str | Shape,
-    size: str | Shape,
-    lattice: Latticelike,
-    seed: int,
-    progress: Progress | None,
-    options: Options | None,
-) -> list[dict[str, Any]]:
-    """Write the sheet of a photograph, and return the rows of :func:`sheet`; the arguments are the same."""
     from nrbench.api.photo_sheet import draw_sheet, photo_suite, rate_outputs
     from nrbench.pictures.files import write_image
     from nrbench.running.runner import execute
@@ -632,8 +714,8 @@ def sheet_rows(
         rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)
         made = [pair for pair in rated if pair[0].status == "ok"]
         if made:
-            write_image(output, draw_sheet(made))
-    return [row for _, row in rated]
+            write_image(Path(output), draw_sheet(made))
+    return pd.DataFrame([row for _, row in rated])
 
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
@@ -662,130 +744,7 @@ def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
 def _find_done(plan: Plan, root: Path, retry_failed: bool) -> Callable[[Cell], bool]:
     """Return a function that tells whether a run would reuse the results of a cell."""
     from nrbench.running.runner import find_metrics, is_cached
+    from nrbench.runs.store import RunDirectory
 
     directory, metrics = RunDirectory(root), find_metrics(plan.suite.metrics)
     return lambda cell: is_cached(directory, cell, metrics, retry_failed)
-
-
-def status_counts(cells: Sequence[CellRecord]) -> dict[str, int]:
-    """Return how many cells ended in each status."""
-    return dict(Counter(record.status for record in cells).most_common())
-
-
-def failures(cells: Sequence[CellRecord]) -> list[str]:
-    """Return one line for each cell that failed, and one for each failure of a metric, which may concern many cells."""
-    lines = [f"{_where(record)}: {record.status}: {record.message}" for record in cells if record.status in FAILED]
-    failed: dict[str, list[str]] = {}
-    for record in cells:
-        broken = {(name.partition(".")[0], why) for name, why in record.reasons.items() if why.startswith("failed:")}
-        for metric, why in sorted(broken):
-            failed.setdefault(f"{metric}: {why}", []).append(_where(record))
-    for what, where in failed.items():
-        lines.append(f"{where[0]}: {what}" + (f" (and {len(where) - 1} more cells)" if len(where) > 1 else ""))
-    return lines
-
-
-def unfinished(run: Run) -> list[str]:
-    """Return a line if cells have no result, because a cluster was lost or something removed them."""
-    missing = [_where(record) for record in run.cells if record.status == "missing"]
-    if not missing:
-        return []
-    which = missing[0] if len(missing) == 1 else f"{len(missing)} of {len(run.cells)} cells, such as {missing[0]}"
-    return [f"no result: {which}; run the same command again"]
-
-
-def _where(record: CellRecord) -> str:
-    return f"{record.texture} / {record.method} ({record.lattice_source}, {record.key})"
-
-
-def parse_formats(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Read formats as ``html,latex:param=value,...,csv`` into their parameters by name.
-
-    A comma starts a new format only if the name of a report follows it.
-
-    Raises
-    ------
-    BadInput
-        For an unknown report, or parameters that cannot be read.
-    """
-    names = "|".join(map(re.escape, sorted(plugins.names("reports"), key=len, reverse=True)))
-    specs = [spec for text in texts for spec in re.split(rf",(?=(?:{names})(?:[:,]|$))", text)]
-    formats = dict(map(parse_spec, specs))
-    for name in formats:
-        plugins.find("reports", name.rpartition(",")[2])
-    return formats
-
-
-def write_reports(
-    run: Run,
-    formats: Mapping[str, Mapping[str, Any]] | None = None,
-    tables_only: bool = False,
-    shared: Mapping[str, Any] | None = None,
-    limits: Limits | None = None,
-    progress: Callable[[int, int, str], None] | None = None,
-    tell: Callable[[str], None] = warnings.warn,
-) -> tuple[list[Path], bool]:
-    """Write the reports of a run.
-
-    Parameters
-    ----------
-    run
-        The run.
-    formats
-        The parameters of each report, by its name; None for all reports.
-    tables_only
-        Whether reports other than tables are left out.
-    shared
-        Parameters of all reports that have them, such as the files of labelers' answers, ``labels``.
-    limits
-        Limits of each report of another package; None for the default ones.
-    progress
-        Called after each report with the number of reports done, of all, and the name of the last one.
-    tell
-        Called with a sentence about each report that fails.
-
-    Returns
-    -------
-    written
-        The paths.
-    broken
-        Whether any report failed.
-    """
-    from nrbench.running.plugin_children import LIMITS, write_guarded
-    from nrbench.running.runner import working_plugins
-
-    made_by = run.info.get("results_version")
-    if made_by != RESULTS_VERSION:
-        tell(
-            f"{run.root} was made by results version {strip_control(str(made_by))}, and this nrbench has "
-            f"{RESULTS_VERSION}: its scores are left out; run the same command again, or use the nrbench that made it"
-        )
-    if formats is None:
-        formats = {name: {} for name in working_plugins("reports")}
-    reports = {name: build_report(name, shared or {}, given) for name, given in formats.items()}
-    wanted = {name: report for name, report in reports.items() if not tables_only or _folder(report) == "tables"}
-    written: list[Path] = []
-    broken, allowed = False, limits or LIMITS
-    for number, (name, report) in enumerate(wanted.items(), 1):
-        folder = _folder(report)
-        own = plugins.find("reports", name).own
-        try:
-            files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder, allowed)
-            written += [Path(path) for path in files]
-        except (Exception, SystemExit) as error:
-            broken = True
-            tell(f"report {name} failed: {describe_error(error)}")
-        if progress:
-            progress(number, len(wanted), name)
-    return written, broken
-
-
-def _folder(report: Any) -> str:
-    return str(getattr(report, "folder", "report"))
-
-
-def build_report(name: str, shared: Mapping[str, Any], given: Mapping[str, Any]) -> Any:
-    """Return a report with its own parameters, and those shared ones that it has."""
-    cls: Any = plugins.find("reports", name).cls
-    known = {field.name for field in fields(cls)}
-    return plugins.build("reports", name, {**{key: shared[key] for key in shared if key in known}, **given})

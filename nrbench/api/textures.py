@@ -3,37 +3,45 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
 from nrbench.api.arguments import (
     Imagelike,
     Latticelike,
+    Method,
+    OutputFolder,
+    Picture,
     Pluginlike,
     Shapelike,
+    Textures,
     image_in,
     lattice_in,
     list_of,
+    names_of,
     plugin_in,
     shape_in,
 )
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, match_channels, match_ndim, quantize
-from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Detection, Observation, Refused, Score, Synthesis, Task, Texture, Value
+from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber, Switch
 from nrbench.plugins.parameters import parse_spec
-from nrbench.streams import pixels_hash, stream
 
+# The help of a command imports no array library.
 if TYPE_CHECKING:
+    from nrbench.imaging.convert import Image
+    from nrbench.lattice.geometry import Lattice
+    from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Texture, Value
     from nrbench.suites.suite import Suite
     from nrbench.tracking.bent_lattice import Deformation
     from nrbench.views.deformed import Followed
+
+
+Metrics = Annotated[Sequence[str] | str, Flag(metavar="NAME,...")]
+Rendered = Annotated["str | Suite", Flag(ARGUMENT, "MODEL[:param=value,...]|SUITE")]
+RenderedSize = Annotated["Shape | str | None", Flag("--sample --size", "WxH")]
 
 
 def texture(model: Pluginlike, shape: Shapelike = (128, 128), seed: int = 0, **parameters: Any) -> Texture:
@@ -66,6 +74,8 @@ def texture(model: Pluginlike, shape: Shapelike = (128, 128), seed: int = 0, **p
     >>> brick.image.shape
     (64, 96, 3)
     """
+    from nrbench.streams import stream
+
     plugin = plugin_in("datasets", model, parameters)
     name = (
         parse_spec(model)[0]
@@ -179,13 +189,13 @@ def follow_bent_lattice(
 
 
 def synthesize(
-    method: Pluginlike,
-    image: Imagelike,
+    method: Method,
+    image: Picture,
     shape: Shapelike,
     lattice: Latticelike = None,
-    seed: int = 0,
+    seed: Number = 0,
     progress: Callable[[float], None] | None = None,
-    tileable: bool = False,
+    tileable: Switch = False,
     **parameters: Any,
 ) -> Synthesis:
     """Synthesize a larger texture from a sample.
@@ -193,21 +203,27 @@ def synthesize(
     Parameters
     ----------
     method
+        The method.
+
         A synthesizer plugin: its name, e.g. ``"rsgf"`` or ``"rsgf:preset=paper"``, its class, or an instance.
     image
         The sample, an :data:`Imagelike`. Methods that find a lattice get the middle of a sample larger than 1024 px, as
         large as 16 periods or the output.
     shape
-        (height, width) of the output in px, or ``"WIDTHxHEIGHT"``.
+        Size of the output.
+
+        (height, width) in px, or ``"WIDTHxHEIGHT"``.
     lattice
-        The sample's lattice, or the detector that finds it; if None, the method finds it.
+        The lattice of the sample, or the detector that finds it.  [default: the method finds it]
     seed
-        Equal seeds give equal pixels.
+        Equal seeds give equal outputs.
     progress
         Called with the fraction that is done, in [0, 1].
     tileable
-        Make an output whose opposite edges continue each other. The sample is strained so that its lattice closes, by
-        at most 2.5 %; the note says by how much.
+        Make an output that repeats without a seam, if the method can.
+
+        Its opposite edges continue each other. The sample is strained so that its lattice closes, by at most 2.5 %; the
+        note says by how much.
     **parameters
         The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -230,11 +246,16 @@ def synthesize(
     >>> synthesize("quilting:block=24", brick, "160x128", seed=1).image.shape
     (128, 160, 3)
     """
+    import numpy as np
+
     from nrbench.bending.needed_part import synthesize_from_part
     from nrbench.bending.straightening import synthesize_in_geometry
     from nrbench.bending.tileable import require_wrapping, synthesize_tileable
+    from nrbench.imaging.convert import match_ndim, quantize
+    from nrbench.plugins.forms import Refused, Task
     from nrbench.running.output_checks import checked_synthesis
     from nrbench.running.preparing import briefly_prepared
+    from nrbench.streams import pixels_hash, stream
 
     plugin = plugin_in("synthesizers", method, parameters)
     if tileable:
@@ -283,10 +304,10 @@ MOST_SCORED = 2 * 2048 * 2048
 
 
 def score(
-    sample: Imagelike,
-    output: Imagelike,
+    sample: Picture,
+    output: Picture,
     lattice: Latticelike = None,
-    metrics: Sequence[str] | str = (),
+    metrics: Metrics = (),
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Scores:
     """Score any tool's output against its sample.
@@ -296,11 +317,15 @@ def score(
     sample, output
         The two images, each an :data:`Imagelike`, both gray or both in color; a gray one may be stored in color.
     lattice
-        The sample's lattice. If None, it is that of the sample if this is a texture with a known lattice. If none is
-        known, metrics that need one use the lattice that the detector ``dominance`` finds in the sample; if it finds
-        none, their scores are None, with the reason.
+        The lattice of the sample, or the detector that finds it.  [default: scores that need one use the detector
+        dominance]
+
+        If None, it is that of the sample if this is a texture with a known lattice. Where none is known and the
+        detector finds none, the scores that need one are None, with the reason.
     metrics
-        Names of the metrics, as a list or joined by commas; empty for all.
+        Compute these metrics, and print all their scores.
+
+        Their names, as a list or joined by commas; empty for all.
     progress
         Called after each metric with the number of metrics done, of all, and the name of the last one.
 
@@ -323,6 +348,9 @@ def score(
     >>> score(brick, tiled, metrics="regularity").values["regularity.preserved"]
     True
     """
+    from nrbench.imaging.convert import match_channels, quantize
+    from nrbench.plugins.forms import Observation, Texture
+
     pair = quantize(image_in(sample, "sample")), quantize(image_in(output, "output"))
     pair = match_channels(*pair), match_channels(*pair[::-1])
     height, width, _ = pair[1].shape
@@ -334,8 +362,7 @@ def score(
     if given is None and isinstance(sample, Texture):
         given = sample.lattice
     truth = Texture(pair[0], given, (given,) if given else ())
-    names = metrics.split(",") if isinstance(metrics, str) else metrics
-    return score_observation_by(Observation(*pair, truth=truth, lattice_given=given), names, progress)
+    return score_observation_by(Observation(*pair, truth=truth, lattice_given=given), names_of(metrics), progress)
 
 
 def score_observation_by(
@@ -368,6 +395,7 @@ def score_observation_by(
 
 
 def _score_or_failure(observation: Observation, metric: str) -> Score:
+    from nrbench.plugins.forms import Score
     from nrbench.running.phases import failure_reason, score_observation
 
     try:
@@ -378,7 +406,13 @@ def _score_or_failure(observation: Observation, metric: str) -> Score:
 
 
 def render_textures(
-    what: str | Suite, directory: str | os.PathLike[str], textures: Sequence[str] | str = (), **changes: Any
+    what: Rendered,
+    directory: OutputFolder,
+    textures: Textures = (),
+    *,
+    sample: RenderedSize = None,
+    seed: OptionalNumber = None,
+    replicates: Count = None,
 ) -> list[Path]:
     """Draw the textures of a model or a suite as PNG files, with their truth and a contact sheet.
 
@@ -387,11 +421,19 @@ def render_textures(
     what
         A model, ``name`` or ``name:param=value,...``; a suite, its name or a TOML file.
     directory
-        The directory of the pictures.
+        Directory of the pictures.
     textures
-        Shell patterns of names; empty for all.
-    **changes
-        Keys of the suite: ``seed``, ``replicates``, ``sample``.
+        Draw only these textures of a suite; repeatable.
+
+        Shell patterns of names, or a single one.
+    sample
+        Size of the pictures.
+
+        (height, width) in px, or ``"WIDTHxHEIGHT"``; if None, that of the suite.
+    seed
+        Seed.
+    replicates
+        Number of draws of each texture.
 
     Returns
     -------
@@ -418,4 +460,5 @@ def render_textures(
 
     if isinstance(what, str):
         what = load_suite(what) if what in builtin() or Path(what).exists() else model_suite(what)
-    return write_textures(draw_samples(changed(what, **changes), list_of(textures)), Path(directory))
+    suite = changed(what, sample=sample, seed=seed, replicates=replicates)
+    return write_textures(draw_samples(suite, list_of(textures)), Path(directory))

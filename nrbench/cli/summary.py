@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nrbench import plugins
-from nrbench.api.runs import build_report, failures, status_counts, unfinished
+from nrbench.api.run_reports import build_report, failures, status_counts, unfinished
 from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import Run

@@ -12,7 +12,7 @@ from commands import call
 
 import nrbench
 from nrbench import run
-from nrbench.api.runs import parse_formats
+from nrbench.api.run_reports import parse_formats
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice

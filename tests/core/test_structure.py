@@ -39,7 +39,15 @@ FLOORS = (
     ("nrbench.pictures",),
     ("nrbench.imaging",),
     ("nrbench.lattice",),
-    ("nrbench.errors", "nrbench.streams", "nrbench.storage", "nrbench.jit", "nrbench.source_tree", "nrbench.version"),
+    (
+        "nrbench.errors",
+        "nrbench.flags",
+        "nrbench.streams",
+        "nrbench.storage",
+        "nrbench.jit",
+        "nrbench.source_tree",
+        "nrbench.version",
+    ),
 )
 """From the highest to the lowest. A module imports its own floor and those below; docs/structure.md shows the same."""
 

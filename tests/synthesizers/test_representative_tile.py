@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from synthesis_cases import noise, waves
 
-from nrbench.cli.single_images import synth_command
+from nrbench.cli.picture_commands import synth_command
 from nrbench.detectors.ssdn import ssdn
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice

@@ -1,47 +1,114 @@
-"""The commands check and new, for authors of plugins."""
+"""The commands about plugins and suites: list and show them, check one, and start a new one."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 
-from nrbench.cli.options import limit_options
+from nrbench.api import catalog
+from nrbench.authoring import packages
+from nrbench.cli.verbs import choose_one, verb
 from nrbench.errors import BadInput
+from nrbench.flags import ARGUMENT, Flag, Json, Mebibytes, Seconds, Switch
 
-KINDS = ("synthesizers", "detectors", "metrics", "datasets", "reports")
-ONE_OF = ("synthesizer", "detector", "metric", "dataset", "report")
+PLUGIN_KINDS = ("synthesizers", "detectors", "metrics", "datasets", "reports")
+CheckedPlugin = Annotated[str, Flag(ARGUMENT, "[PLUGIN[:PARAM=VALUE,...]]")]
+CheckedKind = Annotated[str | None, Flag("--kind", choices=PLUGIN_KINDS)]
+Clauses = Annotated["tuple[str, ...]", Flag("--clause", "NAME", many=True)]
 
 
-@click.command("check")
-@click.argument("plugin", required=False, metavar="[PLUGIN[:PARAM=VALUE,...]]")
-@click.option("--kind", type=click.Choice(KINDS), help="Check the plugin of this kind only.")
-@limit_options("clause")
-@click.option("--clause", "only", multiple=True, metavar="NAME", help="Check this clause only; repeatable.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output.")
+@verb(catalog.list_plugins)
+def list_command(kind: str | None, as_json: Json = False) -> None:
+    """List plugins and suites. A broken plugin is listed with its error.
+
+    Parameters
+    ----------
+    as_json
+        Print JSON on standard output.
+    """
+    listed = {name: catalog.entries(name, as_json) for name in ([kind] if kind else catalog.KINDS)}
+    if as_json:
+        print(json.dumps(listed, indent=1))
+        return
+    for name, rows in listed.items():
+        print(name)
+        for entry in rows:
+            print(f"  {entry['name']:<18} {entry['about']}")
+            if entry.get("error"):
+                print("    " + entry["error"].strip().replace("\n", "\n    "))
+
+
+@verb(catalog.show_plugin)
+def show_command(call: Callable[[], catalog.Shown], name: str, as_json: Json = False, toml: Switch = False) -> None:
+    """Show a plugin or a suite.
+
+    For a plugin, print its page, its parameters with defaults, its presets, its columns, and the BibTeX entry of its
+    paper. NAME may also be a single score, METRIC.COLUMN, or "limits": all numbers by which outputs are judged, each
+    with its unit and where it comes from.
+
+    Parameters
+    ----------
+    as_json
+        Print JSON on standard output.
+    toml
+        Print the file of a suite, to start one of your own from.
+    """
+    choose_one({"--json": as_json, "--toml": toml})
+    if toml:
+        from nrbench.plugins.parameters import nearest
+        from nrbench.suites.installed import builtin
+
+        if name not in builtin():
+            raise BadInput(f"--toml {name!r}: no suite has that name{nearest(name, builtin())}")
+        print(builtin()[name].read_text("utf-8"), end="")
+        return
+    shown = call()
+    print(json.dumps(shown.pages, indent=1) if as_json else shown)
+
+
+@verb()
 def check_command(
-    plugin: str | None, kind: str | None, timeout: float, memory: float, only: tuple[str, ...], as_json: bool
+    plugin: CheckedPlugin = "",
+    kind: CheckedKind = None,
+    only: Clauses = (),
+    timeout: Seconds = 120.0,
+    memory: Mebibytes = 4096.0,
+    as_json: Json = False,
 ) -> int:
     """Check that PLUGIN fulfils every clause of its form.
 
     Each clause runs in a child process, so a plugin that crashes or hangs fails one clause. PLUGIN may also be a file,
     FILE.py: then all plugins that it defines are checked, as they are with `--plugin FILE.py` and no name. The exit
     code is 1 if a clause fails.
+
+    Parameters
+    ----------
+    kind
+        Check the plugin of this kind only.
+    only
+        Check this clause only; repeatable.
+    timeout
+        Limit of the wall time of one clause, seconds.
+    memory
+        Limit of the memory of one clause, in addition to that of an idle worker.
+    as_json
+        Print JSON on standard output.
     """
     from nrbench import plugins
     from nrbench.authoring.conformance import check_plugin
     from nrbench.plugins.parameters import parse_spec
     from nrbench.running.guard import Limits
 
-    if plugin is not None and plugin.endswith(".py"):
+    if plugin and plugin.endswith(".py"):
         plugins.add_file(plugin)
-        plugin = None
+        plugin = ""
     files = plugins.files()
-    if plugin is None and not files:
+    if not plugin and not files:
         raise click.UsageError("name a plugin, or load a file of plugins with --plugin FILE.py")
     name, parameters = parse_spec(plugin) if plugin else ("", {})
     results: list[dict[str, Any]] = []
@@ -75,7 +142,7 @@ def _find_plugins(name: str, kind: str | None, files: Collection[str]) -> list[t
     from nrbench import plugins
     from nrbench.plugins.parameters import nearest
 
-    kinds = [kind] if kind else KINDS
+    kinds = [kind] if kind else PLUGIN_KINDS
     if not name:
         listed = [(each, plugin) for each in kinds for plugin in plugins.from_files(each)]
         found = [(each, plugin.name) for each, plugin in listed if plugin.distribution in files]
@@ -98,18 +165,12 @@ def _print_failures(failures: list[Any], clauses: int) -> None:
     print(f"\n{len(failures)} of {clauses} clauses failed" if failures else f"no clause of {clauses} failed")
 
 
-@click.command("new")
-@click.argument("kind", type=click.Choice(ONE_OF))
-@click.argument("name")
-@click.option("-o", "folder", type=click.Path(path_type=Path), metavar="DIR", help="The new folder.  [default: NAME]")
-def new_command(kind: str, name: str, folder: Path | None) -> None:
+@verb(packages.new_plugin)
+def new_command(call: Callable[[], list[Path]], name: str, folder: Path | None) -> None:
     """Write a package with a plugin called NAME to start from.
 
     The package has a module that works, its test, a README, and a pyproject.toml with the entry point.
     """
-    from nrbench.authoring.packages import new_plugin
-
-    for path in new_plugin(kind, name, folder):
-        print(path)
+    print(*call(), sep="\n")
     where = folder if folder is not None else Path(name)
     print(f"next: pip install -e {where.absolute()}, then nrbench check {name}")

@@ -1,17 +1,22 @@
-"""The commands synth, score and render, which write or score images."""
+"""The commands of single pictures: synth, lattice, score and render."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from nrbench.cli.options import check_output, split_names
+from nrbench.api import textures
+from nrbench.api.arguments import as_lattice, lattice_in, names_of
+from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
+from nrbench.cli.verbs import check_output, choose_one, verb
 from nrbench.errors import BadInput
+from nrbench.flags import Flag, Json, Switch
 
 # The help of a command imports no more than this.
 if TYPE_CHECKING:
@@ -19,31 +24,19 @@ if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.lattice.geometry import Lattice
 
-_PATH = click.Path(path_type=Path)
+OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png", kind=Path)]
+All = Annotated[bool, Flag("--all", kind=bool)]
 
 
-@click.command("synth")
-@click.argument("image", type=_PATH)
-@click.option("-m", "method", required=True, metavar="METHOD[:param=value,...]", help="The method.")
-@click.option("--size", required=True, metavar="WxH", help="Size of the output.")
-@click.option(
-    "--lattice",
-    metavar="x1,y1,x2,y2[,x,y]|DETECTOR",
-    help="The lattice of IMAGE, or the detector that finds it.  [default: the method finds it]",
-)
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Equal seeds give equal outputs.")
-@click.option("-o", "--output", required=True, type=_PATH, metavar="OUT.png", help="The output.")
-@click.option("--tileable", is_flag=True, help="Make an output that repeats without a seam, if the method can.")
-@click.option("--extras", is_flag=True, help="Also write the pictures that the method returns beside the output.")
+@verb(textures.synthesize)
 def synth_command(
+    call: Callable[..., Any],
     image: Path,
     method: str,
-    size: str,
+    shape: str,
     lattice: str | None,
-    seed: int,
-    output: Path,
-    tileable: bool,
-    extras: bool,
+    output: OutputPicture,
+    extras: Switch = False,
 ) -> None:
     """Synthesize a texture of any size from IMAGE.
 
@@ -53,9 +46,15 @@ def synth_command(
 
     Some methods return pictures beside the output: a tile, a mask, the elements. --extras writes them as OUT-NAME.png;
     without it, their names are printed.
+
+    Parameters
+    ----------
+    output
+        The output.
+    extras
+        Also write the pictures that the method returns beside the output.
     """
     from nrbench import plugins
-    from nrbench.api.textures import synthesize
     from nrbench.pictures.files import read_image, write_image
     from nrbench.plugins.parameters import parse_size, parse_spec
     from nrbench.running.output_checks import is_picture
@@ -65,10 +64,10 @@ def synth_command(
     if os.path.realpath(output) == os.path.realpath(image):
         raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
     finder = getattr(plugins.build("synthesizers", name, parameters), "finder", "")
-    shape, sample = parse_size(size), read_image(image)
+    size, sample = parse_size(shape), read_image(image)
     given = _given_lattice(sample, lattice)
-    with waiting(f"{name}, {size}") as progress:
-        synthesis = synthesize(name, sample, shape, given, seed, progress, tileable, **parameters)
+    with waiting(f"{name}, {shape}") as progress:
+        synthesis = call(image=sample, shape=size, lattice=given, progress=progress)
     write_image(output, synthesis.image)
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
     pictures = {title: array for title, array in synthesis.extras.items() if is_picture(array)}
@@ -88,7 +87,6 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
     BadInput
         If the text is neither, or the detector finds no lattice.
     """
-    from nrbench.api.arguments import as_lattice, lattice_in
     from nrbench.plugins.forms import NoLatticeFound
 
     if text is None or "," in text.partition(":")[0]:
@@ -105,13 +103,12 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
 
 def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
     """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
-    from nrbench.api.textures import detect_lattice
     from nrbench.lattice.relation import relate
     from nrbench.plugins.forms import NoLatticeFound
 
     try:
         with waiting("consensus checks the lattice"):
-            found = detect_lattice(sample).lattice
+            found = textures.detect_lattice(sample).lattice
     except NoLatticeFound:
         return
     change = relate(used, found)
@@ -130,38 +127,38 @@ HEADLINES = ("regularity.preserved", *(f"quality.{part}" for part in _PARTS))
 """The scores that `score` prints by default, and by whose metrics the lattice is judged."""
 
 
-@click.command("score")
-@click.argument("sample", type=_PATH)
-@click.argument("output", type=_PATH)
-@click.option(
-    "--lattice",
-    metavar="x1,y1,x2,y2[,x,y]|DETECTOR",
-    help="The lattice of SAMPLE, or the detector that finds it.  [default: scores that need one use the detector "
-    "dominance]",
-)
-@click.option("--metrics", metavar="NAME,...", help="Compute these metrics, and print all their scores.")
-@click.option("--all", "every", is_flag=True, help="Compute all metrics.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON on standard output; of all metrics by default.")
+@verb(textures.score)
 def score_command(
-    sample: Path, output: Path, lattice: str | None, metrics: str | None, every: bool, as_json: bool
+    call: Callable[..., Scores],
+    sample: Path,
+    output: Path,
+    lattice: str | None,
+    metrics: str | None,
+    every: All = False,
+    as_json: Json = False,
 ) -> None:
     """Score any tool's OUTPUT against its SAMPLE.
 
     Print whether the lattice is preserved, the quality, and its four parts: regularity, integrity, randomness and
     appearance. "≤" marks a quality that is an upper bound, because a part could not be measured. --all prints all
     scores.
+
+    Parameters
+    ----------
+    every
+        Compute all metrics.
+    as_json
+        Print JSON on standard output; of all metrics by default.
     """
-    from nrbench.api.textures import score
     from nrbench.pictures.files import read_image
 
-    if metrics and every:
-        raise BadInput("--metrics and --all: choose one of them")
+    choose_one({"--metrics": metrics, "--all": every})
     pictures = read_image(sample), read_image(output)
     given = _given_lattice(pictures[0], lattice)
     brief = not (metrics or every or as_json)
-    names = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES)) if brief else split_names(metrics)
+    names = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES)) if brief else names_of(metrics or "")
     with live_progress(patience=True) as progress:
-        scores = score(*pictures, given, names, progress)
+        scores = call(sample=pictures[0], output=pictures[1], lattice=given, metrics=names, progress=progress)
     if as_json:
         print(json.dumps({**scores.values, "reasons": dict(scores.reasons)}, indent=1))
         return
@@ -201,22 +198,25 @@ def _group_reasons(scores: Scores, names: list[str]) -> dict[str, list[str]]:
     return grouped
 
 
-@click.command("render")
-@click.argument("what", metavar="MODEL[:param=value,...]|SUITE")
-@click.option("-o", "--output", required=True, type=_PATH, metavar="DIR", help="Directory of the pictures.")
-@click.option("-t", "textures", multiple=True, metavar="GLOB", help="Draw only these textures of a suite; repeatable.")
-@click.option("--sample", "--size", "sample", metavar="WxH", help="Size of the pictures.")
-@click.option("--seed", type=click.IntRange(0), help="Seed.")
-@click.option("--replicates", type=click.IntRange(1), help="Number of draws of each texture.")
-def render_command(
-    what: str, output: Path, textures: tuple[str, ...], sample: str | None, seed: int | None, replicates: int | None
-) -> None:
+@verb(textures.render_textures)
+def render_command(call: Callable[..., list[Path]]) -> None:
     """Draw the textures of a model or a suite as PNG files.
 
     The command also writes truth.csv, truth.json and a contact sheet to DIR. It keeps pictures of an earlier render,
     and draws a picture of the same name again.
     """
-    from nrbench.api.textures import render_textures
+    print(*call(), sep="\n")
 
-    for path in render_textures(what, output, textures, sample=sample, seed=seed, replicates=replicates):
-        click.echo(path)
+
+@verb(LatticeQuestion)
+def lattice_command(call: Callable[[], LatticeQuestion]) -> int:
+    """Detect the lattice of IMAGE, or those of all pictures in FOLDER.
+
+    "No lattice" is a valid result: the exit code is 0. For a folder, the command writes truth.csv, which `nrbench run
+    FOLDER` reads, and contact sheets by which you can check it.
+    """
+    question = call()
+    question.check()
+    from nrbench.cli.lattice_detection import answer_question
+
+    return answer_question(question)
