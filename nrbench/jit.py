@@ -47,8 +47,10 @@ UInt8x2 = Annotated[NDArray[np.uint8], "uint8[:, ::1]"]
 UInt8x3 = Annotated[NDArray[np.uint8], "uint8[:, :, ::1]"]
 UInt64x1 = Annotated[NDArray[np.uint64], "uint64[::1]"]
 UInt8View2 = Annotated[NDArray[np.uint8], "uint8[:, :]"]
+UInt8View3 = Annotated[NDArray[np.uint8], "uint8[:, :, :]"]
 Boolx1 = Annotated[NDArray[np.bool_], "boolean[::1]"]
 Boolx2 = Annotated[NDArray[np.bool_], "boolean[:, ::1]"]
+BoolView2 = Annotated[NDArray[np.bool_], "boolean[:, :]"]
 
 _SCALARS = {float: "float64", int: "int64", bool: "boolean", type(None): "void"}
 
