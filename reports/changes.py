@@ -19,9 +19,9 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.forms import Column
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import Run
-from nrbench.storage import write_text
+from nrbench.storage import write_files
 
-from .markdown import escape_markdown
+from .markdown import escape_markdown, pipe_table
 from .statistics.estimates import FEWEST, Estimate, estimate_means, mean_of_known, stack_draws
 from .statistics.format import format_interval, format_number, format_signed, pluralize
 from .statistics.pair_tests import ALPHA, POWER, detectable_losses, p_values_by_flips
@@ -83,10 +83,8 @@ class Changes:
         if self.baseline is None:
             return []
         changes = self.compare(run)
-        texts = {"changes.md": self.markdown(changes), "changes.json": json.dumps(changes.as_dict(), indent=1) + "\n"}
-        for name, text in texts.items():
-            write_text(directory / name, text)
-        return [directory / name for name in texts]
+        texts = {"changes.md": changes.markdown(), "changes.json": json.dumps(changes.as_dict(), indent=1) + "\n"}
+        return write_files(directory, texts)
 
     def compare(self, run: Run) -> RunChanges:
         """Return the changes from the baseline to a run.
@@ -99,23 +97,6 @@ class Changes:
         baseline = Run(self.baseline or Path())
         _ = baseline.info
         return compare_runs(baseline, run, self.columns)
-
-    def text(self, changes: RunChanges) -> str:
-        """Return the changes as a plain table with aligned columns."""
-        rows = [HEADS, *(change.cells for change in changes.changes)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-        lines.insert(1, "─" * max(map(len, lines)))
-        title = f"{changes.first.root} -> {changes.second.root}"
-        return "\n".join([title, "", *lines, "", fill(LEGEND, 110), *map(strip_control, changes.notes)])
-
-    def markdown(self, changes: RunChanges) -> str:
-        """Return the changes as a Markdown table for a pull request."""
-        rows = [HEADS, ["---"] * len(HEADS), *([*map(escape_markdown, change.cells)] for change in changes.changes)]
-        table = [f"| {' | '.join(row)} |" for row in rows]
-        title = f"**{escape_markdown(str(changes.first.root))} → {escape_markdown(str(changes.second.root))}**"
-        notes = [f"- {escape_markdown(line)}" for line in changes.notes]
-        return "\n".join([title, "", *table, "", LEGEND, *(["", *notes] if notes else [])]) + "\n"
 
 
 @dataclass(frozen=True)
@@ -257,6 +238,22 @@ class RunChanges:
         """Return the table and the notes as HTML, for notebooks."""
         table = pd.DataFrame([change.cells for change in self.changes], columns=HEADS).to_html(index=False)
         return table + "".join(f"<p>{html.escape(strip_control(note))}</p>" for note in (LEGEND, *self.notes))
+
+    def text(self) -> str:
+        """Return the changes as a plain table with aligned columns."""
+        rows = [HEADS, *(change.cells for change in self.changes)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        lines.insert(1, "─" * max(map(len, lines)))
+        title = f"{self.first.root} -> {self.second.root}"
+        return "\n".join([title, "", *lines, "", fill(LEGEND, 110), *map(strip_control, self.notes)])
+
+    def markdown(self) -> str:
+        """Return the changes as a Markdown table for a pull request."""
+        table = pipe_table(HEADS, ([*map(escape_markdown, change.cells)] for change in self.changes))
+        title = f"**{escape_markdown(str(self.first.root))} → {escape_markdown(str(self.second.root))}**"
+        notes = [f"- {escape_markdown(line)}" for line in self.notes]
+        return "\n".join([title, "", table, "", LEGEND, *(["", *notes] if notes else [])]) + "\n"
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it for JSON."""

@@ -15,14 +15,13 @@ from nrbench.errors import require, require_ranges
 from nrbench.imaging.box_sums import box_sums
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
+from .canvas.canvas import Mask, Window
 from .patchwork.patchwork import (
     Costs,
     Features,
-    Mask,
     Patchwork,
     SeamHeat,
     Translations,
-    Window,
     draw_translation,
     summed_variance,
     to_gray_levels,
@@ -70,7 +69,7 @@ class GraphCuts:
     defaults are the variants of the paper: on our models they worked best, or as well as the others.
 
     All cuts are computed by one solver,
-    :func:`~nrbench.synthesizers.seams.seam_kernels.cut_links`: on patches of 128 x 128 px with old seams it takes 1 to
+    :func:`~nrbench.synthesizers.canvas.seam_kernels.cut_links`: on patches of 128 x 128 px with old seams it takes 1 to
     3 ms and ``scipy.sparse.csgraph.maximum_flow`` 18 to 50 ms. A shortest path in the planar dual (Dijkstra) takes 3 to
     4 ms instead of 10 to 22 ms, but only for strips without old seams inside, of which an output has few.
 
@@ -197,7 +196,7 @@ class GraphCuts:
         heat = SeamHeat(work, patches.size)
         reach = max(whole - part for whole, part in zip(task.sample.shape[:2], patches.size, strict=True))
         for number in range(self.passes):
-            before, origin, seams = work.cost, work.origin.copy(), work.seams.copy()
+            before, kept = work.cost, [array.copy() for array in (work.image, work.source, work.seams)]
             if before == 0:
                 return
             for step in range(steps):
@@ -207,7 +206,7 @@ class GraphCuts:
                 task.progress(filled * (1 + number + step / steps))
             after = work.cost
             if after > before:
-                work.origin, work.seams = origin, seams
+                work.image, work.source, work.seams = kept
             if before - after <= LEAST_GAIN * before:
                 return
 
@@ -376,7 +375,7 @@ class WholePatches:
     def _shown(self, region: Window) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the translations, as rows and columns of the costs, that are shown in a known region."""
         top, left = self._first(region)
-        x, y = np.moveaxis(self.work.origin[self.work.pixels(region)], -1, 0)
+        x, y = np.moveaxis(self.work.origin(region), -1, 0)
         rows, columns = np.ogrid[region[0] : region[1], region[2] : region[3]]
         rows, columns = rows - y - top, columns - x - left
         within = (rows >= 0) & (rows < self._counts[0]) & (columns >= 0) & (columns < self._counts[1])

@@ -11,15 +11,14 @@ import skimage.io
 from commands import call
 
 import nrbench
-from nrbench.cli.lattice_detection import find_bent_lattice
-from nrbench.cli.lattice_results import describe_deformation
+from nrbench.cli.lattice_detection import describe_deformation, find_bent_lattice
 from nrbench.displacement.deformation_field import Deformation, map_points
 from nrbench.displacement.growth import Knots
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.files import read_image, write_image
 from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import relate
+from nrbench.pictures.files import read_image, write_image
 
 
 @pytest.fixture(autouse=True)

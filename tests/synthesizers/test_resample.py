@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from synthesis_cases import noise, synthesize
 
-from nrbench.api import texture
+from nrbench import texture
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import fold, interpolate
 from nrbench.lattice.geometry import Lattice
