@@ -143,8 +143,6 @@ BUILT = {
     ("nrbench.plugins.registry", "consensus"),
     ("nrbench.plugins.registry", "gncc"),
     ("nrbench.running.sample_surveys", "consensus"),
-    ("nrbench.runs.records", "csv"),
-    ("nrbench.runs.records", "perils"),
 }
 """Plugins that the core still builds by name. One that is mended leaves this list."""
 
