@@ -11,10 +11,10 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.detectors.consensus_rating.lattice_evidence_kernels import (
-    between,
     climb_multiples,
     jets,
     list_multiples,
+    rate_added_points,
 )
 from nrbench.imaging.correlation import Correlation
 from nrbench.lattice.geometry import Points, reduce_basis
@@ -156,7 +156,8 @@ class LatticeEvidence:
 
     def _read(self, bases: Points, cells: NDArray[np.floating[Any]], most: int) -> list[Agreement]:
         """Return the agreements; ``cells`` is the inverse of the coarser basis, or zero if there is none."""
-        rows = between(self._spline, np.ascontiguousarray(bases), np.asarray(cells, np.float64), self._end, PAD, most)
+        bases, cells = np.ascontiguousarray(bases), np.asarray(cells, np.float64)
+        rows = rate_added_points(self._spline, bases, cells, self._end, PAD, most)
         return [Agreement(mean, variance, int(count)) for mean, variance, count in rows.tolist()]
 
     def split(self, basis: Points, changes: NDArray[np.int64]) -> list[Split]:
