@@ -46,7 +46,7 @@ soak: $(VENV)/.installed-test
 	env -u PYTHONSAFEPATH $(BIN)/python benchmarks/soak.py
 
 docs: $(VENV)/.installed-docs
-	$(BIN)/python docs/make_gallery.py $(PHOTOGRAPHS)
+	$(BIN)/python benchmarks/gallery.py $(PHOTOGRAPHS)
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 	@echo "the site: build/docs/index.html"
 

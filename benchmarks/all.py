@@ -19,12 +19,12 @@ from unit import cpu_unit
 FOLDER = Path(__file__).parent
 BENCHMARKS = {
     "speed.py methods models cells scores": "speed.py",
-    "speed.py commands overhead correlation": "the same",
+    "speed.py commands overhead": "the same",
     "speed.py pictures --sides 2000": "speed.py pictures --sides 500 1000 2000 4000 8000",
     "speed.py outputs --largest 1024 --methods rsgf tile-set representative-tile fftm-patch": "speed.py outputs",
     "geometry.py --seeds 0 --bends 0.5 --models brick": "geometry.py",
-    "quilting_peer.py --textures brick-middle weave-middle hexagon-middle": "quilting_peer.py",
-    "representative_tile.py": "the same",
+    "peers.py --textures brick-middle weave-middle hexagon-middle": "peers.py",
+    "resample.py rare": "resample.py elements",
     "detector_accuracy.py --count 1 --stochastic 14 consensus gncc ssdn dominance": "detector_accuracy.py",
     "consensus_calibration.py --count 1 --kinds 0": "consensus_calibration.py",
     "bent_lattices.py bent --count 1 --bends 0.5 --tilts 20": "bent_lattices.py",

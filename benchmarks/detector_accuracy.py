@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import skimage.data
 from scipy.ndimage import gaussian_filter
-from unit import machine_unit
+from unit import cpu_unit
 
 from nrbench import plugins
 from nrbench.imaging.convert import Image, as_image, quantize
@@ -130,7 +130,7 @@ def main() -> None:
     parser.add_argument("detectors", nargs="*", default=DETECTORS)
     options = parser.parse_args()
     load_kernels()
-    u = machine_unit()
+    u = cpu_unit()
     for spec in options.detectors:
         detector = plugins.build("detectors", *parse_spec(spec))
         tallies: dict[str, Tally] = defaultdict(Tally)

@@ -38,11 +38,11 @@ from nrbench import plugins
 from nrbench.datasets_procedural.modelling.materials import MATERIALS, Material
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import read_image, write_image
 from nrbench.labelling.questions import ANSWERS, ELEMENTS, LATTICE, MORE
 from nrbench.metrics.integrity import Integrity
 from nrbench.metrics.quality import Quality
 from nrbench.metrics.regularity import Regularity
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Again, Observation, Task
 from nrbench.plugins.parameters import parse_spec
 from nrbench.reports.statistics.estimates import Estimate

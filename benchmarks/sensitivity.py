@@ -24,11 +24,11 @@ from scipy.stats import kendalltau
 from validation import LEAST_FRESH, Subject, print_table, subject_of
 
 import nrbench
-from nrbench.imaging.files import read_image
 from nrbench.metrics import appearance, integrity, randomness, regularity
 from nrbench.metrics.judgment import texture_reference
 from nrbench.metrics.perception import limits
 from nrbench.metrics.quality import Quality
+from nrbench.pictures.files import read_image
 from nrbench.plugins.forms import Observation
 
 FACTORS = (0.8, 1.25)

@@ -27,9 +27,6 @@ both. Subjects:
 ``overhead``
     What a cell costs beyond its method: a run of ``--cells`` trivial cells, one at a time, scored by ``cost`` alone.
     The start of the worker is left out. CPU time of all processes, and the part that encodes and decodes pictures.
-``correlation``
-    The autocorrelation beside scikit-image's masked correlation, which takes one channel and is called three times.
-    The last column is the largest difference over the inner half of the lags.
 """
 
 from __future__ import annotations
@@ -51,17 +48,15 @@ from pathlib import Path
 
 import numpy as np
 import psutil
-from skimage.registration._masked_phase_cross_correlation import cross_correlate_masked
 from trivial_cells import write_plugin, write_suite
 from unit import cpu_unit, median_units
 
 import nrbench
 from nrbench import Lattice, plugins
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.correlation import half_autocorrelation
-from nrbench.imaging.files import read_image, write_image
 from nrbench.jit import load_kernels
 from nrbench.lattice.relation import lattice_error
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
 from nrbench.running.pace import Step
@@ -295,23 +290,6 @@ def picture_units(folder: Path) -> float:
     return median_units(handle) / 100
 
 
-def time_correlation(options: argparse.Namespace) -> None:
-    """Print the cost of the autocorrelation and of scikit-image's, and their difference in the first channel."""
-    for side in (128, 256, 512):
-        image, mask = sampled("brick", side).image, np.ones((side, side), bool)
-
-        def peer(planes: np.ndarray, mask: np.ndarray = mask) -> list[np.ndarray]:
-            return [cross_correlate_masked(each, each, mask, mask, overlap_ratio=0) for each in planes]
-
-        planes = np.moveaxis(image, 2, 0)
-        ours = median_units(lambda image=image: half_autocorrelation(image))
-        theirs = median_units(lambda planes=planes, peer=peer: peer(planes), 3)
-        exact = peer(planes[:1].astype(np.float64))[0][:, side - 1 :]
-        inner = np.s_[side - 1 - side // 2 : side + side // 2, : side // 2 + 1]
-        difference = np.abs(half_autocorrelation(image[..., :1]) - exact)[inner].max()
-        print(f"  {side:4} px: {ours:7.1f} u, scikit-image {theirs:9.1f} u, difference {difference:.1e}", flush=True)
-
-
 SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "methods": time_methods,
     "outputs": time_outputs,
@@ -321,7 +299,6 @@ SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "commands": time_commands,
     "pictures": time_pictures,
     "overhead": time_overhead,
-    "correlation": time_correlation,
 }
 
 

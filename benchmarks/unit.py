@@ -9,45 +9,31 @@ from collections.abc import Callable
 import numpy as np
 from scipy import fft
 
+_IMAGE = np.random.default_rng(0).random((1024, 1024), np.float32)
 
-def median_seconds(call: Callable[[], object], repeats: int = 7) -> float:
-    """Return the median wall seconds of a call, after one that warms up."""
-    call()
-    taken = []
-    for _ in range(repeats):
-        start = time.perf_counter()
+
+def _seconds(call: Callable[[], object], times: int = 1) -> float:
+    """Return the CPU seconds of a call, the mean of some times."""
+    start = time.process_time()
+    for _ in range(times):
         call()
-        taken.append(time.perf_counter() - start)
-    return statistics.median(taken)
+    return (time.process_time() - start) / times
 
 
-def machine_unit() -> float:
-    """Return u: the median seconds of a forward and inverse `rfft2` of a 1024 x 1024 float32 array, one thread."""
-    image = np.random.default_rng(0).random((1024, 1024), np.float32)
-    return median_seconds(lambda: fft.irfft2(fft.rfft2(image), image.shape), 15)
+def _transform() -> object:
+    return fft.irfft2(fft.rfft2(_IMAGE), _IMAGE.shape)
 
 
 def cpu_unit() -> float:
-    """Return u in CPU seconds: the least of five."""
-    image = np.random.default_rng(0).random((1024, 1024), np.float32)
-    taken = []
-    for _ in range(5):
-        start = time.process_time()
-        fft.irfft2(fft.rfft2(image), image.shape)
-        taken.append(time.process_time() - start)
-    return min(taken)
+    """Return u: CPU seconds of a forward and inverse `rfft2` of 1024 x 1024 float32, the least of five."""
+    return min(_seconds(_transform) for _ in range(5))
 
 
 def median_units(call: Callable[[], object], repeats: int = 7) -> float:
     """Return the median CPU time of a call, after one that warms up, each over that of a unit taken right before it."""
-    image = np.random.default_rng(0).random((1024, 1024), np.float32)
     call()
     ratios = []
     for _ in range(repeats):
-        start = time.process_time()
-        for _ in range(3):
-            fft.irfft2(fft.rfft2(image), image.shape)
-        middle = time.process_time()
-        call()
-        ratios.append((time.process_time() - middle) / (middle - start) * 3)
+        unit = _seconds(_transform, 3)
+        ratios.append(_seconds(call) / unit)
     return statistics.median(ratios)

@@ -41,9 +41,9 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.files import read_image
 from nrbench.metrics.perception import limits
 from nrbench.metrics.quality import PERILS, Quality
+from nrbench.pictures.files import read_image
 from nrbench.plugins.forms import Again, Observation, Refused, Shape, Task, Texture
 from nrbench.streams import stream
 from nrbench.suites.cell import Recipe

@@ -17,10 +17,10 @@ import numpy as np
 
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import list_pictures, read_image, read_shape
 from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.pictures.files import list_pictures, read_image, read_shape
+from nrbench.pictures.truth import TruthTable
 from nrbench.plugins.forms import Region, Shape, Texture
-from nrbench.truth import TruthTable
 
 _ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
 """The keys of a suite's row that are read from ``truth.json``."""
@@ -264,7 +264,7 @@ def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
     Raises
     ------
     BadInput
-        When the table is malformed (see :class:`~nrbench.truth.TruthTable`), or a line names a missing file.
+        When the table is malformed (see :class:`~nrbench.pictures.truth.TruthTable`), or a line names a missing file.
     """
     rows = TruthTable.read(folder).rows
     for name, row in rows.items():

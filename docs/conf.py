@@ -23,7 +23,7 @@ extlinks = {"DOI": ("https://doi.org/%s", "doi:%s")}
 exclude_patterns = ["_build"]
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 3
-suppress_warnings = ["myst.header", "toc.empty_glob"]
+suppress_warnings = ["myst.header"]
 
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
@@ -45,12 +45,12 @@ html_static_path = ["static"]
 html_css_files = ["gallery.css"]
 
 
-def leave_out_missing_pages(app: Sphinx, page: str, text: list[str]) -> None:
-    """Leave out the lists of the gallery's pages where ``docs/make_gallery.py`` has not written them."""
-    if page == "gallery" and not Path(app.srcdir, "gallery").exists():
-        text[0] = text[0].partition("```{toctree}")[0]
+def leave_out_missing_gallery(app: Sphinx, page: str, text: list[str]) -> None:
+    """Leave out the gallery where ``benchmarks/gallery.py`` has not written its pages."""
+    if page == "user" and not any(Path(app.srcdir, "gallery", "perils").glob("*.md")):
+        text[0] = text[0].partition("## Gallery")[0]
 
 
 def setup(app: Sphinx) -> None:
     """Connect to Sphinx."""
-    app.connect("source-read", leave_out_missing_pages)
+    app.connect("source-read", leave_out_missing_gallery)

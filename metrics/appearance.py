@@ -161,44 +161,75 @@ def _learn_looks(
     sample_shape: Shape,
     from_sample: bool,
 ) -> LooksModel:
-    """Learn how a texture looks from the features of fresh draws, or of its sample."""
-    scale = _looks_scale()
+    """Learn how a texture looks from the features of fresh draws, or of its sample alone."""
     planes = [sample_planes(look, net.points) for look in looks]
-    means = np.concatenate([_cut_means(look, 1) for look in looks])
-    mean, detail = means.mean(0), np.concatenate([_cut_means(each, 1) for each in details]).mean(0)
-    margin, kinds = limits.OF_SAMPLE_LOOKS if from_sample else limits.OF_LOOKS, {}
-    strips = [groups for groups in _group_windows(planes, net, 1, from_sample) if len(groups) > 1]
-    rests = [
-        (group, np.concatenate([other for other in groups if other is not group]))
-        for groups in strips
-        for group in groups
-    ]
-    lacked = [_lack(group, rest[:, _OCTAVES].min(0)) for group, rest in rests]
-    least = np.min([rest[:, _OCTAVES].min(0) for _, rest in rests], 0) if rests else np.full(2, -np.inf)
-    for name, size in _SIZES.items():
-        sets = [[group - mean for group in groups] for groups in _group_windows(planes, net, size, from_sample)]
+    windows = {name: _group_windows(planes, net, size, from_sample) for name, size in _SIZES.items()}
+    mean, detail = (np.concatenate([_cut_means(each, 1) for each in maps]).mean(0) for maps in (looks, details))
+    if from_sample:
+        margin, unseen = limits.OF_SAMPLE_LOOKS, limits.UNSEEN_TONES
+        wholes = _wholes_of_sample(looks[0], details[0])
+    else:
+        margin, unseen = limits.OF_LOOKS, 1.0
+        side = min(max(round(a / b), 1) for a, b in zip(net.shape, sample_shape, strict=True))
+        wholes = _wholes_of_draws(looks, details, mean, detail, side)
+    kinds = _learn_windows(windows, mean, margin, unseen) | wholes
+    least, lacked = _learn_lack(windows["local"])
+    return LooksModel(mean, detail, kinds, least, margin * max(limits.LACK, lacked), net)
+
+
+def _learn_windows(
+    windows: Mapping[str, list[list[Looks]]], mean: Looks, margin: float, unseen: float
+) -> dict[str, _Kind]:
+    """Return the kinds of windows of each size of which the references show enough; the wider of their sets counts."""
+    kinds: dict[str, _Kind] = {}
+    for name, sets in windows.items():
         if any(sum(map(len, groups)) < _LEAST_WINDOWS or len(groups) < 2 for groups in sets):
             break
-        unseen = limits.UNSEEN_TONES if from_sample else 1.0
-        found = [_learn_kind(scale, groups, limits.LEAST_LOCAL, margin, unseen) for groups in sets]
+        departures = [[group - mean for group in groups] for groups in sets]
+        found = [_learn_kind(_looks_scale(), groups, limits.LEAST_LOCAL, margin, unseen) for groups in departures]
         kinds[name] = max(found, key=lambda kind: kind.largest)
-    quarters = [_cut_means(look, 2) - own for look, own in zip(looks, means, strict=True)]
-    if from_sample:
-        spread, uneven = _strip_covariance(looks[0]), scale.invert(limits.UNEVEN_QUARTERS * _strip_covariance(looks[0]))
-        usual = max(scale.measure(quarters[0], uneven).max(), limits.LEAST_OF_SAMPLE)
-        kinds["quarters"] = _Kind(scale, uneven, limits.OF_MEANS * usual)
-        whole = scale.invert(limits.UNEVEN_WHOLE * spread)
-        kinds["whole"] = _Kind(scale, whole, limits.OF_MEANS * limits.LEAST_OF_SAMPLE)
-        fine = _detail_scale().invert(limits.UNEVEN_WHOLE * _strip_covariance(details[0]))
-        kinds["detail"] = _Kind(_detail_scale(), fine, limits.OF_LOOKS * limits.LEAST_WHOLE)
-    else:
-        side = min(max(round(a / b), 1) for a, b in zip(net.shape, sample_shape, strict=True))
-        kinds["quarters"] = _learn_kind(scale, quarters, limits.LEAST_WHOLE, limits.OF_MEANS)
-        crops = np.concatenate([_cut_means(look, side) - mean for look in looks])[:, np.newaxis]
-        kinds["whole"] = _learn_kind(scale, [*crops], limits.LEAST_WHOLE, limits.OF_WHOLE)
-        crops = np.concatenate([_cut_means(each, side) - detail for each in details])[:, np.newaxis]
-        kinds["detail"] = _learn_kind(_detail_scale(), [*crops], limits.LEAST_WHOLE, limits.OF_LOOKS)
-    return LooksModel(mean, detail, kinds, least, margin * max([limits.LACK, *lacked]), net)
+    return kinds
+
+
+def _learn_lack(sets: list[list[Looks]]) -> tuple[Looks, float]:
+    """Return the least levels of octaves of windows, and how far those of one group lie below those of the others."""
+    least, lacked = [], [0.0]
+    for groups in (groups for groups in sets if len(groups) > 1):
+        for k, group in enumerate(groups):
+            least.append(np.concatenate([*groups[:k], *groups[k + 1 :]])[:, _OCTAVES].min(0))
+            lacked.append(_lack(group, least[-1]))
+    return np.min(least, 0) if least else np.full(2, -np.inf), max(lacked)
+
+
+def _wholes_of_draws(
+    looks: Sequence[NDArray[np.float32]],
+    details: Sequence[NDArray[np.float32]],
+    mean: Looks,
+    detail: Looks,
+    side: int,
+) -> dict[str, _Kind]:
+    """Return the kinds of quarters, whole and detail: each draw against the others, cut into ``side`` x ``side``."""
+    quarters = [_cut_means(look, 2) - _cut_means(look, 1) for look in looks]
+    parts = np.concatenate([_cut_means(look, side) - mean for look in looks])[:, np.newaxis]
+    fine = np.concatenate([_cut_means(each, side) - detail for each in details])[:, np.newaxis]
+    return {
+        "quarters": _learn_kind(_looks_scale(), quarters, limits.LEAST_WHOLE, limits.OF_MEANS),
+        "whole": _learn_kind(_looks_scale(), [*parts], limits.LEAST_WHOLE, limits.OF_WHOLE),
+        "detail": _learn_kind(_detail_scale(), [*fine], limits.LEAST_WHOLE, limits.OF_LOOKS),
+    }
+
+
+def _wholes_of_sample(look: NDArray[np.float32], detail: NDArray[np.float32]) -> dict[str, _Kind]:
+    """Return the kinds of quarters, whole and detail, as far as the strips of a sample show how its means vary."""
+    scale, fine, spread = _looks_scale(), _detail_scale(), _strip_covariance(look)
+    uneven, whole = (scale.invert(share * spread) for share in (limits.UNEVEN_QUARTERS, limits.UNEVEN_WHOLE))
+    usual = float(scale.measure(_cut_means(look, 2) - _cut_means(look, 1), uneven).max())
+    fine_whole = fine.invert(limits.UNEVEN_WHOLE * _strip_covariance(detail))
+    return {
+        "quarters": _Kind(scale, uneven, limits.OF_MEANS * max(usual, limits.LEAST_OF_SAMPLE)),
+        "whole": _Kind(scale, whole, limits.OF_MEANS * limits.LEAST_OF_SAMPLE),
+        "detail": _Kind(fine, fine_whole, limits.OF_LOOKS * limits.LEAST_WHOLE),
+    }
 
 
 def _strip_covariance(planes: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -345,15 +376,6 @@ def _score(observation: Observation) -> Score:
     pictures = {} if line is None else {"seam": draw_line(observation.output, line)}
     records = {"reference": "sample" if observation.again is None else "fresh draws"}
     return Score(values, reasons, pictures, records)
-
-
-def fresh_images(observation: Observation, number: int) -> list[Image]:
-    """Return up to ``number`` fresh draws of the output's shape; none of a photograph."""
-    if observation.again is None:
-        return []
-    shape = (observation.output.shape[0], observation.output.shape[1])
-    draws = [observation.again(shape, FIRST_DRAW + k) for k in range(number)]
-    return [draw.image for draw in draws if draw is not None]
 
 
 # Seams, and the border of a tile that claims to be seamless.

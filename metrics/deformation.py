@@ -51,7 +51,7 @@ class DeformationAmplitude:
     fresh draws, the whole output is also compared with one of them.
 
     The tracker follows smooth displacements with slopes up to about 0.3, to within 10 % up to an amplitude of 0.25 s
-    (see docs/validation.md). Above that tiles lock onto their neighbors and the amplitude saturates.
+    (see docs/measurements/validation.md). Above that tiles lock onto their neighbors and the amplitude saturates.
     Parts of a tile that move independently count by their mean. A region that is displaced by a whole lattice vector
     does not count as displaced.
     """

@@ -18,9 +18,9 @@ from nrbench.plugins.forms import Column, Observation, Score
 
 from .judgment.examination import examine
 from .judgment.texture_reference import STRIPS, CannotTell, TextureReference
+from .judgment.tile_population import gather_tiles
 from .perception import limits
 from .perception.visible import tint_places
-from .randomness import gather_tiles
 from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.followed import FollowedPicture
 from .registration.lattice_net import LatticeNet, Mask, Values, fold_cells, split_cells

@@ -15,7 +15,7 @@ import numpy as np
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Column, Observation, Score
 
-from .appearance import fresh_images
+from .judgment.texture_reference import fresh_images
 
 piq: Any = lazy_loader.load("piq", error_on_import=False)
 torch: Any = lazy_loader.load("torch", error_on_import=False)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import gray
 from nrbench.plugins.forms import Column, Observation, Score
 
-from .appearance import fresh_images
+from .judgment.texture_reference import fresh_images
 
 plenoptic: Any = lazy_loader.load("plenoptic", error_on_import=False)
 torch: Any = lazy_loader.load("torch", error_on_import=False)

@@ -83,7 +83,7 @@ class Changes:
         if self.baseline is None:
             return []
         changes = self.compare(run)
-        texts = {"changes.md": self.markdown(changes), "changes.json": json.dumps(changes.as_dict(), indent=1) + "\n"}
+        texts = {"changes.md": changes.markdown(), "changes.json": json.dumps(changes.as_dict(), indent=1) + "\n"}
         for name, text in texts.items():
             write_text(directory / name, text)
         return [directory / name for name in texts]
@@ -99,23 +99,6 @@ class Changes:
         baseline = Run(self.baseline or Path())
         _ = baseline.info
         return compare_runs(baseline, run, self.columns)
-
-    def text(self, changes: RunChanges) -> str:
-        """Return the changes as a plain table with aligned columns."""
-        rows = [HEADS, *(change.cells for change in changes.changes)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-        lines.insert(1, "─" * max(map(len, lines)))
-        title = f"{changes.first.root} -> {changes.second.root}"
-        return "\n".join([title, "", *lines, "", fill(LEGEND, 110), *map(strip_control, changes.notes)])
-
-    def markdown(self, changes: RunChanges) -> str:
-        """Return the changes as a Markdown table for a pull request."""
-        rows = [HEADS, ["---"] * len(HEADS), *([*map(escape_markdown, change.cells)] for change in changes.changes)]
-        table = [f"| {' | '.join(row)} |" for row in rows]
-        title = f"**{escape_markdown(str(changes.first.root))} → {escape_markdown(str(changes.second.root))}**"
-        notes = [f"- {escape_markdown(line)}" for line in changes.notes]
-        return "\n".join([title, "", *table, "", LEGEND, *(["", *notes] if notes else [])]) + "\n"
 
 
 @dataclass(frozen=True)
@@ -257,6 +240,23 @@ class RunChanges:
         """Return the table and the notes as HTML, for notebooks."""
         table = pd.DataFrame([change.cells for change in self.changes], columns=HEADS).to_html(index=False)
         return table + "".join(f"<p>{html.escape(strip_control(note))}</p>" for note in (LEGEND, *self.notes))
+
+    def text(self) -> str:
+        """Return the changes as a plain table with aligned columns."""
+        rows = [HEADS, *(change.cells for change in self.changes)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        lines.insert(1, "─" * max(map(len, lines)))
+        title = f"{self.first.root} -> {self.second.root}"
+        return "\n".join([title, "", *lines, "", fill(LEGEND, 110), *map(strip_control, self.notes)])
+
+    def markdown(self) -> str:
+        """Return the changes as a Markdown table for a pull request."""
+        rows = [HEADS, ["---"] * len(HEADS), *([*map(escape_markdown, change.cells)] for change in self.changes)]
+        table = [f"| {' | '.join(row)} |" for row in rows]
+        title = f"**{escape_markdown(str(self.first.root))} → {escape_markdown(str(self.second.root))}**"
+        notes = [f"- {escape_markdown(line)}" for line in self.notes]
+        return "\n".join([title, "", *table, "", LEGEND, *(["", *notes] if notes else [])]) + "\n"
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it for JSON."""

@@ -16,8 +16,8 @@ import numpy as np
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, match_channels
-from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Synthesis, Task, require_lattice
 from nrbench.plugins.parameters import checked_label
 from nrbench.plugins.registry import NamedDetector

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, match_channels
-from nrbench.imaging.files import read_image
+from nrbench.pictures.files import read_image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.plugins.parameters import checked_label
 from nrbench.storage import user_path

@@ -28,7 +28,7 @@ def faulty() -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def faulty_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any, Any], Any]:
     """Return a function that runs a suite with the plugins that misbehave, and reads the run back."""
-    from nrbench.api import run
+    from nrbench import run
 
     def execute(suite: Any, options: Any) -> Any:
         with registered_faults():

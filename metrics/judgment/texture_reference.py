@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.plugins.forms import Again, Shape, Texture
+from nrbench.plugins.forms import Again, Observation, Shape, Texture
 
 from ..perception import limits
 from ..perception.visible import Lab, perceive
@@ -176,6 +176,15 @@ def perceive_draws(again: Again, shape: Shape) -> tuple[Texture, list[Lab]]:
     if len(found) < DRAWS:
         raise CannotTell(f"not applicable: the texture's dataset gives no fresh draw of {shape[1]}x{shape[0]} px")
     return found[0], [perceive(quantize(draw.image)) for draw in found]
+
+
+def fresh_images(observation: Observation, number: int) -> list[Image]:
+    """Return up to ``number`` fresh draws of the output's shape; none of a photograph."""
+    if observation.again is None:
+        return []
+    shape = (observation.output.shape[0], observation.output.shape[1])
+    draws = [observation.again(shape, FIRST_DRAW + k) for k in range(number)]
+    return [draw.image for draw in draws if draw is not None]
 
 
 @lru_cache(maxsize=2)

@@ -2,31 +2,44 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import io
+import os
+import resource
+import signal
+import subprocess
+import sys
+import traceback
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack, redirect_stderr
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import psutil
+
 from nrbench import plugins
-from nrbench.authoring import plugin_checks
-from nrbench.authoring.plugin_checks import CLAUSES, MARK, MARKUP, Clause
-from nrbench.errors import BadInput
+from nrbench.authoring.plugin_checks import CHECKS, MARK, MARKUP, Subject, demand_of, earlier_clause
+from nrbench.errors import BadInput, describe_error
+from nrbench.plugins.forms import Refused
 from nrbench.plugins.parameters import nearest
-from nrbench.running.guard import Limits
+from nrbench.running.guard import Limits, explain_exit
+from nrbench.running.output_checks import InvalidOutput
+from nrbench.running.phases import FAULTS
 from nrbench.running.runner import Options, execute
-from nrbench.running.supervisor import InProcessRunner, RequestRunner, Supervisor
-from nrbench.running.worker import Request
-from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import temporary_folder, write_json
+from nrbench.running.supervisor import worker_environment
+from nrbench.storage import leave_user_folder, read_json, temporary_folder, working_folder, write_json
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import validated_suite
 
 LIMITS = Limits(120.0, 4096.0)
 """The limits of one clause, where no others are given."""
-CHECK = f"{plugin_checks.__name__}.{plugin_checks.check.__name__}"
-"""The name of the phase that checks a clause."""
+START = 120.0
+"""Seconds that a child may take to start and to import a plugin."""
+SHOWN = 4000
+"""Most characters of a log that are kept."""
+Verdict = Literal["pass", "fail", "skip"]
 
 
 @dataclass(frozen=True)
@@ -47,7 +60,7 @@ class Conformance:
 
     clause: str
     demand: str
-    verdict: Literal["pass", "fail", "skip"]
+    verdict: Verdict
     reason: str
     log: str = ""
 
@@ -72,8 +85,8 @@ def check_plugin(
     limits
         The limits of one clause.
     here
-        Whether the clauses run in this process, for tests and debuggers; the clause that needs two interpreters is then
-        skipped. Otherwise each clause runs in a child process of its own.
+        Whether the clauses run in this process, for tests and debuggers. Otherwise each clause runs in a child process
+        of its own.
     only
         Names of the clauses to check, with those that they depend on; empty: all.
 
@@ -95,62 +108,104 @@ def check_plugin(
     """
     plugins.build(kind, name, parameters or {})
     clauses = _choose(kind, only)
-    with ExitStack() as stack:
-        place = stack.enter_context(temporary_folder())
-        run = make_example_run(place / "run") if kind == "reports" else ""
-        subject = {"kind": kind, "name": name, "parameters": dict(parameters or {}), "run": str(run)}
-        supervisors = [] if here else [stack.enter_context(Supervisor(forks=forks)) for forks in (True, False)]
-        runners: list[RequestRunner] = [*supervisors] or [InProcessRunner()]
+    with temporary_folder() as place:
+        run = str(make_example_run(place / "run")) if kind == "reports" else ""
+        subject = Subject(kind, name, dict(parameters or {}), run, tuple(map(str, plugins.files())))
+        check = check_clause if here else partial(_check_in_child, limits=limits, place=place)
         missed: set[str] = set()
         for clause in clauses:
-            folder = place / clause.name.replace(" ", "-")
-            write_json(folder / "cell.json", {**subject, "clause": clause.name})
-            if clause.after in missed:
-                result = Result(status="refused", message=f"depends on the clause {clause.after!r}")
+            earlier = earlier_clause(kind, clause)
+            if earlier in missed:
+                found = Conformance(clause, demand_of(kind, clause), "skip", f"depends on the clause {earlier!r}")
             else:
-                result = _examine(clause, Request(CHECK, str(folder), limits.seconds, limits.mib), runners)
-            if result["status"] != "ok":
-                missed.add(clause.name)
-            yield _conformance(clause, result, folder)
+                found = check(subject, clause)
+            if found.verdict != "pass":
+                missed.add(clause)
+            yield found
 
 
-def _choose(kind: str, only: Collection[str]) -> list[Clause]:
+def _choose(kind: str, only: Collection[str]) -> list[str]:
     """Return the clauses of these names and those that they depend on."""
-    known = {clause.name: clause for clause in CLAUSES[kind]}
+    known = CHECKS[kind]
     wanted: set[str] = set()
-    for name in only or known:
+    for name in [name.replace("-", " ") for name in only] or known:
         if name not in known:
             raise BadInput(f"clause {name!r} of {plugins.FORMS[kind].noun}s is not known{nearest(name, known)}")
         while name and name not in wanted:
             wanted.add(name)
-            name = known[name].after
-    return [clause for clause in CLAUSES[kind] if clause.name in wanted]
+            name = earlier_clause(kind, name)
+    return [name for name in known if name in wanted]
 
 
-def _examine(clause: Clause, request: Request, runners: list[RequestRunner]) -> Result:
-    """Check a clause by the first runner, or by two of them whose answers must be equal."""
-    if clause.twice and len(runners) < 2:
-        return {"status": "refused", "message": "needs two interpreters"}
-    answers = []
-    for runner in runners[: 1 + clause.twice]:
-        result = runner.run(request).result
-        if result["status"] != "ok":
-            return result
-        answers.append(result["message"])
-    if len(set(answers)) > 1:
-        why = "another interpreter gave another answer (sets, hash() or ids of objects?)"
-        return {"status": "invalid", "message": why}
-    return {"status": "ok", "message": clause.demand if clause.twice else answers[0]}
+def check_clause(subject: Subject, clause: str) -> Conformance:
+    """Check one clause in this process."""
+    demand = demand_of(subject.kind, clause)
+    try:
+        seen = CHECKS[subject.kind][clause](subject)
+    except Refused as refusal:
+        return Conformance(clause, demand, "skip", refusal.reason)
+    except FAULTS as error:
+        reason = str(error) if isinstance(error, InvalidOutput) else describe_error(error)
+        return Conformance(clause, demand, "fail", " ".join(reason.split()), traceback.format_exc()[-SHOWN:])
+    return Conformance(clause, demand, "pass", seen or demand)
 
 
-def _conformance(clause: Clause, result: Result, folder: Path) -> Conformance:
-    status = result["status"]
-    reason = " ".join((result["message"] or "ended without an answer").split())
-    if status in ("ok", "refused"):
-        return Conformance(clause.name, clause.demand, "pass" if status == "ok" else "skip", reason)
-    if status in ("timeout", "memory", "crash"):
-        reason = f"{status}: {reason}"
-    return Conformance(clause.name, clause.demand, "fail", reason, CellFolder(folder).log_tail())
+def _check_in_child(subject: Subject, clause: str, limits: Limits, place: Path) -> Conformance:
+    """Check one clause in a new interpreter, whose files lie in a folder."""
+    folder = place / clause
+    folder.mkdir()
+    program = f"from {__name__} import check_alone; check_alone(*__import__('sys').argv[1:])"
+    words = [subject.to_json(), clause, working_folder(), str(folder), str(limits.seconds), str(limits.mib)]
+    with (folder / "log.txt").open("w+b") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-c", program, *words],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            env={**worker_environment(), "TMPDIR": str(folder)},
+            start_new_session=True,
+        )
+        try:
+            code = process.wait(START + limits.seconds)
+        except subprocess.TimeoutExpired:
+            code = -signal.SIGALRM
+        finally:  # end the child and all that it has started
+            with contextlib.suppress(OSError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        log.seek(0)
+        printed = log.read().decode("utf-8", "replace")
+    found = read_json(folder / "answer.json")
+    if found is not None:
+        log_end = (printed + found["log"])[-SHOWN:] if found["verdict"] == "fail" else ""
+        return Conformance(**{**found, "log": log_end})
+    late = f"timeout: took longer than {limits.seconds:g} s; raise --timeout if it may"
+    reason = late if code == -signal.SIGALRM else f"crash: {explain_exit(code)}"
+    return Conformance(clause, demand_of(subject.kind, clause), "fail", reason, printed[-SHOWN:])
+
+
+def check_alone(subject: str, clause: str, user_folder: str, folder: str, seconds: str, mib: str) -> None:
+    """Check one clause in this process, a child, and write the answer to a file.
+
+    The kernel ends the process when its time is over, and gives it no more memory than it may have.
+
+    Parameters
+    ----------
+    subject
+        The subject in JSON.
+    clause
+        The name of the clause.
+    user_folder, folder
+        The folder from which relative paths start, and that of the answer.
+    seconds, mib
+        The limits, from the import of the plugin on.
+    """
+    checked = Subject.from_json(subject)
+    leave_user_folder(Path(user_folder), Path(folder, "work"))
+    most = getattr(psutil.Process().memory_info(), "data", 0) + int(float(mib) * 2**20)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+    signal.setitimer(signal.ITIMER_REAL, float(seconds))
+    write_json(Path(folder, "answer.json"), dataclasses.asdict(check_clause(checked, clause)))
 
 
 def make_example_run(root: Path) -> Path:
@@ -169,6 +224,6 @@ def make_example_run(root: Path) -> Path:
             for name in names
         ],
     }
-    with redirect_stderr(io.StringIO()):  # the traceback of the method that fails
+    with contextlib.redirect_stderr(io.StringIO()):  # the traceback of the method that fails
         execute(make_plan(validated_suite(suite, "check")), root, Options(jobs=0), lambda step: None)
     return root

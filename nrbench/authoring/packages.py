@@ -11,9 +11,11 @@ from collections.abc import Mapping
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Annotated
 
 from nrbench import plugins
 from nrbench.errors import BadInput
+from nrbench.flags import ARGUMENT, Flag
 from nrbench.plugins.parameters import nearest
 
 KINDS: Mapping[str, str] = {
@@ -24,6 +26,9 @@ KINDS: Mapping[str, str] = {
     "report": "reports",
 }
 """The words for one plugin of each kind, and the keys of :data:`nrbench.plugins.FORMS`."""
+Kind = Annotated[str, Flag(ARGUMENT, choices=tuple(KINDS))]
+PluginName = Annotated[str, Flag(ARGUMENT)]
+NewFolder = Annotated["str | os.PathLike[str] | None", Flag("-o", "DIR", kind=Path)]
 TRIALS: Mapping[str, str] = {
     "synthesizer": "nrbench run default -m $name",
     "detector": "nrbench lattice picture.png -d $name",
@@ -38,7 +43,7 @@ _RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com",
 """Names that no file has on Windows."""
 
 
-def new_plugin(kind: str, name: str, folder: str | os.PathLike[str] | None = None) -> list[Path]:
+def new_plugin(kind: Kind, name: PluginName, folder: NewFolder = None) -> list[Path]:
     """Write a package with one plugin, which works and passes ``nrbench check``.
 
     Parameters
@@ -48,7 +53,7 @@ def new_plugin(kind: str, name: str, folder: str | os.PathLike[str] | None = Non
     name
         The name of the plugin: lower-case letters, digits, ``-`` and ``_``.
     folder
-        The new folder; by default ``name`` in the working directory.
+        The new folder.  [default: NAME]
 
     Returns
     -------

@@ -1,8 +1,9 @@
 """What a plugin of each kind must do: one function for each clause, which ``nrbench check`` and tests share.
 
-A clause is a function that receives a :class:`Subject`: the plugin, and small inputs on which it is tried. It returns
-what was seen, in a few words, or None. It raises InvalidOutput if the plugin does something else,
-and Refused if the clause does not apply. Its docstring says what a plugin must do.
+The check of a clause is a plain function of a :class:`Subject`, the plugin that is checked. It returns what was seen,
+in a few words, or None. It raises InvalidOutput if the plugin does something else, and Refused if the clause does not
+apply. Its docstring says what a plugin must do. :data:`CHECKS` lists the functions, and :data:`FIXTURES` the small
+inputs on which the plugins of each kind are tried.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import json
 import os
 import random
 import re
+import subprocess
 import sys
 import tempfile
 import threading
@@ -21,7 +23,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +35,10 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins import forms
 from nrbench.plugins.forms import Refused
 from nrbench.running.output_checks import InvalidOutput, check_source, checked_synthesis
-from nrbench.running.phases import FAULTS, Send, freeze, leaves, score_observation, write_score
+from nrbench.running.phases import FAULTS, freeze, leaves, score_observation, write_score
 from nrbench.running.preparing import briefly_prepared
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder
-from nrbench.storage import read_json
 from nrbench.streams import stream
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import draw_texture
@@ -64,23 +65,23 @@ def demand(holds: Any, message: str) -> None:
 
 @dataclass(frozen=True)
 class Subject:
-    """A plugin that is checked. Subclasses know how a plugin of their kind is called.
+    """A plugin that is checked.
 
     Parameters
     ----------
-    name, parameters
-        The plugin's name, and the parameters that differ from its defaults.
+    kind, name, parameters
+        The plugin, and the parameters that differ from its defaults.
     run
         Directory of a finished run, for reports.
+    files
+        The files of plugins that another interpreter has to load.
     """
 
+    kind: str
     name: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
     run: str = ""
-
-    kind: ClassVar[str] = ""
-    first: ClassVar[tuple[str, str]] = ("", "")
-    """The clause of a valid answer, on which most others depend, and what it demands."""
+    files: tuple[str, ...] = ()
 
     @cached_property
     def plugin(self) -> Any:
@@ -92,82 +93,44 @@ class Subject:
         """The class of the plugin."""
         return type(self.plugin)
 
-    make_input: ClassVar[Callable[..., Any]]
-    """Return an input of its own seed; further arguments depend on the kind."""
-    call: ClassVar[Callable[..., Any]]
-    """Return the plugin's answer to an input."""
-    describe: ClassVar[Callable[..., str]]
-    """Check the answer to an input; return it in a few words. Refused and errors of the plugin pass."""
-
     def answer(self, seed: int = 0) -> Any:
         """Return the plugin's answer to the input of a seed."""
-        return self.call(self.make_input(seed))
+        fixture = FIXTURES[self.kind]
+        return fixture.call(self, fixture.make_input(self, seed))
+
+    def check_answer(self, **changes: Any) -> str:
+        """Check the answer to a changed input; return it in a few words. Refused and errors of the plugin pass."""
+        return FIXTURES[self.kind].check_answer(self, **changes)
+
+    def to_json(self) -> str:
+        """Return the subject as JSON, for another interpreter."""
+        return json.dumps({item.name: getattr(self, item.name) for item in dataclasses.fields(self)}, default=str)
+
+    @classmethod
+    def from_json(cls, text: str) -> Subject:
+        """Return the subject of :meth:`to_json`, and load its files."""
+        content = json.loads(text)
+        for file in content["files"]:
+            plugins.add_file(file)
+        return cls(**content)
 
 
-@dataclass(frozen=True)
-class Clause:
-    """One clause of a form.
-
-    Parameters
-    ----------
-    name
-        A word or two.
-    demand
-        What a plugin must do, in one sentence.
-    test
-        The function that checks it.
-    after
-        The clause that a plugin must fulfill for this one to make sense; empty if there is none.
-    twice
-        Whether ``test`` runs in two interpreters; it returns a hash, and both must be equal.
-    """
-
-    name: str
-    demand: str
-    test: Callable[[Any], str | None]
-    after: str = ""
-    twice: bool = False
-
-
-CLAUSES: dict[str, list[Clause]] = {kind: [] for kind in plugins.FORMS}
-"""The clauses of each kind, in the order in which they are tested."""
-_Test = TypeVar("_Test", bound=Callable[[Any], str | None])
-
-
-def clause(
-    name: str, *subjects: type[Subject], after: str | None = None, twice: bool = False
-) -> Callable[[_Test], _Test]:
-    """Declare a function as a clause.
+class Fixture(NamedTuple):
+    """How plugins of one kind are tried.
 
     Parameters
     ----------
-    name
-        The name of the clause.
-    subjects
-        The kinds of plugins that it is for.
-    after, twice
-        See :class:`Clause`. By default a clause depends on that of a valid answer.
+    make_input
+        Returns an input from a subject and a seed; further arguments depend on the kind.
+    call
+        Returns the plugin's answer to an input.
+    check_answer
+        Checks the answer to an input, which keyword arguments change, and returns the answer in a few words.
     """
 
-    def declare(test: _Test) -> _Test:
-        for subject in subjects:
-            before = subject.first[0] if after is None else after
-            what = (test.__doc__ or "").partition("\n")[0].removeprefix("Check that ")
-            CLAUSES[subject.kind].append(Clause(name, what[:1].upper() + what[1:], test, before, twice))
-        return test
-
-    return declare
-
-
-def check(folder: Path, send: Send) -> None:
-    """Check the clause that ``cell.json`` names, and send what was seen, as a phase of :mod:`nrbench.running.phases`.
-
-    InvalidOutput is raised if the clause is violated, Refused if it does not apply.
-    """
-    wanted = read_json(CellFolder(folder).cell_file) or {}
-    subject = SUBJECTS[wanted["kind"]](wanted["name"], wanted["parameters"], wanted["run"])
-    (chosen,) = (each for each in CLAUSES[wanted["kind"]] if each.name == wanted["clause"])
-    send({"status": "ok", "message": chosen.test(subject) or chosen.demand})
+    make_input: Callable[..., Any]
+    call: Callable[[Subject, Any], Any]
+    check_answer: Callable[..., str]
 
 
 # ---------------------------------------------------------------------------------------------------- the inputs
@@ -217,209 +180,179 @@ def digest(answer: Any) -> str:
 # -------------------------------------------------------------------------------------- the plugins of each kind
 
 
-class SynthesizerSubject(Subject):
-    """A synthesizer."""
+def uses_lattice(method: Subject) -> bool:
+    """Return whether a method uses a lattice."""
+    return bool(getattr(method.plugin, "uses_lattice", True))
 
-    kind = "synthesizers"
-    first = ("output", "The output has the shape, the channels and the range of an image.")
 
-    @property
-    def uses_lattice(self) -> bool:
-        """Whether the method uses a lattice."""
-        return bool(getattr(self.plugin, "uses_lattice", True))
+def make_task(method: Subject, seed: int = 0, channels: int = 3, **changes: Any) -> forms.Task:
+    """Return a task; ``changes`` are fields of :class:`~nrbench.plugins.forms.Task`."""
+    wall, again, recompose = draw_wall(seed, channels)
+    fields: dict[str, Any] = {
+        "sample": wall.image.copy(),
+        "lattice": wall.lattice if uses_lattice(method) else None,
+        "shape": OUTPUT,
+        "rng": stream("check", seed, "method"),
+        **changes,
+    }
+    if getattr(method.cls, "reference", False):
+        fields |= {"again": again, "recompose": recompose}
+    return forms.Task(**fields)
 
-    def make_input(self, seed: int = 0, channels: int = 3, **changes: Any) -> forms.Task:
-        """Return a task; ``changes`` are fields of :class:`~nrbench.plugins.forms.Task`."""
-        wall, again, recompose = draw_wall(seed, channels)
-        fields: dict[str, Any] = {
-            "sample": wall.image.copy(),
-            "lattice": wall.lattice if self.uses_lattice else None,
-            "shape": OUTPUT,
-            "rng": stream("check", seed, "method"),
-            **changes,
-        }
-        if getattr(self.cls, "reference", False):
-            fields |= {"again": again, "recompose": recompose}
-        return forms.Task(**fields)
 
-    def call(self, given: forms.Task) -> forms.Synthesis:
-        """Return the synthesis of a task."""
-        with briefly_prepared(self.plugin, given, 0) as task:
-            return cast("forms.Synthesis", self.plugin.synthesize(task))
+def call_method(method: Subject, given: forms.Task) -> forms.Synthesis:
+    """Return the synthesis of a task."""
+    with briefly_prepared(method.plugin, given, 0) as task:
+        return cast("forms.Synthesis", method.plugin.synthesize(task))
 
-    def describe(self, **changes: Any) -> str:
-        """Check all but the source map."""
-        task = self.make_input(**changes)
-        made = self.call(task)
-        bare = dataclasses.replace(made, source=None) if isinstance(made, forms.Synthesis) else made
-        height, width, channels = checked_synthesis(bare, task.sample, task.shape).image.shape
-        return f"{width}x{height} px, channels: {channels}, {_numbers(made.lattice)}"
+
+def verify_output(method: Subject, **changes: Any) -> str:
+    """Check that the output has the shape, the channels and the range of an image."""
+    task = make_task(method, **changes)
+    made = call_method(method, task)
+    bare = dataclasses.replace(made, source=None) if isinstance(made, forms.Synthesis) else made
+    height, width, channels = checked_synthesis(bare, task.sample, task.shape).image.shape
+    return f"{width}x{height} px, channels: {channels}, {_numbers(made.lattice)}"
 
 
 def _numbers(lattice: Lattice | None) -> str:
     return f"lattice {','.join(f'{x:.4g}' for x in lattice.numbers[:4])}" if lattice else "no lattice"
 
 
-class DetectorSubject(Subject):
-    """A detector."""
-
-    kind = "detectors"
-    first = ("detection", "The detector returns a Detection or finds no lattice.")
-
-    def make_input(
-        self, seed: int = 0, channels: int = 3, shape: forms.Shape = OUTPUT, image: Image | None = None
-    ) -> Image:
-        """Return the image of a wall, or a copy of another one."""
-        return (draw_wall(seed, channels, shape)[0].image if image is None else image).copy()
-
-    def call(self, given: Image) -> forms.Detection | None:
-        """Return the detection in an image; None if there is none."""
-        try:
-            return cast("forms.Detection", self.plugin.detect(given))
-        except forms.NoLatticeFound as none:
-            demand(isinstance(none.reason, str) and none.reason, "raised NoLatticeFound without a reason")
-            return None
-
-    def describe(self, **changes: Any) -> str:
-        """Check the types and the confidence."""
-        found: Any = self.call(self.make_input(**changes))
-        if found is None:
-            return "no lattice"
-        demand(isinstance(found, forms.Detection), f"returned {type(found).__name__} instead of a Detection")
-        demand(isinstance(found.lattice, Lattice), f"returned the lattice {found.lattice!r}; it must be a Lattice")
-        share = found.confidence
-        number = isinstance(share, int | float | np.number) and not isinstance(share, bool)
-        demand(number and 0 <= share <= 1, f"returned the confidence {share!r}; it must be a number in [0, 1]")
-        others = isinstance(found.alternatives, tuple) and all(
-            isinstance(o, forms.Alternative) for o in found.alternatives
-        )
-        demand(others, "alternatives must be a tuple of Alternative")
-        return f"{_numbers(found.lattice)}, confidence {share:.2g}"
+def make_image(detector: Subject, seed: int = 0, channels: int = 3, image: Image | None = None) -> Image:
+    """Return the image of a wall, or a copy of another one."""
+    return (draw_wall(seed, channels, OUTPUT)[0].image if image is None else image).copy()
 
 
-class MetricSubject(Subject):
-    """A metric."""
-
-    kind = "metrics"
-    first = ("score", "Every declared column has a value in its range, or None and a reason.")
-
-    def make_input(self, seed: int = 0, channels: int = 3, known: str = "model") -> forms.Observation:
-        """Return a fresh draw as an output. ``known`` is ``"model"``, ``"lattice"`` or ``"nothing"``."""
-        wall, again, _ = draw_wall(seed, channels)
-        sample, output = wall.image.copy(), cast("forms.Texture", again(OUTPUT, 9)).image.copy()
-        if known == "nothing":
-            return forms.Observation(sample, output, None)
-        truth = wall if known == "model" else forms.Texture(sample, wall.lattice, wall.lattices)
-        return forms.Observation(
-            sample,
-            output,
-            truth,
-            lattice_given=wall.lattice,
-            seconds=0.25,
-            cost={"cpu_seconds": 0.25, "peak_mib": 1.0},
-            again=again if known == "model" else None,
-        )
-
-    def call(self, given: forms.Observation) -> forms.Score:
-        """Return the score of an observation."""
-        return score_observation(given, self.name, self.parameters)
-
-    def describe(self, **changes: Any) -> str:
-        """Check that the score is complete and in the declared ranges, and that it can be written."""
-        try:
-            score = self.call(self.make_input(**changes))
-        except (TypeError, ValueError) as error:
-            raise InvalidOutput(describe_error(error)) from error
-        with tempfile.TemporaryDirectory(prefix="nrbench-") as folder:
-            write_score(CellFolder(Path(folder)), self.name, score)
-        for name, value in score.values.items():
-            low, high = self.cls.columns[name].range
-            demand(value is None or low <= value <= high, f"{name} is {value}, outside its range {low} to {high}")
-        return (
-            f"{sum(value is not None for value in score.values.values())} of {len(score.values)} columns have a value"
-        )
+def call_detector(detector: Subject, given: Image) -> forms.Detection | None:
+    """Return the detection in an image; None if there is none."""
+    try:
+        return cast("forms.Detection", detector.plugin.detect(given))
+    except forms.NoLatticeFound as none:
+        demand(isinstance(none.reason, str) and none.reason, "raised NoLatticeFound without a reason")
+        return None
 
 
-class DatasetSubject(Subject):
-    """A dataset."""
-
-    kind = "datasets"
-    first = ("texture", "The texture has the shape, the channels and the range.")
-
-    def recipe(self, seed: int = 0, shape: forms.Shape = SAMPLE) -> Recipe:
-        """Return the recipe of a draw."""
-        return Recipe(self.name, plugins.parameters_of(self.plugin), seed, "check", 0, shape)
-
-    def make_input(self, seed: int = 0, **changes: Any) -> tuple[Recipe, forms.Texture]:
-        """Return a recipe, and its texture."""
-        recipe = self.recipe(seed, **changes)
-        return recipe, recipe.render()
-
-    def call(self, given: tuple[Recipe, forms.Texture]) -> Any:
-        """Return the texture, and fresh draws of it."""
-        recipe, texture = given
-        recompose = recipe.recompose(texture)
-        return texture, recipe.again(texture)(SAMPLE, 0), recompose(SAMPLE, 0) if recompose else None
-
-    def valid(self, shape: forms.Shape = SAMPLE) -> forms.Texture:
-        """Return a checked texture."""
-        try:
-            return draw_texture(self.recipe(shape=shape), shape)[0]
-        except BadInput as error:
-            raise InvalidOutput(str(error)) from None
-
-    def describe(self, **changes: Any) -> str:
-        """Check the shape, the channels and the range."""
-        texture = self.valid(**changes)
-        height, width, channels = texture.image.shape
-        return f"{width}x{height} px, channels: {channels}, {_numbers(texture.lattice)}"
+def verify_detection(detector: Subject, **changes: Any) -> str:
+    """Check that the detector returns a Detection or finds no lattice."""
+    found: Any = call_detector(detector, make_image(detector, **changes))
+    if found is None:
+        return "no lattice"
+    demand(isinstance(found, forms.Detection), f"returned {type(found).__name__} instead of a Detection")
+    demand(isinstance(found.lattice, Lattice), f"returned the lattice {found.lattice!r}; it must be a Lattice")
+    share = found.confidence
+    number = isinstance(share, int | float | np.number) and not isinstance(share, bool)
+    demand(number and 0 <= share <= 1, f"returned the confidence {share!r}; it must be a number in [0, 1]")
+    others = isinstance(found.alternatives, tuple) and all(
+        isinstance(other, forms.Alternative) for other in found.alternatives
+    )
+    demand(others, "alternatives must be a tuple of Alternative")
+    return f"{_numbers(found.lattice)}, confidence {share:.2g}"
 
 
-class ReportSubject(Subject):
-    """A report."""
-
-    kind = "reports"
-    first = ("files", "The report returns the paths of the files that it wrote.")
-
-    def make_input(self, seed: int = 0, **changes: Any) -> Path:
-        """Return the directory of the run."""
-        return Path(self.run)
-
-    def call(self, given: Path) -> dict[str, bytes]:
-        """Return the files of the report by name, or by their whole path if they lie outside its folder."""
-        with tempfile.TemporaryDirectory(prefix="check-", dir=given) as place:
-            folder = Path(place, "report").resolve()
-            folder.mkdir()
-            paths = self.plugin.write(Run(given), folder)
-            listed = not isinstance(paths, str) and hasattr(paths, "__iter__")
-            demand(listed, f"write returned {type(paths).__name__}; return the paths of the files")
-            files = {}
-            for path in paths:
-                demand(isinstance(path, str | Path), f"write returned {path!r}; return the paths of the files")
-                file = Path(path).resolve()
-                demand(file.is_file(), f"write returned {path}, but there is no such file")
-                files[str(file.relative_to(folder) if file.is_relative_to(folder) else file)] = file.read_bytes()
-        return files
-
-    def describe(self, **changes: Any) -> str:
-        """Check that there are files."""
-        files = self.answer()
-        demand(files, "wrote no file, or did not return its path")
-        return ", ".join(f"{name} ({len(content) / 1024:.1f} KiB)" for name, content in list(files.items())[:3])
+def make_observation(metric: Subject, seed: int = 0, channels: int = 3, known: str = "model") -> forms.Observation:
+    """Return a fresh draw as an output. ``known`` is ``"model"``, ``"lattice"`` or ``"nothing"``."""
+    wall, again, _ = draw_wall(seed, channels)
+    sample, output = wall.image.copy(), cast("forms.Texture", again(OUTPUT, 9)).image.copy()
+    if known == "nothing":
+        return forms.Observation(sample, output, None)
+    return forms.Observation(
+        sample,
+        output,
+        wall if known == "model" else forms.Texture(sample, wall.lattice, wall.lattices),
+        lattice_given=wall.lattice,
+        seconds=0.25,
+        cost={"cpu_seconds": 0.25, "peak_mib": 1.0},
+        again=again if known == "model" else None,
+    )
 
 
-SUBJECTS: Mapping[str, type[Subject]] = {
-    subject.kind: subject
-    for subject in (SynthesizerSubject, DetectorSubject, MetricSubject, DatasetSubject, ReportSubject)
-}
-_ALL = tuple(SUBJECTS.values())
+def call_metric(metric: Subject, given: forms.Observation) -> forms.Score:
+    """Return the score of an observation."""
+    return score_observation(given, metric.name, metric.parameters)
+
+
+def verify_score(metric: Subject, **changes: Any) -> str:
+    """Check that every declared column has a value in its range, or None and a reason."""
+    try:
+        scored = call_metric(metric, make_observation(metric, **changes))
+    except (TypeError, ValueError) as error:
+        raise InvalidOutput(describe_error(error)) from error
+    with tempfile.TemporaryDirectory(prefix="nrbench-") as folder:
+        write_score(CellFolder(Path(folder)), metric.name, scored)
+    for name, value in scored.values.items():
+        low, high = metric.cls.columns[name].range
+        demand(value is None or low <= value <= high, f"{name} is {value}, outside its range {low} to {high}")
+    known = sum(value is not None for value in scored.values.values())
+    return f"{known} of {len(scored.values)} columns have a value"
+
+
+def make_recipe(model: Subject, seed: int = 0, shape: forms.Shape = SAMPLE) -> Recipe:
+    """Return the recipe of a draw."""
+    return Recipe(model.name, plugins.parameters_of(model.plugin), seed, "check", 0, shape)
+
+
+def make_draw(model: Subject, seed: int = 0) -> tuple[Recipe, forms.Texture]:
+    """Return a recipe, and its texture."""
+    recipe = make_recipe(model, seed)
+    return recipe, recipe.render()
+
+
+def call_dataset(model: Subject, given: tuple[Recipe, forms.Texture]) -> Any:
+    """Return the texture, and fresh draws of it."""
+    recipe, texture = given
+    recompose = recipe.recompose(texture)
+    return texture, recipe.again(texture)(SAMPLE, 0), recompose(SAMPLE, 0) if recompose else None
+
+
+def checked_texture(model: Subject, shape: forms.Shape = SAMPLE) -> forms.Texture:
+    """Return a checked texture."""
+    try:
+        return draw_texture(make_recipe(model, 0, shape), shape)[0]
+    except BadInput as error:
+        raise InvalidOutput(str(error)) from None
+
+
+def verify_texture(model: Subject) -> str:
+    """Check that the texture has the shape, the channels and the range."""
+    texture = checked_texture(model)
+    height, width, channels = texture.image.shape
+    return f"{width}x{height} px, channels: {channels}, {_numbers(texture.lattice)}"
+
+
+def find_example_run(report: Subject, seed: int = 0) -> Path:
+    """Return the directory of the run."""
+    return Path(report.run)
+
+
+def call_report(report: Subject, given: Path) -> dict[str, bytes]:
+    """Return the files of the report by name, or by their whole path if they lie outside its folder."""
+    with tempfile.TemporaryDirectory(prefix="check-", dir=given) as place:
+        folder = Path(place, "report").resolve()
+        folder.mkdir()
+        paths = report.plugin.write(Run(given), folder)
+        listed = not isinstance(paths, str) and hasattr(paths, "__iter__")
+        demand(listed, f"write returned {type(paths).__name__}; return the paths of the files")
+        files = {}
+        for path in paths:
+            demand(isinstance(path, str | Path), f"write returned {path!r}; return the paths of the files")
+            file = Path(path).resolve()
+            demand(file.is_file(), f"write returned {path}, but there is no such file")
+            files[str(file.relative_to(folder) if file.is_relative_to(folder) else file)] = file.read_bytes()
+    return files
+
+
+def verify_files(report: Subject) -> str:
+    """Check that the report returns the paths of the files that it wrote."""
+    files = report.answer()
+    demand(files, "wrote no file, or did not return its path")
+    return ", ".join(f"{name} ({len(content) / 1024:.1f} KiB)" for name, content in list(files.items())[:3])
 
 
 # ------------------------------------------------------------------------------- clauses of plugins of all kinds
 
 
-@clause("parameters", *_ALL, after="")
-def parameters_survive(subject: Subject) -> str:
+def verify_parameters(subject: Subject) -> str:
     """Check that parameters survive JSON and text."""
     known = plugins.parameters_of(subject.plugin)
     try:
@@ -448,8 +381,7 @@ def _as_text(value: Any) -> str | None:
     return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
-@clause("docstring", *_ALL, after="")
-def docstring_describes_parameters(subject: Subject) -> str:
+def verify_docstring(subject: Subject) -> str:
     """Check that the docstring describes every parameter."""
     page = inspect.getdoc(subject.cls) or ""
     section = re.split(r"(?m)^Parameters\n-+\n", page, maxsplit=1)[1:]
@@ -460,8 +392,7 @@ def docstring_describes_parameters(subject: Subject) -> str:
     return page.partition("\n")[0]
 
 
-@clause("paper", *_ALL, after="")
-def paper_is_bibtex(subject: Subject) -> str:
+def verify_paper(subject: Subject) -> str:
     """Check that the paper, if there is one, is a BibTeX entry."""
     text = inspect.cleandoc(str(getattr(subject.cls, "paper", "")))
     if not text:
@@ -473,12 +404,7 @@ def paper_is_bibtex(subject: Subject) -> str:
     return found[1]
 
 
-for _subject in _ALL:
-    CLAUSES[_subject.kind].append(Clause(*_subject.first, lambda subject: subject.describe()))
-
-
-@clause("determinism", *_ALL)
-def answers_are_repeated(subject: Subject) -> str:
+def verify_determinism(subject: Subject) -> str:
     """Check that the same input gives the same bytes."""
     first = hash_seeded(subject)
     hash_seeded(subject, 5)
@@ -486,16 +412,30 @@ def answers_are_repeated(subject: Subject) -> str:
     return "same input, same bytes, also after another input"
 
 
-@clause("processes", *_ALL, after="determinism", twice=True)
 def hash_seeded(subject: Subject, seed: int = 0) -> str:
-    """Check that two interpreters give the same bytes."""
+    """Return a hash of a plugin's answer, with global generators of an equal state: only other randomness counts."""
     np.random.seed(1)  # noqa: NPY002
-    random.seed(1)  # only other randomness makes a difference
+    random.seed(1)
     return digest(subject.answer(seed))
 
 
-@clause("randomness", *_ALL)
-def global_generators_stay(subject: Subject) -> None:
+def verify_processes(subject: Subject) -> None:
+    """Check that two interpreters give the same bytes."""
+    program = f"from {__name__} import print_hash; print_hash()"
+    environment = {**os.environ, "PYTHONHASHSEED": "7"}
+    found = subprocess.run(
+        [sys.executable, "-c", program, subject.to_json()], stdout=subprocess.PIPE, text=True, env=environment
+    )
+    same = found.stdout.split()[-1:] == [hash_seeded(subject)]
+    demand(same, "another interpreter gave another answer (sets, hash() or ids of objects?)")
+
+
+def print_hash() -> None:
+    """Print the hash of the answer of the subject that the argument of the process holds."""
+    print(hash_seeded(Subject.from_json(sys.argv[1])))
+
+
+def verify_randomness(subject: Subject) -> None:
     """Check that all randomness comes from the generator that is passed in."""
     np.random.seed(1)  # noqa: NPY002
     random.seed(1)
@@ -516,8 +456,7 @@ def _changed_by(subject: Subject, look: Callable[[], Mapping[str, Any]]) -> str:
     return " and ".join(name for name in before if before[name] != after[name])
 
 
-@clause("side effects", *_ALL)
-def surroundings_stay(subject: Subject) -> None:
+def verify_side_effects(subject: Subject) -> None:
     """Check that nothing outside of the plugin changes."""
     subject.answer()  # imports and caches of the first call are no side effects
     threads = set(threading.enumerate())
@@ -542,24 +481,22 @@ def _listed(files: Iterator[Path]) -> dict[str, tuple[int, int]]:
     return {str(file): (file.stat().st_mtime_ns, file.stat().st_size) for file in files if file.exists()}
 
 
-@clause("read-only", SynthesizerSubject, DetectorSubject, MetricSubject, DatasetSubject)
-def input_stays(subject: Subject) -> None:
+def verify_read_only(subject: Subject) -> None:
     """Check that the input is not changed."""
     try:
-        subject.call(freeze(subject.make_input()))
+        FIXTURES[subject.kind].call(subject, freeze(FIXTURES[subject.kind].make_input(subject)))
     except ValueError as error:
         if "read-only" not in str(error):
             raise
         raise InvalidOutput(f"writes into its input: {describe_error(error)}; copy the array first") from None
 
 
-@clause("gray", SynthesizerSubject, DetectorSubject, MetricSubject)
-def gray_images_work(subject: Subject) -> str:
+def verify_gray(subject: Subject) -> str:
     """Check that images of one channel work."""
-    return subject.describe(channels=1)
+    return subject.check_answer(channels=1)
 
 
-def describe_cases(subject: Subject, cases: Mapping[str, Mapping[str, Any]], instead: str) -> str:
+def check_cases(subject: Subject, cases: Mapping[str, Mapping[str, Any]], instead: str) -> str:
     """Check the answers to odd inputs; each is valid, or refused with a reason.
 
     Parameters
@@ -574,7 +511,7 @@ def describe_cases(subject: Subject, cases: Mapping[str, Mapping[str, Any]], ins
     refused = 0
     for name, changes in cases.items():
         try:
-            subject.describe(**changes)
+            subject.check_answer(**changes)
         except Refused as refusal:
             demand(isinstance(refusal.reason, str) and refusal.reason, f"{name}: refused without a reason")
             refused += 1
@@ -588,19 +525,17 @@ def describe_cases(subject: Subject, cases: Mapping[str, Mapping[str, Any]], ins
 # -------------------------------------------------------------------------------------------------- synthesizers
 
 
-@clause("own lattice", SynthesizerSubject)
-def lattice_is_found(method: SynthesizerSubject) -> str:
+def verify_own_lattice(method: Subject) -> str:
     """Check that without a given lattice the method finds it or refuses."""
-    if not method.uses_lattice:
+    if not uses_lattice(method):
         raise Refused("uses no lattice")
-    return method.describe(lattice=None)
+    return method.check_answer(lattice=None)
 
 
-@clause("source map", SynthesizerSubject, after="read-only")
-def source_map_is_true(method: SynthesizerSubject) -> str:
+def verify_source_map(method: Subject) -> str:
     """Check that pixels that the source map calls copies equal their sources."""
-    task = method.make_input()
-    made = method.call(task)
+    task = make_task(method)
+    made = call_method(method, task)
     if made.source is None:
         raise Refused("gives no source map")
     source = np.asarray(made.source, np.float32)
@@ -608,8 +543,7 @@ def source_map_is_true(method: SynthesizerSubject) -> str:
     return f"{np.mean(source[..., 2] > 1 - 1e-6):.0%} of the pixels are copies, all equal to their sources"
 
 
-@clause("refusals", SynthesizerSubject)
-def odd_inputs_are_refused(method: SynthesizerSubject) -> str:
+def verify_refusals(method: Subject) -> str:
     """Check that an input that the method cannot use is refused."""
     wall, noise = draw_wall(0)[0].image.copy(), stream("check", "noise").random((*SAMPLE, 3), np.float32)
     cases: dict[str, dict[str, Any]] = {
@@ -619,17 +553,16 @@ def odd_inputs_are_refused(method: SynthesizerSubject) -> str:
         "an output smaller than the sample": {"shape": (24, 20)},
         "an output of one pixel": {"shape": (1, 1)},
     }
-    if method.uses_lattice:
+    if uses_lattice(method):
         cases["noise, and no lattice given"] = {"sample": quantize(noise), "lattice": None}
         cases["a lattice larger than the sample"] = {"lattice": Lattice((200.0, 0.0), (0.0, 150.0))}
-    return describe_cases(method, cases, "raise Refused")
+    return check_cases(method, cases, "raise Refused")
 
 
-@clause("progress", SynthesizerSubject)
-def progress_rises(method: SynthesizerSubject) -> str:
+def verify_progress(method: Subject) -> str:
     """Check that the reported fractions rise from 0 to 1."""
     seen: list[float] = []
-    method.call(method.make_input(progress=seen.append))
+    call_method(method, make_task(method, progress=seen.append))
     if not seen:
         raise Refused("reports no progress")
     inside = all(isinstance(x, int | float | np.number) and 0 <= x <= 1 for x in seen)
@@ -641,48 +574,43 @@ def progress_rises(method: SynthesizerSubject) -> str:
 # ----------------------------------------------------------------------------------------------------- detectors
 
 
-@clause("no guess", DetectorSubject)
-def one_color_has_no_lattice(detector: DetectorSubject) -> None:
+def verify_no_guess(detector: Subject) -> None:
     """Check that an image of one color has no lattice."""
-    found = detector.describe(image=np.full((*OUTPUT, 3), 0.5, np.float32))
+    found = verify_detection(detector, image=np.full((*OUTPUT, 3), 0.5, np.float32))
     demand(found == "no lattice", f"found {found} in an image of one color; raise NoLatticeFound")
 
 
-@clause("odd images", DetectorSubject, after="no guess")
-def odd_images_raise_nothing(detector: DetectorSubject) -> str:
+def verify_odd_images(detector: Subject) -> str:
     """Check that small images and noise raise no error."""
-    wall = detector.make_input()
+    wall = make_image(detector)
     noise = quantize(stream("check", "noise").random(wall.shape, np.float32))
     images = {"8x8 px": wall[:8, :8], "a strip of 8 px": wall[:8], "noise": noise, "two values": np.rint(noise)}
-    return describe_cases(detector, {name: {"image": image} for name, image in images.items()}, "raise NoLatticeFound")
+    return check_cases(detector, {name: {"image": image} for name, image in images.items()}, "raise NoLatticeFound")
 
 
 # ------------------------------------------------------------------------------------------------------- metrics
 
 
-@clause("little known", MetricSubject)
-def little_is_known(metric: MetricSubject) -> str:
+def verify_little_known(metric: Subject) -> str:
     """Check that without a model or a lattice there are values or reasons."""
     cases = {"no model, as of a photograph": "lattice", "nothing known of the texture": "nothing"}
     changes = {name: {"known": known} for name, known in cases.items()}
-    return describe_cases(metric, changes, "give None and a reason")
+    return check_cases(metric, changes, "give None and a reason")
 
 
 # ------------------------------------------------------------------------------------------------------ datasets
 
 
-@clause("shapes", DatasetSubject)
-def odd_shapes_are_drawn(model: DatasetSubject) -> None:
+def verify_shapes(model: Subject) -> None:
     """Check that strips and odd sizes can be drawn."""
     for shape in ((8, 40), (40, 8), (101, 97)):
-        drawn = model.valid(shape).image.shape
+        drawn = checked_texture(model, shape).image.shape
         demand(max(drawn[:2]) <= max(shape), f"a texture of {shape} has shape {drawn}")
 
 
-@clause("truth", DatasetSubject)
-def truth_fits(model: DatasetSubject) -> str | None:
+def verify_truth(model: Subject) -> str | None:
     """Check that the truth fits the image: shapes, ranges, and the lattice."""
-    texture = model.recipe().render()
+    texture = make_recipe(model).render()
     shape, ideal, moved = texture.image.shape, texture.ideal, texture.displacement
     demand(ideal is None or ideal.shape == shape, f"ideal has another shape than the image, {shape}")
     demand(ideal is None or (ideal.min() >= 0 and ideal.max() <= 1), "ideal has values outside [0, 1]")
@@ -716,11 +644,10 @@ def _repetition_error(ideal: NDArray[np.float64], lattice: Lattice) -> float:
     return max(errors) / (2 * max(float(ideal.var((0, 1)).sum()), 1e-9))
 
 
-@clause("fresh draws", DatasetSubject)
-def fresh_draws_fit(model: DatasetSubject) -> None:
+def verify_fresh_draws(model: Subject) -> None:
     """Check that fresh draws have the requested shape, and the same lattice and origin."""
-    texture = model.valid()
-    draws = [model.recipe().again(texture)(OUTPUT, k) for k in (0, 1)]
+    texture = checked_texture(model)
+    draws = [make_recipe(model).again(texture)(OUTPUT, k) for k in (0, 1)]
     if draws[0] is None:
         raise Refused("gives no fresh draws; the oracle refuses the texture")
     for drawn in draws:
@@ -731,7 +658,7 @@ def fresh_draws_fit(model: DatasetSubject) -> None:
             demand(same, f"a draw has another lattice: {lattice} after {known}")
             away = np.hypot(*known.wrap(np.subtract(cast("Lattice", lattice).origin, known.origin)))
             demand(away < 1e-6, f"a draw has another origin: {cast('Lattice', lattice).origin} after {known.origin}")
-    recompose = model.recipe().recompose(texture)
+    recompose = make_recipe(model).recompose(texture)
     if recompose is not None:
         _check_draw(recompose(OUTPUT, 0), texture)
 
@@ -747,8 +674,7 @@ def _check_draw(drawn: object, texture: forms.Texture) -> None:
 # ------------------------------------------------------------------------------------------------------- reports
 
 
-@clause("inside", ReportSubject)
-def files_lie_inside(report: ReportSubject) -> None:
+def verify_inside(report: Subject) -> None:
     """Check that all files lie in the folder that is passed."""
     root = Path(report.run)
     before = _listed(path for path in root.rglob("*") if path.is_file())
@@ -758,17 +684,15 @@ def files_lie_inside(report: ReportSubject) -> None:
     demand(after == before, "changes other files of the run; write into the folder that is passed")
 
 
-@clause("no results", ReportSubject)
-def empty_run_is_reported(report: ReportSubject) -> None:
+def verify_no_results(report: Subject) -> None:
     """Check that a run without results can be reported."""
     with tempfile.TemporaryDirectory(prefix="nrbench-") as place:
         Path(place, "cells").mkdir()
         Path(place, "run.json").write_bytes(Path(report.run, "run.json").read_bytes())
-        report.call(Path(place))
+        call_report(report, Path(place))
 
 
-@clause("markup", ReportSubject)
-def names_are_escaped(report: ReportSubject) -> None:
+def verify_markup(report: Subject) -> None:
     """Check that names and messages are escaped."""
     files = {name: content for name, content in report.answer().items() if Path(name).suffix.lower() in MARKUP}
     if not files:
@@ -780,8 +704,7 @@ def names_are_escaped(report: ReportSubject) -> None:
         demand(not unchanged, f"{name} contains {active!r} of a name unchanged; escape names and messages")
 
 
-@clause("terminal", ReportSubject)
-def terminal_report_is_text(report: ReportSubject) -> str:
+def verify_terminal(report: Subject) -> str:
     """Check that a report for the terminal returns text."""
     if not getattr(report.cls, "terminal", False):
         raise Refused("is not printed after a run; set `terminal: ClassVar[bool] = True` if it is to be")
@@ -792,3 +715,55 @@ def terminal_report_is_text(report: ReportSubject) -> str:
     text = made.render(Run(Path(report.run)))
     demand(isinstance(text, str), f"render returned {type(text).__name__} instead of text")
     return f"{len(text.splitlines())} lines"
+
+
+# ------------------------------------------------------------------------------------------------------ the lists
+
+FIXTURES: Mapping[str, Fixture] = {
+    "synthesizers": Fixture(make_task, call_method, verify_output),
+    "detectors": Fixture(make_image, call_detector, verify_detection),
+    "metrics": Fixture(make_observation, call_metric, verify_score),
+    "datasets": Fixture(make_draw, call_dataset, verify_texture),
+    "reports": Fixture(find_example_run, call_report, verify_files),
+}
+"""How plugins of each kind are tried."""
+Check = Callable[[Subject], str | None]
+_PAGE: tuple[Check, ...] = (verify_parameters, verify_docstring, verify_paper)
+_REPEATED: tuple[Check, ...] = (verify_determinism, verify_processes, verify_randomness, verify_side_effects)
+_CHECKS: Mapping[str, tuple[Check, ...]] = {
+    "synthesizers": (
+        *(*_PAGE, verify_output, *_REPEATED, verify_read_only, verify_gray),
+        *(verify_own_lattice, verify_source_map, verify_refusals, verify_progress),
+    ),
+    "detectors": (
+        *(*_PAGE, verify_detection, *_REPEATED, verify_read_only, verify_gray),
+        *(verify_no_guess, verify_odd_images),
+    ),
+    "metrics": (*_PAGE, verify_score, *_REPEATED, verify_read_only, verify_gray, verify_little_known),
+    "datasets": (*_PAGE, verify_texture, *_REPEATED, verify_read_only, verify_shapes, verify_truth, verify_fresh_draws),
+    "reports": (
+        *(*_PAGE, verify_files, *_REPEATED),
+        *(verify_inside, verify_no_results, verify_markup, verify_terminal),
+    ),
+}
+CHECKS: Mapping[str, Mapping[str, Check]] = {
+    kind: {check.__name__.removeprefix("verify_").replace("_", " "): check for check in checks}
+    for kind, checks in _CHECKS.items()
+}
+"""The checks of each kind by the name of their clause, in the order in which they run."""
+_AFTER = {"processes": "determinism", "source map": "read only", "odd images": "no guess"}
+
+
+def earlier_clause(kind: str, clause: str) -> str:
+    """Return the clause that a plugin must fulfill for another one to make sense; empty if there is none.
+
+    The clauses about the answers of a plugin depend on that of a valid answer.
+    """
+    valid = next(name for name, check in CHECKS[kind].items() if check is FIXTURES[kind].check_answer)
+    return "" if CHECKS[kind][clause] in (*_PAGE, CHECKS[kind][valid]) else _AFTER.get(clause, valid)
+
+
+def demand_of(kind: str, clause: str) -> str:
+    """Return what a clause demands, in one sentence."""
+    what = (CHECKS[kind][clause].__doc__ or "").partition("\n")[0].removeprefix("Check that ")
+    return what[:1].upper() + what[1:]

@@ -1,4 +1,4 @@
-"""What the command ``lattice`` does: detect, compare, straighten, and draw lattices."""
+"""What the command ``lattice`` does: detect, compare, straighten, draw and print lattices."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import textwrap
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,22 +14,33 @@ import click
 import numpy as np
 
 from nrbench import plugins
-from nrbench.api import as_lattice, follow_bent_lattice
-from nrbench.cli.lattice_results import LatticeResult
+from nrbench.api.arguments import as_lattice
+from nrbench.api.surveying import (
+    SHOWN,
+    Survey,
+    candidate_dict,
+    draw_candidates,
+    known_vectors,
+    lattice_text,
+    rank_candidates,
+    vector_texts,
+)
+from nrbench.api.textures import follow_bent_lattice
+from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import write_image
-from nrbench.imaging.overlays import contact_sheet, draw_lattice, draw_overlay, draw_segments, stack
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import NoLatticeFound
+from nrbench.pictures.files import read_image, write_image
+from nrbench.pictures.overlays import contact_sheet, draw_lattice, draw_overlay, draw_segments, stack
+from nrbench.plugins.forms import Alternative, Detection, NoLatticeFound
 from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_aside
-from nrbench.suites.surveying import Survey, draw_candidates, lattice_text
 
 if TYPE_CHECKING:
     from nrbench.tracking.bent_lattice import Deformation
+    from nrbench.views.deformed import Followed
 
 LETTERS = 38
 """Number of letters on a line of a caption."""
@@ -36,16 +48,136 @@ LARGEST = 1024
 """px; a larger image is followed only if ``--straighten`` is given, because it takes long."""
 
 
-def survey_folder(folder: Path, detector: str, output: Path | None, least: float, existing: str, as_json: bool) -> int:
+@dataclass(frozen=True)
+class LatticeResult:
+    """The result of a detector or of the user: a lattice, or why there is none.
+
+    ``detection`` is that of a detector. ``has_origin`` says whether the origin is known. ``seconds`` is set in a
+    comparison. ``failed`` marks a detector that raised an error. ``deformation`` is that of a bent image, of which
+    ``lattice`` is the mean lattice, and ``detection`` what the detector found in the straightened image, whose own
+    lattice is ``straightened`` if it was written. ``detector`` is empty if a lattice was given that was followed.
+    """
+
+    detector: str
+    lattice: Lattice | None
+    detection: Detection | None = None
+    reason: str = ""
+    has_origin: bool = False
+    seconds: float | None = None
+    failed: bool = False
+    deformation: Deformation | None = None
+    straightened: Lattice | None = None
+
+    @classmethod
+    def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> LatticeResult:
+        """Return the result of a detector."""
+        return cls(detector, detection.lattice, detection, has_origin=detection.has_origin, seconds=seconds)
+
+    @classmethod
+    def of_followed(cls, detector: str, followed: Followed, straightened: Lattice | None = None) -> LatticeResult:
+        """Return the mean lattice of an image that may be bent; its origin is known if the image was straightened."""
+        (found, detection), known = followed, straightened is not None
+        if detection is not None:
+            detection = replace(detection, lattice=found.lattice, has_origin=known)
+        return cls(detector, found.lattice, detection, has_origin=known, deformation=found, straightened=straightened)
+
+    @property
+    def candidates(self) -> list[Alternative]:
+        """The first candidates of a detector, the chosen lattice among them."""
+        return rank_candidates(self.detection)[:SHOWN] if self.detection else []
+
+    @property
+    def vectors(self) -> str:
+        """The two vectors, and the origin where it is known, as text."""
+        return ", ".join(vector_texts(self.lattice, self.has_origin)) if self.lattice else ""
+
+    def print(self, as_json: bool) -> None:
+        """Print the result on standard output."""
+        if as_json:
+            print(json.dumps(self.as_dict()))
+        elif self.lattice is None:
+            print(f"no lattice: {self.reason}")
+        else:
+            found = self.vectors if self.deformation is None else describe_deformation(self.deformation)
+            confidence = "" if self.detection is None else f", confidence {self.detection.confidence:.3f}"
+            print(f"{found}{self.detector and f', {self.detector}'}{confidence}")
+            for number, each in enumerate(self.candidates[1:], 2):
+                vectors = ", ".join(vector_texts(each.lattice, each.has_origin))
+                print(f"candidate {number}: {vectors}, {each.relation}, confidence {each.confidence:.3f}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the lattice for JSON, with the alternatives and the probabilities of a detector; or the reason."""
+        if self.lattice is None:
+            return {"lattice": None, "reason": self.reason}
+        found: dict[str, Any] = dict(known_vectors(self.lattice, self.has_origin))
+        if self.detector:
+            found |= {"detector": self.detector, "confidence": self.detection and self.detection.confidence}
+        if self.detection is not None:
+            probabilities = self.detection.probabilities
+            found["probabilities"] = probabilities and probabilities._asdict()
+            found["alternatives"] = [candidate_dict(each) for each in self.detection.alternatives]
+        if self.deformation is not None:
+            straight = {"straightened": self.straightened.as_dict()} if self.straightened else {}
+            found["deformation"] = {**self.deformation.as_dict(), **straight}
+        return found
+
+    def comparison_dict(self) -> dict[str, Any]:
+        """Return the entry of a comparison for JSON."""
+        head = {} if self.lattice else {"detector": self.detector}
+        seconds = {} if self.seconds is None else {"seconds": self.seconds}
+        return {**head, **self.as_dict(), **seconds, **({"error": True} if self.failed else {})}
+
+    def rows(self) -> list[str]:
+        """Return the lines of a comparison's table: one for each of the first candidates, or why there is none."""
+        seconds = "-" if self.seconds is None else f"{self.seconds:.3f}"
+        if self.lattice is None:
+            why = self.reason if self.failed else f"no lattice: {self.reason}"
+            return [f"{self.detector:<12} {'-':<20} {'-':<20} {'-':>10} {seconds:>8}  {why}"]
+        lines = []
+        for number, candidate in enumerate(self.candidates, 1):
+            t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in (candidate.lattice.t1, candidate.lattice.t2))
+            name, cost = (self.detector, seconds) if number == 1 else (f"  {number}", "")
+            line = f"{name:<12} {t1:<20} {t2:<20} {candidate.confidence:>10.3f} {cost:>8}  {candidate.relation}"
+            lines.append(line.rstrip())
+        return lines
+
+
+def describe_deformation(found: Deformation) -> str:
+    """Return the mean lattice and the deformation in one line of text."""
+    vectors = ", ".join(vector_texts(found.lattice, has_origin=False))
+    if not found.covered:
+        return f"{vectors}, could not be followed: whether the image is bent is not known"
+    if not found.bent:
+        return f"{vectors}, not bent"
+    kind = "smooth displacements" if found.homography is None else "a homography (perspective)"
+    return f"mean lattice {vectors}, bent by {kind} of amplitude {found.amplitude:.2f} s"
+
+
+def answer_question(asked: LatticeQuestion) -> int:
+    """Print and draw what was asked; return the exit code, which is 1 if a detector failed."""
+    if asked.image.is_dir():
+        return _survey_folder(asked)
+    image = read_image(asked.image)
+    if asked.every:
+        return _compare_detectors(image, asked)
+    if asked.straighten:
+        _straighten_picture(image, asked, asked.straighten)
+    elif asked.pick or asked.lattice is not None:
+        _show_given(image, asked)
+    else:
+        _show_detection(image, asked)
+    return 0
+
+
+def _survey_folder(asked: LatticeQuestion) -> int:
     """Detect the lattices of a folder; return 1 if a picture could not be read or the detector failed, else 0."""
-    if output is not None and (output.suffix.lower() == ".png" or output.is_file()):
-        raise BadInput(f"-o {output}: {folder} is a folder of pictures; give a directory for truth.csv")
-    survey = Survey(folder, detector, output, least, existing)
+    existing = "keep" if asked.keep else "replace" if asked.force else "refuse"
+    survey = Survey(asked.image, asked.spec, asked.output, asked.least, existing)
     load_kernels()
     with live_progress() as progress:
         survey.run(progress)
     failed = sum(each.failed for each in survey.findings)
-    if as_json:
+    if asked.as_json:
         pictures = [each.as_dict() for each in survey.findings]
         content = {"truth": str(survey.table), "sheets": [str(page) for page in survey.pages], "pictures": pictures}
         print(json.dumps(content, indent=1))
@@ -63,18 +195,18 @@ def survey_folder(folder: Path, detector: str, output: Path | None, least: float
     return int(failed > 0)
 
 
-def print_given(image: Image, numbers: str | None, output: Path | None, as_json: bool) -> None:
+def _show_given(image: Image, asked: LatticeQuestion) -> None:
     """Print and draw the user's lattice, given as numbers or picked on a page."""
-    if numbers is None:
+    if asked.lattice is None:
         from nrbench.cli.lattice_picking import pick
 
         lattice, has_origin = pick(image, lambda address: click.echo(f"open in a browser: {address}", err=True)), True
         _print_numbers(lattice)
     else:
-        lattice, has_origin = Lattice.parse(numbers), numbers.count(",") == 5
-    if output is not None:
-        write_image(output, draw_overlay(image, lattice))
-    LatticeResult("picked" if numbers is None else "given", lattice, has_origin=has_origin).print(as_json)
+        lattice, has_origin = Lattice.parse(asked.lattice), asked.lattice.count(",") == 5
+    if asked.output is not None:
+        write_image(asked.output, draw_overlay(image, lattice))
+    LatticeResult("given" if asked.lattice else "picked", lattice, has_origin=has_origin).print(asked.as_json)
 
 
 def _print_numbers(lattice: Lattice) -> None:
@@ -82,14 +214,12 @@ def _print_numbers(lattice: Lattice) -> None:
     click.echo(f"for other verbs: --lattice {lattice_text(lattice, has_origin=True)}", err=True)
 
 
-def print_detection(
-    image: Image, chosen: str | None, output: Path | None, diagnostics: Path | None, as_json: bool
-) -> None:
+def _show_detection(image: Image, asked: LatticeQuestion) -> None:
     """Print and draw the lattice that one detector finds.
 
     If the default detector finds none, the mean lattice of a bent image is looked for.
     """
-    spec = chosen or "consensus"
+    spec = asked.spec
     name, parameters = parse_spec(spec)
     detector = plugins.build("detectors", name, parameters)
     try:
@@ -100,17 +230,17 @@ def print_detection(
     except NoLatticeFound as none:
         result, detection = LatticeResult(name, None, reason=none.reason), none.best
         title = f"{spec}: no lattice: {none.reason}"
-    if result.lattice is None and chosen is None:
+    if result.lattice is None and asked.detector is None:
         with waiting(f"{name} looks for a bent lattice"):
             bent = find_bent_lattice(image, name)
         if bent is not None:
             result, detection = bent, bent.detection
             title = f"{spec}, of the straightened image: {bent.vectors}"
-    if diagnostics is not None:
-        _draw_diagnostics(detection.diagnostics if detection else {}, title, diagnostics)
-    if output is not None:
-        _draw_result(image, result, output)
-    result.print(as_json)
+    if asked.diagnostics is not None:
+        _draw_diagnostics(detection.diagnostics if detection else {}, title, asked.diagnostics)
+    if asked.output is not None:
+        _draw_result(image, result, asked.output)
+    result.print(asked.as_json)
 
 
 def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
@@ -140,7 +270,7 @@ def _draw_diagnostics(diagnostics: Mapping[str, Any], title: str, output: Path) 
         write_aside(output, lambda file: figure.savefig(file, dpi=110, format=output.suffix.lstrip(".") or "png"))
 
 
-def print_comparison(image: Image, output: Path | None, as_json: bool) -> int:
+def _compare_detectors(image: Image, asked: LatticeQuestion) -> int:
     """Print and draw the lattices of all detectors; return 1 if one of them failed, else 0."""
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
@@ -149,9 +279,9 @@ def print_comparison(image: Image, output: Path | None, as_json: bool) -> int:
         for number, name in enumerate(names, 1):
             results.append(_run_detector(image, name))
             progress(number, len(names), name)
-    if output is not None:
-        _draw_comparison(image, results, output)
-    if as_json:
+    if asked.output is not None:
+        _draw_comparison(image, results, asked.output)
+    if asked.as_json:
         print(json.dumps([result.comparison_dict() for result in results], indent=1))
     else:
         print(f"{'detector':<12} {'t1 (px)':<20} {'t2 (px)':<20} {'confidence':>10} {'seconds':>8}")
@@ -187,40 +317,22 @@ def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Pat
     write_image(output, contact_sheet(pictures, captions, columns=3))
 
 
-def straighten_picture(
-    image: Image, spec: str, lattice: str | None, overlay: Path | None, output: Path, as_json: bool
-) -> None:
-    """Print the mean lattice, the deformation and the short list, and write the image with its deformation undone.
-
-    Parameters
-    ----------
-    image
-        The image.
-    spec
-        The detector, with its parameters.
-    lattice
-        The lattice as text; None: it is detected.
-    overlay
-        Where to draw the lattice as it lies in the image; None: nowhere.
-    output
-        Where to write the straight image.
-    as_json
-        Whether to print JSON.
-    """
-    name, parameters = parse_spec(spec)
+def _straighten_picture(image: Image, asked: LatticeQuestion, output: Path) -> None:
+    """Print the mean lattice, the deformation and the short list, and write the image with its deformation undone."""
+    name, parameters = parse_spec(asked.spec)
     try:
-        followed = follow_bent_lattice(image, as_lattice(lattice), name, parameters)
+        followed = follow_bent_lattice(image, as_lattice(asked.lattice), name, parameters)
     except NoLatticeFound as none:
         click.echo(f"{output}: not written, there is no lattice to straighten by", err=True)
-        LatticeResult(name, None, reason=none.reason).print(as_json)
+        LatticeResult(name, None, reason=none.reason).print(asked.as_json)
         return
     straight, straight_lattice = followed.deformation.straighten()
     write_image(output, straight)
-    if overlay is not None:
-        write_image(overlay, draw_deformed_lattice(image, followed.deformation))
+    if asked.output is not None:
+        write_image(asked.output, draw_deformed_lattice(image, followed.deformation))
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
-    LatticeResult.of_followed("" if lattice else name, followed, straight_lattice).print(as_json)
+    LatticeResult.of_followed("" if asked.lattice else name, followed, straight_lattice).print(asked.as_json)
 
 
 def find_bent_lattice(image: Image, detector: str) -> LatticeResult | None:

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from nrbench.imaging.overlays import COLOR
+from nrbench.pictures.overlays import COLOR
 from nrbench.plugins.forms import Curve, Surface
 
 PANEL = (5.6, 4.8)

@@ -15,8 +15,8 @@ from importlib.resources import files
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import encode_png
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
+from nrbench.pictures.files import encode_png
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'"
 MOST_BYTES = 10_000

@@ -19,26 +19,15 @@ import click
 
 COLLECT_AFTER = 500_000
 """New objects after which garbage is collected. Imports alone make about 300 000, and none of them is garbage."""
-VERBS: Mapping[str, tuple[str, str]] = {
-    "run": ("runs", "Run SUITE and print the comparison table."),
-    "plan": ("runs", "List the cells that `run` would reuse and those that it would start."),
-    "report": ("runs", "Write the reports of RUN again from its files."),
-    "status": ("runs", "Print the number of cells of RUN with each status."),
-    "label": ("runs", "Write a page on which people label the outputs of RUN."),
-    "compare": ("comparing", "Compare RUN_B with RUN_A: which scores moved by more than noise."),
-    "site": ("publishing", "Write a static site that compares RUNs, such as those of several people."),
-    "audit": ("auditing", "Tell whether METHOD is better at the published seed of SUITE than at a fresh one."),
-    "list": ("listing", "List plugins and suites."),
-    "show": ("listing", "Show a plugin or a suite."),
-    "synth": ("single_images", "Synthesize a texture of any size from IMAGE."),
-    "sheet": ("sheet", "Show what all methods make of PHOTO on one sheet."),
-    "lattice": ("lattice", "Detect the lattice of IMAGE, or those of all pictures in FOLDER."),
-    "score": ("single_images", "Score any tool's OUTPUT against its SAMPLE."),
-    "render": ("single_images", "Draw the textures of a model or a suite as PNG files."),
-    "check": ("authoring", "Check that PLUGIN fulfils every clause of its form."),
-    "new": ("authoring", "Write a package with a plugin called NAME to start from."),
+VERBS: Mapping[str, str] = {
+    **dict.fromkeys(("run", "plan", "report", "status", "label", "compare", "site", "audit"), "run_commands"),
+    **dict.fromkeys(("list", "show"), "plugin_commands"),
+    "synth": "picture_commands",
+    "sheet": "run_commands",
+    **dict.fromkeys(("lattice", "score", "render"), "picture_commands"),
+    **dict.fromkeys(("check", "new"), "plugin_commands"),
 }
-"""Each verb, the module of :mod:`nrbench.cli` that holds its function ``VERB_command``, and what it does."""
+"""Each verb, and the module of :mod:`nrbench.cli` that holds its function ``VERB_command``."""
 
 COORDINATING = ("run", "plan", "report", "status", "label", "compare", "audit", "list", "show")
 """Verbs whose process imports no plugins of others. The other verbs run one plugin, in their own process."""
@@ -55,15 +44,17 @@ class Verbs(click.Group):
         """Import a verb's module and return its command."""
         if cmd_name not in VERBS:
             return None
-        module = importlib.import_module(f"nrbench.cli.{VERBS[cmd_name][0]}")
+        module = importlib.import_module(f"nrbench.cli.{VERBS[cmd_name]}")
         command = copy.copy(getattr(module, f"{cmd_name}_command"))
         command.callback = partial(_run_verb, cmd_name, command.callback)
         return command  # type: ignore[no-any-return]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write what each verb does, without an import of its module."""
+        """Write what each verb does: the first sentence of its help."""
+        commands = {verb: self.get_command(ctx, verb) for verb in VERBS}
+        texts = {verb: " ".join((command.help or "").split()) for verb, command in commands.items() if command}
         with formatter.section("Commands"):
-            formatter.write_dl([(verb, summary) for verb, (_, summary) in VERBS.items()])
+            formatter.write_dl([(verb, f"{text.partition('. ')[0].rstrip('.')}.") for verb, text in texts.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -1,4 +1,4 @@
-"""Print plans and runs for the commands of :mod:`nrbench.cli.runs`."""
+"""Print plans and runs for the commands of :mod:`nrbench.cli.run_commands`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nrbench import plugins
+from nrbench.api.run_reports import build_report, failures, status_counts, unfinished
 from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.parameters import nearest
-from nrbench.run_api import build_report, failures, status_counts, unfinished
 from nrbench.runs.records import Run
 from nrbench.runs.store import RUN_FILE
 from nrbench.storage import read_json, remove

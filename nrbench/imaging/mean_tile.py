@@ -1,4 +1,4 @@
-"""Fold an image by a lattice into its mean tile, unfold a tile into a periodic image, and cut out single tiles."""
+"""Fold an image by a lattice into its mean tile, and unfold a tile into a periodic image."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from nrbench.imaging.mean_tile_kernels import (
     accumulate_pixels,
     interpolate_image,
     interpolate_tile,
-    spline_coefficients,
-    spline_windows,
 )
-from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.geometry import Lattice
 
 Values = NDArray[np.float32]
 """``float32 (H, W, C)``: like an image, but with any range (a square, a difference)."""
@@ -117,37 +115,3 @@ def interpolate(image: Values, xy: NDArray[np.float64]) -> Values:
     inside = np.clip(xy.reshape(-1, 2), 0, np.array(image.shape[1::-1]) - 1)
     values = interpolate_image(np.require(image, np.float32, ("C", "W")), np.ascontiguousarray(inside, np.float64))
     return values.reshape(*xy.shape[:-1], image.shape[2])
-
-
-def cut_tiles(
-    image: Values, lattice: Lattice, middles: Points, grid: tuple[int, int] | None = None
-) -> tuple[Values, NDArray[np.bool_]]:
-    """Return the image's cells around ``middles`` (x, y), resampled on a tile's grid by cubic splines.
-
-    Parameters
-    ----------
-    image
-        ``(H, W, C)``.
-    lattice
-        Its vectors span the cells; its origin does not matter.
-    middles
-        ``(n, 2)`` px, real-valued.
-    grid
-        Samples (V, U); by default :func:`tile_grid` of the lattice. Tiles that are compared need the same grid.
-
-    Returns
-    -------
-    tiles
-        ``(m, V, U, C)``, for the m cells that lie within the image.
-    inside
-        ``bool (n,)``: True for these cells.
-    """
-    rows, columns = grid or tile_grid(lattice)
-    v, u = np.meshgrid((np.arange(rows) + 0.5) / rows - 0.5, (np.arange(columns) + 0.5) / columns - 0.5, indexing="ij")
-    around = np.stack([u, v], -1) @ lattice.matrix
-    reach = np.abs(around).reshape(-1, 2).max(0)
-    inside = (middles >= reach).all(1) & (middles <= np.array(image.shape[1::-1]) - 1 - reach).all(1)
-    middles = np.ascontiguousarray(middles[inside], np.float64)
-    coefficients = spline_coefficients(np.array(image, np.float32, order="C"))
-    cut = spline_windows(coefficients, middles, np.ascontiguousarray(around.reshape(-1, 2)))
-    return cut.reshape(len(middles), rows, columns, image.shape[2]), inside

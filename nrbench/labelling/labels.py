@@ -23,7 +23,7 @@ from markupsafe import Markup
 from pydantic import TypeAdapter, ValidationError
 
 from nrbench.errors import BadInput
-from nrbench.imaging.files import read_image
+from nrbench.pictures.files import read_image
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RunDirectory
 from nrbench.storage import open_file, read_json, write_json, write_text

@@ -80,7 +80,7 @@ class Texture:
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""
-        from nrbench.imaging.files import encode_png  # reads Pillow, which most plugins do not need
+        from nrbench.pictures.files import encode_png  # reads Pillow, which most plugins do not need
 
         return encode_png(self.image)
 
@@ -417,7 +417,7 @@ class Synthesis:
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""
-        from nrbench.imaging.files import encode_png  # reads Pillow, which most plugins do not need
+        from nrbench.pictures.files import encode_png  # reads Pillow, which most plugins do not need
 
         return encode_png(self.image)
 

@@ -12,7 +12,8 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from nrbench.running.cluster import connect
-from nrbench.running.supervisor import InProcessRunner, close_all, perform_phases, print_notice, run_job
+from nrbench.running.options import print_notice
+from nrbench.running.supervisor import InProcessRunner, close_all, perform_phases, run_job
 from nrbench.running.worker import Request
 from nrbench.runs.store import Result
 

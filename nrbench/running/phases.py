@@ -22,8 +22,8 @@ from nrbench import plugins
 from nrbench.bending.straightening import synthesize_in_geometry
 from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.answers import answer
 from nrbench.plugins.forms import (
     Again,

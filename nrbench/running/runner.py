@@ -8,22 +8,22 @@ import hashlib
 import itertools
 import json
 import stat
-import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.imaging.files import write_image
+from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import FoundLattice
 from nrbench.running.executors import Executor, executor
+from nrbench.running.options import Options as Options
+from nrbench.running.options import print_notice
 from nrbench.running.output_checks import InvalidOutput
 from nrbench.running.pace import Pace, Progress
 from nrbench.running.phases import read_output
-from nrbench.running.supervisor import print_notice
 from nrbench.running.worker import Request
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
@@ -34,52 +34,6 @@ from nrbench.suites.plan import Plan, PlannedSample
 T = TypeVar("T")
 TICK = 0.2
 """Seconds between two checks whether the run is to stop."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """How to run a plan. No option changes a result.
-
-    Parameters
-    ----------
-    jobs
-        Cells at the same time; 0 runs them in this process, without limits, for the debugger.
-    scheduler
-        Address of a Dask scheduler, instead of threads here.
-    timeout
-        Wall seconds of one synthesis, one detection, or one metric.
-    memory
-        MiB that one child may use above the idle worker.
-    retry_failed
-        Run failed cells again.
-    reuse
-        Another run; its results of equal cells are copied.
-    worker_wait
-        Seconds that the cluster of ``scheduler`` may be without a worker. Then the run ends.
-    argv
-        The command line; ``run.json`` records it.
-    tell
-        Called with a sentence that the user should read: that kernels are compiled, that a cluster has no worker.
-    stop
-        Once this event is set no further cell is started; those that are running end, then the run is interrupted.
-
-    Examples
-    --------
-    >>> from nrbench import Options
-    >>> Options(jobs=2, timeout=60.0).memory
-    4096.0
-    """
-
-    jobs: int = 1
-    scheduler: str | None = None
-    timeout: float = 120.0
-    memory: float = 4096.0
-    retry_failed: bool = False
-    reuse: Path | None = None
-    worker_wait: float = 600.0
-    argv: Sequence[str] = ()
-    tell: Callable[[str], None] = print_notice
-    stop: threading.Event = field(default_factory=threading.Event)
 
 
 def is_cached(directory: RunDirectory, cell: Cell, metrics: Iterable[str], retry_failed: bool = False) -> bool:

@@ -8,7 +8,6 @@ import errno
 import os
 import queue
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -23,6 +22,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.running import guard
 from nrbench.running.guard import Message, Reply
+from nrbench.running.options import print_notice
 from nrbench.running.worker import GRACE, Request, perform, read_lines, start_worker
 from nrbench.runs.store import CellFolder, Result
 from nrbench.storage import follow_no_link_below, remove, temporary_folder
@@ -45,11 +45,6 @@ COMPILING = "compiling kernels (once per machine, up to some minutes)"
 """The notice of a worker that compiles kernels."""
 _compiling = threading.Lock()
 """Held from the first notice on, so that a process gives it once."""
-
-
-def print_notice(text: str) -> None:
-    """Print a sentence that the user should read on standard error."""
-    print(f"nrbench: {text}", file=sys.stderr, flush=True)
 
 
 class RequestRunner(Protocol):

@@ -11,14 +11,14 @@ import pytest
 from commands import call
 
 import nrbench
-from nrbench.api import run
+from nrbench import run
+from nrbench.api.run_reports import parse_formats
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
-from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.quality import Quality
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Detection, NoLatticeFound
-from nrbench.run_api import parse_formats
 from nrbench.running.runner import Options
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 import nrbench
-from nrbench.api import run
+from nrbench import run
 from nrbench.cli.main import main
-from nrbench.imaging.files import write_image
+from nrbench.pictures.files import write_image
 from nrbench.running.runner import Options
 from nrbench.running.worker import DEFERRED
 

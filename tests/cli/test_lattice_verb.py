@@ -12,12 +12,11 @@ from candidates import OTHERS, Ranked
 from commands import call
 from numpy.typing import NDArray
 
-from nrbench import plugins
-from nrbench.api import synthesize, texture
+from nrbench import plugins, synthesize, texture
 from nrbench.cli.lattice_picking import lattice_of
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Observation
 from nrbench.suites.cell import Recipe
 

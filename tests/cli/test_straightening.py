@@ -11,13 +11,12 @@ import skimage.io
 from commands import call
 
 import nrbench
-from nrbench.cli.lattice_detection import find_bent_lattice
-from nrbench.cli.lattice_results import describe_deformation
+from nrbench.cli.lattice_detection import describe_deformation, find_bent_lattice
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.files import read_image, write_image
 from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import relate
+from nrbench.pictures.files import read_image, write_image
 from nrbench.tracking.bent_lattice import Deformation
 from nrbench.tracking.homography import map_points
 

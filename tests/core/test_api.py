@@ -11,7 +11,8 @@ import PIL.Image
 import pytest
 
 import nrbench
-from nrbench.api import as_lattice, score
+from nrbench.api.arguments import as_lattice
+from nrbench.api.textures import score
 from nrbench.errors import BadInput, describe_error, storage_fault, strip_control
 from nrbench.lattice.geometry import Lattice
 
@@ -47,7 +48,7 @@ def test_what_is_no_lattice_is_refused(given: Any, message: str) -> None:
 @pytest.mark.parametrize("output_form", ["gray", "alpha", "color"])
 def test_score_takes_gray_in_any_form(monkeypatch: pytest.MonkeyPatch, sample_form: str, output_form: str) -> None:
     """A gray picture may be stored with opaque alpha or in color: metrics see both images with the same channels."""
-    monkeypatch.setattr("nrbench.api.score_observation_by", lambda observation, *rest: observation)
+    monkeypatch.setattr("nrbench.api.textures.score_observation_by", lambda observation, *rest: observation)
     plane = np.random.default_rng(0).integers(0, 256, (16, 20), np.uint8)
     forms = {"gray": plane, "alpha": np.dstack([plane, plane * 0 + 255]), "color": np.dstack([plane] * 3)}
     seen: Any = score(forms[sample_form], forms[output_form])

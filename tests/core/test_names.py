@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+import nrbench
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -28,3 +30,9 @@ def test_the_package_imports_in_the_root_of_a_checkout() -> None:
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=ROOT, env={}, capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "(16, 16)", done.stderr
+
+
+def test_a_name_that_has_changed_is_deprecated() -> None:
+    """``nrbench.Sheet`` is ``nrbench.Scores``, with a warning."""
+    with pytest.warns(DeprecationWarning, match="Scores"):
+        assert nrbench.Sheet is nrbench.Scores  # type: ignore[attr-defined]

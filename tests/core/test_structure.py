@@ -24,7 +24,6 @@ PLUGIN_FOLDERS = {
 }
 FLOORS = (
     ("nrbench.cli", "nrbench.__main__"),
-    ("nrbench.run_api", "nrbench.catalog"),
     ("nrbench.api",),
     ("nrbench.reports",),
     ("nrbench.labelling", "nrbench.authoring"),
@@ -37,9 +36,18 @@ FLOORS = (
     ("nrbench.plugins",),
     ("nrbench.spectra",),
     ("nrbench.tracking",),
-    ("nrbench.imaging", "nrbench.truth"),
+    ("nrbench.pictures",),
+    ("nrbench.imaging",),
     ("nrbench.lattice",),
-    ("nrbench.errors", "nrbench.streams", "nrbench.storage", "nrbench.jit", "nrbench.source_tree", "nrbench.version"),
+    (
+        "nrbench.errors",
+        "nrbench.flags",
+        "nrbench.streams",
+        "nrbench.storage",
+        "nrbench.jit",
+        "nrbench.source_tree",
+        "nrbench.version",
+    ),
 )
 """From the highest to the lowest. A module imports its own floor and those below; docs/structure.md shows the same."""
 

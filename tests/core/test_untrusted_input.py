@@ -26,14 +26,13 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from nrbench import plugins
-from nrbench.api import run
+from nrbench import plugins, run
 from nrbench.cli.main import main
 from nrbench.datasets_procedural.images import read_rendered, read_truth
 from nrbench.errors import BadInput
-from nrbench.imaging.files import MOST_PIXELS, read_image, read_shape
 from nrbench.labelling.labels import make_page, read_labelers, write_key
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import MOST_PIXELS, read_image, read_shape
 from nrbench.plugins.forms import Refused, Task
 from nrbench.plugins.parameters import parse_size, parse_spec
 from nrbench.reports.page.pictures import PictureStore

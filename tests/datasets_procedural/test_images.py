@@ -21,8 +21,8 @@ from nrbench.datasets_procedural.images import (
 )
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Region, Shape
 from nrbench.suites.plan import draw_samples
 from nrbench.suites.suite import directory_suite, load_suite

@@ -22,8 +22,8 @@ from nrbench.datasets_procedural.noise import Noise
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import gray
-from nrbench.imaging.files import write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import Texture
 
 from .conftest import MODELS, NONE, VARIANTS, render, truth, without_share

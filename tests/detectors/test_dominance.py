@@ -3,7 +3,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from nrbench.api import texture
+from nrbench import texture
 from nrbench.detectors.autocorrelation.vector_pair_kernels import count_hits
 from nrbench.detectors.dominance import Dominance, dominance_radii
 from nrbench.imaging.convert import quantize

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nrbench.api import texture
+from nrbench import texture
 from nrbench.detectors.autocorrelation.peak_kernels import inner_relief
 from nrbench.detectors.autocorrelation.surrogates import SIDE, crop_for_test
 from nrbench.detectors.ssdn import Ssdn, find_period, shift_ssdn, ssdn

@@ -15,9 +15,14 @@ import pytest
 from nrbench import plugins
 from nrbench.cli.main import main
 
-DOCS = Path(__file__).parents[2] / "docs"
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
 BLOCK = re.compile(r"<!-- (run|file (\S+)) -->\n```(\w+)\n(.*?)```", re.DOTALL)
-PAGES = sorted(page.name for page in DOCS.glob("*.md") if BLOCK.search(page.read_text("utf-8")))
+HOW_TO = sorted(DOCS.glob("*.md"))
+"""The pages for users, authors of plugins and maintainers; those of measurements lie in a folder below."""
+WITH_EXAMPLES = [page.name for page in HOW_TO if BLOCK.search(page.read_text("utf-8"))]
+LARGEST = 12_000
+"""Bytes of a page that somebody reads to do something."""
 
 
 @pytest.fixture(autouse=True)
@@ -41,10 +46,10 @@ def run_commands(text: str) -> None:
 
 def test_some_pages_have_examples() -> None:
     """The tutorial and the page on suites are executed."""
-    assert {"tutorial.md", "suites.md"} <= set(PAGES)
+    assert {"tutorial.md", "suites.md"} <= set(WITH_EXAMPLES)
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
 def test_the_examples_of_a_page_run(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The blocks of a page that are marked run one after another in an empty directory."""
     names: dict[str, object] = {}
@@ -59,7 +64,15 @@ def test_the_examples_of_a_page_run(name: str, capsys: pytest.CaptureFixture[str
     assert capsys.readouterr().out
 
 
-@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.name)
+def test_pages_are_short(page: Path) -> None:
+    """A page that tells how to do something has at most 12 kB."""
+    assert page.stat().st_size <= LARGEST
+
+
+@pytest.mark.parametrize(
+    "page", [*HOW_TO, *sorted(DOCS.glob("measurements/*.md")), *sorted(ROOT.glob("*.md"))], ids=lambda page: page.name
+)
 def test_links_lead_somewhere(page: Path) -> None:
     """Every link of a page to a file leads to one."""
     for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
@@ -68,7 +81,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 def test_scripts_are_valid() -> None:
     """The script that leads to a paper's table can be read by a shell."""
-    subprocess.run(["sh", "-n", str(DOCS / "paper_table.sh")], check=True)
+    subprocess.run(["sh", "-n", str(ROOT / "benchmarks" / "paper_table.sh")], check=True)
 
 
 def test_the_paper_table_passes_methods_on_whole(tmp_path: Path) -> None:
@@ -80,7 +93,7 @@ def test_the_paper_table_passes_methods_on_whole(tmp_path: Path) -> None:
         (tmp_path / "run" / "tables" / name).touch()
     fake.write_text(f'#!/bin/sh\nfor one in "$@"; do echo "$one" >> "{log}"; done\n')
     fake.chmod(0o755)
-    script = [str(DOCS / "paper_table.sh"), str(tmp_path / "run"), "mine.py", "mine", str(suite)]
+    script = [str(ROOT / "benchmarks" / "paper_table.sh"), str(tmp_path / "run"), "mine.py", "mine", str(suite)]
     subprocess.run(["sh", *script], check=True, env={**os.environ, "NRBENCH": str(fake)}, capture_output=True)
     given = log.read_text().splitlines()
     methods = [value for flag, value in pairwise(given) if flag == "-m"]
@@ -106,4 +119,4 @@ def test_the_site_builds(tmp_path: Path) -> None:
     ]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
-    assert "nrbench.synthesize" in (tmp_path / "out" / "api.html").read_text("utf-8")
+    assert "nrbench.synthesize" in (tmp_path / "out" / "commands.html").read_text("utf-8")

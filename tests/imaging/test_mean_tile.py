@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from nrbench.imaging.mean_tile import cell_coordinates, cut_tiles, fold, interpolate
+from nrbench.imaging.mean_tile import cell_coordinates, fold, interpolate
 from nrbench.imaging.mean_tile_kernels import PAD, spline_coefficients, spline_windows
 from nrbench.lattice.geometry import Lattice
 
@@ -46,16 +46,6 @@ def test_every_pixel_is_counted_once() -> None:
     assert tile.counts.sum() == pytest.approx(160)
     assert (tile.counts == 0).any()
     assert np.isfinite(tile.values).all()
-
-
-def test_equal_cells_are_cut_alike() -> None:
-    """Cells of a periodic image, cut at lattice points, are one and the same; those that stick out are left out."""
-    image = waves((120, 140), OBLIQUE)
-    points = OBLIQUE.points((120, 140))
-    tiles, inside = cut_tiles(image, OBLIQUE, points)
-    assert 10 < len(tiles) < len(points)
-    assert inside.sum() == len(tiles)
-    np.testing.assert_allclose(tiles, np.broadcast_to(tiles[0], tiles.shape), atol=0.02)
 
 
 def test_cell_coordinates_are_those_of_every_pixel() -> None:

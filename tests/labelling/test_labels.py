@@ -19,7 +19,6 @@ from commands import call
 from PIL.PngImagePlugin import PngInfo
 
 from nrbench.errors import BadInput
-from nrbench.imaging.files import read_image
 from nrbench.labelling.labels import (
     LabelPage,
     encode_pixels,
@@ -30,6 +29,7 @@ from nrbench.labelling.labels import (
     write_key,
 )
 from nrbench.labelling.questions import ANSWERS, ELEMENTS, LATTICE, MORE, PRESERVED, QUESTIONS, WHOLE_SCORE
+from nrbench.pictures.files import read_image
 from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import pixels_hash
 

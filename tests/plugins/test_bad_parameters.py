@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench.api import synthesize, texture
+from nrbench import synthesize, texture
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 

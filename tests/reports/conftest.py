@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench.imaging.files import write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import Column
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.runs.records import CellRecord, Run

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench.api import run
+from nrbench import run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.reports.changes import Changes, RunChanges, compare_runs
@@ -167,7 +167,7 @@ def test_an_unknown_score_is_refused(runs: Callable[..., tuple[Run, Run]]) -> No
 def test_markdown_escapes_names(runs: Callable[..., tuple[Run, Run]]) -> None:
     """The name of a method cannot become markup, and each row has the columns of the head."""
     changes = compare_runs(*runs([0.5, 0.6], [0.5, 0.6], method=HOSTILE))
-    lines = Changes().markdown(changes).splitlines()
+    lines = changes.markdown().splitlines()
     table = [line for line in lines if line.startswith("|")]
     assert "<img" not in "".join(lines).replace("\\<img", "")
     assert {line.count("|") for line in table} == {9}

@@ -19,7 +19,7 @@ from faults import registered_faults
 from machines import Machines, machines
 from suites import scores, wall_suite, write_sleepers
 
-from nrbench.api import run
+from nrbench import run
 from nrbench.errors import BadInput
 from nrbench.running import cluster
 from nrbench.running.pace import Step

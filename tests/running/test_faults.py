@@ -17,8 +17,7 @@ from commands import call
 from faults import FAULTS, registered_faults
 from suites import wall_suite
 
-from nrbench import plugins
-from nrbench.api import run
+from nrbench import plugins, run
 from nrbench.errors import BadInput
 from nrbench.running import guard, runner
 from nrbench.running.runner import Options

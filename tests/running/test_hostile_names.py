@@ -16,10 +16,10 @@ import pytest
 from commands import call
 
 from nrbench import api, texture
-from nrbench.imaging.files import write_image
+from nrbench.pictures.files import write_image
+from nrbench.pictures.truth import table_text
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
-from nrbench.truth import table_text
 
 NAMES = (
     "<script>alert('nrmark')<",

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from nrbench.api import load, run
+from nrbench import load, run
 from nrbench.cli.main import main
 from nrbench.errors import BadInput
 from nrbench.reports.page.pictures import PictureStore

@@ -12,8 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import nrbench
-from nrbench import plugins
-from nrbench.api import run
+from nrbench import plugins, run
 from nrbench.plugins.forms import Observation, Score, Texture
 from nrbench.running import phases
 from nrbench.running.output_checks import is_picture

@@ -13,10 +13,9 @@ from typing import Any
 
 import pytest
 
-from nrbench import plugins
-from nrbench.api import run
-from nrbench.imaging.files import read_image, write_image
+from nrbench import plugins, run
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import NoLatticeFound
 from nrbench.running.runner import Options
 from nrbench.runs.records import CellRecord

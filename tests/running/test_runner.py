@@ -24,7 +24,8 @@ import skimage.io
 from commands import call
 from suites import scores
 
-from nrbench.api import changed, run
+from nrbench import run
+from nrbench.api.runs import changed
 from nrbench.errors import BadInput
 from nrbench.running import executors
 from nrbench.running.executors import Executor

@@ -26,9 +26,8 @@ from commands import call
 from faults import registered_faults
 from suites import wall_suite, write_sleepers
 
-from nrbench import plugins
-from nrbench.api import run, synthesize
-from nrbench.imaging.files import read_image, write_image
+from nrbench import plugins, run, synthesize
+from nrbench.pictures.files import read_image, write_image
 from nrbench.running import guard, phases, runner, worker
 from nrbench.running.pace import Step
 from nrbench.running.plugin_children import write_guarded

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
-from nrbench.authoring.conformance import check_plugin
-from nrbench.authoring.plugin_checks import CLAUSES
+import pytest
+
+from nrbench.authoring import conformance
+from nrbench.authoring.plugin_checks import CHECKS
 
 ALWAYS = frozenset({"processes"})
-"""The clause that is left out, because it needs two interpreters."""
+"""The clause that is left out, because it starts another interpreter."""
+
+
+@pytest.fixture(scope="module")
+def example_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Make the run on which reports are tried once."""
+    made = conformance.make_example_run(tmp_path_factory.mktemp("reports") / "run")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(conformance, "make_example_run", lambda root: made)
+        yield made
 
 
 def violations(
@@ -30,8 +42,8 @@ def violations(
     may_skip
         Clauses that may not apply.
     """
-    clauses = [clause.name for clause in CLAUSES[kind] if clause.name not in {*ALWAYS, *left_out}]
-    findings = check_plugin(kind, name, parameters, here=True, only=clauses)
+    clauses = [clause for clause in CHECKS[kind] if clause not in {*ALWAYS, *left_out}]
+    findings = conformance.check_plugin(kind, name, parameters, here=True, only=clauses)
     return [
         f"{finding.verdict} {finding.clause}: {finding.reason}"
         for finding in findings

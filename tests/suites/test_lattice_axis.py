@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nrbench.api import run
+from nrbench import run
 from nrbench.errors import BadInput
 from nrbench.reports.statistics.detections import tabulate_answers
 from nrbench.running.runner import Options, find_metrics

@@ -13,7 +13,7 @@ from nrbench import plugins
 from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.dominance import Dominance
 from nrbench.errors import BadInput
-from nrbench.imaging.files import write_image
+from nrbench.pictures.files import write_image
 from nrbench.plugins import registry
 from nrbench.runs.store import metric_key
 from nrbench.streams import pixels_hash

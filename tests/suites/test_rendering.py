@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nrbench.api.rendering import SHEET, model_suite, write_textures
 from nrbench.errors import BadInput
-from nrbench.imaging.files import read_image, write_image
+from nrbench.pictures.files import read_image, write_image
 from nrbench.suites.cell import Cell
 from nrbench.suites.plan import draw_samples, make_plan
-from nrbench.suites.rendering import SHEET, model_suite, write_textures
 from nrbench.suites.suite import Suite, load_suite, validated_suite
 
 ROWS = [

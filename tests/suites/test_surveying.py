@@ -13,11 +13,11 @@ import pytest
 from candidates import CHOSEN, Ranked
 
 from nrbench import Lattice, plugins, texture
+from nrbench.api.surveying import FIELDS, Survey, printable
 from nrbench.errors import BadInput
-from nrbench.imaging.files import write_image
+from nrbench.pictures.files import write_image
+from nrbench.pictures.truth import TruthTable
 from nrbench.suites.suite import load_suite
-from nrbench.suites.surveying import FIELDS, Survey, printable
-from nrbench.truth import TruthTable
 
 PICTURES = Path("pictures")
 

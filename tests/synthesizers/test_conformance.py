@@ -9,8 +9,8 @@ import pytest
 from conformance import violations
 
 from nrbench import plugins
-from nrbench.authoring.plugin_checks import SynthesizerSubject
-from nrbench.imaging.files import write_image
+from nrbench.authoring.plugin_checks import Subject, make_task
+from nrbench.pictures.files import write_image
 from nrbench.synthesizers.precomputed import name_for
 
 TILE = """
@@ -44,8 +44,8 @@ def test_a_program_conforms(tmp_path: Path) -> None:
 
 def test_pictures_conform(tmp_path: Path) -> None:
     """Outputs in a folder fulfil every clause by way of `precomputed`."""
-    subject = SynthesizerSubject("precomputed", {"directory": str(tmp_path)})
+    subject = Subject("synthesizers", "precomputed", {"directory": str(tmp_path)})
     for seed, channels in ((0, 3), (5, 3), (0, 1)):
-        task = subject.make_input(seed, channels)
+        task = make_task(subject, seed, channels)
         write_image(tmp_path / name_for(task.sample, task.shape), task.sample[:1, :1].repeat(96, 0).repeat(112, 1))
     assert violations("synthesizers", "precomputed", {"directory": str(tmp_path)}, (), OPTIONAL) == []

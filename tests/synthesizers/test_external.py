@@ -10,8 +10,8 @@ from synthesis_cases import noise
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.files import write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.suites.plan import PlannedMethod, make_plan
 from nrbench.suites.suite import validated_suite

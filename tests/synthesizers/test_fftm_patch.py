@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthesis_cases import mask_of
 
-from nrbench.api import texture
+from nrbench import texture
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nrbench import plugins
-from nrbench.api import changed, run, texture
+from nrbench import plugins, run, texture
+from nrbench.api.runs import changed
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice

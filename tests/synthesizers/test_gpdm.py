@@ -7,7 +7,7 @@ import pytest
 import scipy
 from synthesis_cases import noise, synthesize
 
-from nrbench.api import texture
+from nrbench import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.synthesizers.gpdm import Gpdm
 from nrbench.synthesizers.patch_projections.sliced_distance import SlicedDistance, draw_filters, to_planes

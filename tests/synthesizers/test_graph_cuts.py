@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthesis_cases import noise, synthesize
 
-from nrbench.api import texture
+from nrbench import texture
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Refused, Task, Texture

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthesis_cases import BOND, FRACTIONAL, OBLIQUE, UPRIGHT, noise, synthesize, waves
 
-from nrbench import plugins
-from nrbench.api import texture
+from nrbench import plugins, texture
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from scipy import stats
 from synthesis_cases import noise, waves
 
-from nrbench.cli.single_images import synth_command
+from nrbench.cli.picture_commands import synth_command
 from nrbench.detectors.ssdn import ssdn
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.files import read_image, write_image
 from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Refused, Synthesis, Task
 from nrbench.synthesizers.representative_tile import (
     Costs,

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from synthesis_cases import FRACTIONAL, noise, places, synthesize, waves
 
-from nrbench import plugins
-from nrbench.api import texture
+from nrbench import plugins, texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation, Refused, Task

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthesis_cases import synthesize
 
-from nrbench.api import texture
+from nrbench import texture
 from nrbench.imaging.convert import quantize
 from nrbench.plugins.forms import Refused
 from nrbench.synthesizers.texture_optimization import TextureOptimization

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from synthesis_cases import FRACTIONAL, noise, synthesize
 
-from nrbench.api import texture
+from nrbench import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Task

@@ -1,0 +1,199 @@
+"""What users pass to the Python functions and on the command line: images, lattices, plugins, sizes, in any form.
+
+A parameter whose type is one of the aliases with a :class:`~nrbench.flags.Flag` is also an argument or an option of the
+command line, which is built from signatures and docstrings, see :mod:`nrbench.cli.verbs`.
+"""
+
+from __future__ import annotations
+
+import operator
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from nrbench import plugins
+from nrbench.errors import BadInput
+from nrbench.flags import ARGUMENT, Flag
+from nrbench.plugins.parameters import LARGEST_SIDE, nearest, parse_size, parse_spec, validated
+
+# The help of a command imports no array library.
+if TYPE_CHECKING:
+    from nrbench.imaging.convert import Image
+    from nrbench.lattice.geometry import Lattice, Vector
+    from nrbench.plugins.forms import Detection, Shape
+    from nrbench.runs.records import Run
+    from nrbench.suites.suite import Suite
+
+METHOD = "METHOD[:param=value,...]"
+LATTICE = "x1,y1,x2,y2[,x,y]"
+
+
+Pluginlike = str | type[Any] | Any
+"""A plugin: its name; ``name:param=value,...`` as on the command line; its class; or an instance, whose parameters are
+then those of the instance."""
+Imagelike = Any
+"""An image: an array of uint8, uint16 or float in [0, 1], with or without a channel axis; the path of a picture; or a
+:class:`~nrbench.plugins.forms.Texture` or :class:`~nrbench.plugins.forms.Synthesis`, whose image is taken."""
+Latticelike = Annotated[
+    "Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None",
+    Flag(metavar=f"{LATTICE}|DETECTOR"),
+]
+"""A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``; or the detector that finds
+it, e.g. ``"consensus"``. None: no lattice is given."""
+Shapelike = Annotated["Shape | str", Flag("--size", "WxH")]
+"""(height, width) in px, or ``"WIDTHxHEIGHT"`` as on the command line."""
+Runlike = Annotated["Run | str | os.PathLike[str]", Flag(ARGUMENT, kind=Path)]
+"""A run, or its directory."""
+Suitelike = Annotated["str | os.PathLike[str] | Suite", Flag(ARGUMENT)]
+"""A suite, its name, a TOML file, or a directory of pictures."""
+Picture = Annotated[Imagelike, Flag(ARGUMENT, kind=Path)]
+"""An :data:`Imagelike`; on the command line the path of a picture."""
+OutputFolder = Annotated["str | os.PathLike[str]", Flag("-o --output", "DIR", kind=Path)]
+
+Method = Annotated[Pluginlike, Flag("-m", METHOD)]
+Methods = Annotated[Sequence[Pluginlike] | Pluginlike, Flag("-m", METHOD, many=True)]
+Textures = Annotated[Sequence[str] | str, Flag("-t", "GLOB", many=True)]
+LatticeSources = Annotated["Sequence[Latticelike] | str", Flag(metavar=f"given|own|DETECTOR|{LATTICE}", many=True)]
+SampleSize = Annotated["str | Shape | None", Flag(metavar="WxH")]
+SuiteSeed = Annotated["int | str | None", Flag(metavar="NUMBER|fresh")]
+Folder = Annotated["str | os.PathLike[str] | None", Flag(kind=Path)]
+
+
+def as_lattice(lattice: Latticelike) -> Lattice | None:
+    """Return a lattice from any of the forms of :data:`Latticelike`.
+
+    Raises
+    ------
+    BadInput
+        If it has none of these forms, or repeats in less than 2 px.
+    """
+    from nrbench.lattice.geometry import Lattice, require_visible
+
+    if lattice is None:
+        return None
+    if isinstance(lattice, str):
+        return Lattice.parse(lattice)
+    try:
+        made = lattice if isinstance(lattice, Lattice) else Lattice(*lattice)
+    except TypeError:
+        raise BadInput(
+            f"lattice {lattice!r}: give two vectors, e.g. ((32, 0), (0, 24)), or three with the origin"
+        ) from None
+    return require_visible(made, lattice)
+
+
+def lattice_in(image: Imagelike, lattice: Latticelike) -> Lattice | None:
+    """Return a lattice as :func:`as_lattice`, or find it in the image if a detector is named.
+
+    Raises
+    ------
+    BadInput
+        If it is neither.
+    NoLatticeFound
+        If the detector finds none.
+    """
+    if not isinstance(lattice, str) or "," in lattice.partition(":")[0]:
+        return as_lattice(lattice)
+    known = plugins.names("detectors")
+    if (name := parse_spec(lattice)[0]) not in known:
+        raise BadInput(f"lattice {lattice!r}: give x1,y1,x2,y2 in px, or a detector{nearest(name, known)}")
+    detection: Detection = plugin_in("detectors", lattice, {}).detect(image_in(image))
+    return detection.lattice
+
+
+def image_in(image: Imagelike, where: str = "image") -> Image:
+    """Return an :data:`Imagelike` as an image."""
+    import numpy as np
+
+    from nrbench.imaging.convert import as_image
+    from nrbench.pictures.files import read_image
+    from nrbench.plugins.forms import Synthesis, Texture
+
+    if isinstance(image, str | os.PathLike):
+        return read_image(Path(image))
+    if isinstance(image, Texture | Synthesis):
+        image = image.image
+    elif not isinstance(image, np.ndarray) and np.ndim(image) < 2:
+        found = type(image).__name__
+        raise BadInput(f"{where}: is of type {found}; pass an array, the path of a picture, or a Texture")
+    return as_image(image, where)
+
+
+def picture_file(image: Imagelike, folder: Path) -> Path:
+    """Return the file of an :data:`Imagelike`, which is written into a folder if it is no file yet."""
+    from nrbench.pictures.files import write_image
+
+    if isinstance(image, str | os.PathLike):
+        return Path(image)
+    write_image(folder / "picture.png", image_in(image))
+    return folder / "picture.png"
+
+
+def plugin_in(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> Any:
+    """Return the instance of a :data:`Pluginlike`; raise BadInput if it is no plugin of the kind."""
+    if isinstance(plugin, str):
+        name, written = parse_spec(plugin)
+        return plugins.build(kind, name, {**written, **parameters})
+    form = plugins.FORMS[kind]
+    is_class = isinstance(plugin, type)
+    fault = plugins.fault(kind, plugin if is_class else type(plugin))
+    if fault:
+        raise BadInput(f"{fault}. Pass the name of a {form.noun}, its class, or an instance")
+    if is_class:
+        return validated(plugin, parameters, f"{form.noun} {plugin.__name__}")
+    if parameters:
+        names = ", ".join(parameters)
+        raise BadInput(f"{form.noun} {type(plugin).__name__}: is an instance already; set {names} when you make it")
+    return plugin
+
+
+def shape_in(shape: Shapelike) -> Shape:
+    """Return a :data:`Shapelike` as (height, width) in px; raise BadInput if it is none."""
+    if isinstance(shape, str):
+        return parse_size(shape)
+    try:
+        height, width = map(operator.index, shape)
+    except (TypeError, ValueError):
+        raise BadInput(f"shape {shape!r}: give (height, width) in px, two whole numbers") from None
+    if min(height, width) < 1 or max(height, width) > LARGEST_SIDE:
+        raise BadInput(f"shape {shape}: give (height, width) in px, each at least 1 and at most {LARGEST_SIDE}")
+    return height, width
+
+
+def names_of(given: Sequence[str] | str) -> list[str]:
+    """Return the names of a sequence, or of a text in which commas join them."""
+    names = given.split(",") if isinstance(given, str) else given
+    return [name.strip() for name in names if name.strip()]
+
+
+def list_of(given: Any) -> list[Any]:
+    """Return a sequence as a list; a text or a single plugin counts as one entry."""
+    return list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+
+
+def method_text(method: Pluginlike) -> str:
+    """Return a method as ``name:param=value``; raise BadInput for a class that is not registered."""
+    if isinstance(method, str):
+        return method
+    instance = None if isinstance(method, type) else method
+    cls = method if isinstance(method, type) else type(method)
+    name = plugins.name_of("synthesizers", cls)
+    if not name:
+        raise BadInput(
+            f"method {cls.__name__}: is not registered; put it into a file and call nrbench.plugins.add_file(file), "
+            f"or pass it to nrbench.synthesize"
+        )
+    given = plugins.parameters_of(instance) if instance is not None else {}
+    texts = [f"{key}={','.join(map(str, v)) if isinstance(v, list) else v}" for key, v in given.items()]
+    return f"{name}:{','.join(texts)}" if texts else name
+
+
+def lattice_source_text(lattice: Latticelike) -> str:
+    """Return an entry of the lattice axis as text."""
+    if isinstance(lattice, str):
+        return lattice
+    given = as_lattice(lattice)
+    if given is None:
+        raise BadInput("lattice None: leave it out, or give 'own', 'given', a detector or a lattice")
+    return ",".join(repr(float(number)) for number in given.numbers)

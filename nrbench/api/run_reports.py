@@ -1,0 +1,145 @@
+"""Write the reports of a run, and say how its cells ended."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nrbench import plugins
+from nrbench.errors import describe_error, strip_control
+from nrbench.plugins.parameters import parse_spec
+from nrbench.runs.records import CellRecord, Run
+from nrbench.runs.store import FAILED
+from nrbench.suites.cell import RESULTS_VERSION
+
+# Reports of nrbench run no cell.
+if TYPE_CHECKING:
+    from nrbench.running.options import Options
+
+
+def status_counts(cells: Sequence[CellRecord]) -> dict[str, int]:
+    """Return how many cells ended in each status."""
+    return dict(Counter(record.status for record in cells).most_common())
+
+
+def failures(cells: Sequence[CellRecord]) -> list[str]:
+    """Return one line for each cell that failed, and one for each failure of a metric, which may concern many cells."""
+    lines = [f"{_where(record)}: {record.status}: {record.message}" for record in cells if record.status in FAILED]
+    failed: dict[str, list[str]] = {}
+    for record in cells:
+        broken = {(name.partition(".")[0], why) for name, why in record.reasons.items() if why.startswith("failed:")}
+        for metric, why in sorted(broken):
+            failed.setdefault(f"{metric}: {why}", []).append(_where(record))
+    for what, where in failed.items():
+        lines.append(f"{where[0]}: {what}" + (f" (and {len(where) - 1} more cells)" if len(where) > 1 else ""))
+    return lines
+
+
+def unfinished(run: Run) -> list[str]:
+    """Return a line if cells have no result, because a cluster was lost or something removed them."""
+    missing = [_where(record) for record in run.cells if record.status == "missing"]
+    if not missing:
+        return []
+    which = missing[0] if len(missing) == 1 else f"{len(missing)} of {len(run.cells)} cells, such as {missing[0]}"
+    return [f"no result: {which}; run the same command again"]
+
+
+def _where(record: CellRecord) -> str:
+    return f"{record.texture} / {record.method} ({record.lattice_source}, {record.key})"
+
+
+def parse_formats(texts: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Read formats as ``html,latex:param=value,...,csv`` into their parameters by name.
+
+    A comma starts a new format only if the name of a report follows it.
+
+    Raises
+    ------
+    BadInput
+        For an unknown report, or parameters that cannot be read.
+    """
+    names = "|".join(map(re.escape, sorted(plugins.names("reports"), key=len, reverse=True)))
+    specs = [spec for text in texts for spec in re.split(rf",(?=(?:{names})(?:[:,]|$))", text)]
+    formats = dict(map(parse_spec, specs))
+    for name in formats:
+        plugins.find("reports", name.rpartition(",")[2])
+    return formats
+
+
+def write_reports(
+    run: Run,
+    formats: Mapping[str, Mapping[str, Any]] | None = None,
+    tables_only: bool = False,
+    shared: Mapping[str, Any] | None = None,
+    options: Options | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+    tell_failure: Callable[[str], None] = warnings.warn,
+) -> list[Path]:
+    """Write the reports of a run.
+
+    Parameters
+    ----------
+    run
+        The run.
+    formats
+        The parameters of each report, by its name; None for all reports.
+    tables_only
+        Whether reports other than tables are left out.
+    shared
+        Parameters of all reports that have them, such as the files of labelers' answers, ``labels``.
+    options
+        Limits of each report of another package.
+    progress
+        Called after each report with the number of reports done, of all, and the name of the last one.
+    tell_failure
+        Called with a sentence about each report that fails.
+
+    Returns
+    -------
+    list of Path
+        The files that were written.
+    """
+    from nrbench.running.guard import Limits
+    from nrbench.running.plugin_children import LIMITS, write_guarded
+    from nrbench.running.runner import working_plugins
+
+    made_by = run.info.get("results_version")
+    if made_by != RESULTS_VERSION:
+        warnings.warn(
+            f"{run.root} was made by results version {strip_control(str(made_by))}, and this nrbench has "
+            f"{RESULTS_VERSION}: its scores are left out; run the same command again, or use the nrbench that made it",
+            stacklevel=2,
+        )
+    if formats is None:
+        formats = {name: {} for name in working_plugins("reports")}
+    reports = {name: build_report(name, shared or {}, given) for name, given in formats.items()}
+    wanted = {name: report for name, report in reports.items() if not tables_only or _folder(report) == "tables"}
+    written: list[Path] = []
+    allowed = Limits(options.timeout, options.memory) if options else LIMITS
+    for number, (name, report) in enumerate(wanted.items(), 1):
+        folder = _folder(report)
+        own = plugins.find("reports", name).own
+        try:
+            files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder, allowed)
+            written += [Path(path) for path in files]
+        except (Exception, SystemExit) as error:
+            tell_failure(f"report {name} failed: {describe_error(error)}")
+        if progress:
+            progress(number, len(wanted), name)
+    return written
+
+
+def _folder(report: Any) -> str:
+    return str(getattr(report, "folder", "report"))
+
+
+def build_report(name: str, shared: Mapping[str, Any], given: Mapping[str, Any]) -> Any:
+    """Return a report with its own parameters, and those shared ones that it has."""
+    cls: Any = plugins.find("reports", name).cls
+    known = {field.name for field in fields(cls)}
+    return plugins.build("reports", name, {**{key: shared[key] for key in shared if key in known}, **given})

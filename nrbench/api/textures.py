@@ -1,0 +1,464 @@
+"""The Python functions of one texture: draw it, find its lattice, synthesize from it, score it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from nrbench import plugins
+from nrbench.api.arguments import (
+    Imagelike,
+    Latticelike,
+    Method,
+    OutputFolder,
+    Picture,
+    Pluginlike,
+    Shapelike,
+    Textures,
+    image_in,
+    lattice_in,
+    list_of,
+    names_of,
+    plugin_in,
+    shape_in,
+)
+from nrbench.errors import BadInput
+from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber, Switch
+from nrbench.plugins.parameters import parse_spec
+
+# The help of a command imports no array library.
+if TYPE_CHECKING:
+    from nrbench.imaging.convert import Image
+    from nrbench.lattice.geometry import Lattice
+    from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Texture, Value
+    from nrbench.suites.suite import Suite
+    from nrbench.tracking.bent_lattice import Deformation
+    from nrbench.views.deformed import Followed
+
+
+Metrics = Annotated[Sequence[str] | str, Flag(metavar="NAME,...")]
+Rendered = Annotated["str | Suite", Flag(ARGUMENT, "MODEL[:param=value,...]|SUITE")]
+RenderedSize = Annotated["Shape | str | None", Flag("--sample --size", "WxH")]
+
+
+def texture(model: Pluginlike, shape: Shapelike = (128, 128), seed: int = 0, **parameters: Any) -> Texture:
+    """Draw a texture of a model. The returned texture holds the image, the true lattice and the true departures.
+
+    Parameters
+    ----------
+    model
+        A dataset plugin: its name, e.g. ``"brick"``, its class, or an instance.
+    shape
+        (height, width) in px, or ``"WIDTHxHEIGHT"``.
+    seed
+        Equal seeds give equal pixels.
+    **parameters
+        The model's parameters.
+
+    Returns
+    -------
+    Texture
+        The image with its truth.
+
+    Raises
+    ------
+    BadInput
+        For an unknown model or parameter, or a value that is not valid.
+
+    Examples
+    --------
+    >>> brick = texture("brick", shape=(64, 96), seed=3, color=0.3)
+    >>> brick.image.shape
+    (64, 96, 3)
+    """
+    from nrbench.streams import stream
+
+    plugin = plugin_in("datasets", model, parameters)
+    name = (
+        parse_spec(model)[0]
+        if isinstance(model, str)
+        else plugins.name_of("datasets", type(plugin)) or type(plugin).__name__
+    )
+    rng = stream("render", seed, name, 0)
+    drawn: Texture = plugin.render(shape_in(shape), rng)
+    return drawn
+
+
+def detect_lattice(image: Imagelike, detector: Pluginlike = "consensus", **parameters: Any) -> Detection:
+    """Detect the lattice of an image.
+
+    Parameters
+    ----------
+    image
+        An :data:`Imagelike`.
+    detector
+        A detector plugin: its name, its class, or an instance.
+    **parameters
+        The detector's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
+
+    Returns
+    -------
+    Detection
+        The lattice, its confidence, the alternatives and the diagnostics.
+
+    Raises
+    ------
+    NoLatticeFound
+        When the detector finds no lattice.
+    BadInput
+        For a bad image, detector or parameter.
+
+    Examples
+    --------
+    >>> from nrbench import detect_lattice, texture
+    >>> brick = texture("brick", shape=(128, 128), seed=1)
+    >>> found = detect_lattice(brick)
+    >>> found.lattice.is_equivalent(brick.lattice, tolerance=0.5)
+    True
+    """
+    detection: Detection = plugin_in("detectors", detector, parameters).detect(image_in(image))
+    return detection
+
+
+def track_lattice(
+    image: Imagelike, lattice: Latticelike = None, detector: Pluginlike = "consensus", **parameters: Any
+) -> Deformation:
+    """Find the lattice of an image that may be bent: rows that bow, periods that shrink, a plane in perspective.
+
+    The result holds the mean lattice, the displacement of each point from it, their amplitude, whether the image is
+    bent at all, and the homography if the deformation is one. ``straighten()`` undoes the deformation.
+
+    Parameters
+    ----------
+    image
+        An :data:`Imagelike`.
+    lattice
+        The lattice, about as it is on average or somewhere in the image; its origin does not matter. If None, it is
+        detected, in the whole image and in overlapping views.
+    detector
+        The detector that finds the lattice and confirms it on the straightened image.
+    **parameters
+        The detector's parameters.
+
+    Returns
+    -------
+    Deformation
+        The lattice, followed through the image.
+
+    Raises
+    ------
+    NoLatticeFound
+        If no lattice is found that can be followed through the image.
+    BadInput
+        For a bad image, lattice, detector or parameter, or if the image holds fewer than two cells of the lattice.
+
+    Examples
+    --------
+    >>> bent = track_lattice(texture("weave", shape=(128, 128), seed=1, bend=0.5).image)
+    >>> bent.bent, bent.homography is None
+    (True, True)
+    >>> straight, mean = bent.straighten()
+    """
+    return follow_bent_lattice(image_in(image), lattice_in(image, lattice), detector, parameters).deformation
+
+
+def follow_bent_lattice(
+    image: Image,
+    lattice: Lattice | None = None,
+    detector: Pluginlike = "consensus",
+    parameters: Mapping[str, Any] | None = None,
+    only_promising: bool = False,
+) -> Followed:
+    """Return the deformation of an image as :func:`track_lattice`, with the detection in the straightened image.
+
+    Parameters
+    ----------
+    image, lattice, only_promising
+        As for :func:`nrbench.views.deformed.find_deformation`.
+    detector, parameters
+        As for :func:`track_lattice`.
+    """
+    from nrbench.views.deformed import find_deformation
+
+    thorough = plugin_in("detectors", detector, parameters or {})
+    quick = plugins.build("detectors", "dominance", {"reject": "none"})
+    return find_deformation(image, thorough, quick, lattice, only_promising)
+
+
+def synthesize(
+    method: Method,
+    image: Picture,
+    shape: Shapelike,
+    lattice: Latticelike = None,
+    seed: Number = 0,
+    progress: Callable[[float], None] | None = None,
+    tileable: Switch = False,
+    **parameters: Any,
+) -> Synthesis:
+    """Synthesize a larger texture from a sample.
+
+    Parameters
+    ----------
+    method
+        The method.
+
+        A synthesizer plugin: its name, e.g. ``"rsgf"`` or ``"rsgf:preset=paper"``, its class, or an instance.
+    image
+        The sample, an :data:`Imagelike`. Methods that find a lattice get the middle of a sample larger than 1024 px, as
+        large as 16 periods or the output.
+    shape
+        Size of the output.
+
+        (height, width) in px, or ``"WIDTHxHEIGHT"``.
+    lattice
+        The lattice of the sample, or the detector that finds it.  [default: the method finds it]
+    seed
+        Equal seeds give equal outputs.
+    progress
+        Called with the fraction that is done, in [0, 1].
+    tileable
+        Make an output that repeats without a seam, if the method can.
+
+        Its opposite edges continue each other. The sample is strained so that its lattice closes, by at most 2.5 %; the
+        note says by how much.
+    **parameters
+        The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
+
+    Returns
+    -------
+    Synthesis
+        The image has the channel layout of the sample: two axes if the sample is an array of two.
+
+    Raises
+    ------
+    Refused
+        When the method cannot be applied to the sample, or if a tileable output would need a larger strain.
+    BadInput
+        For a bad image, lattice, method or parameter, or if the method cannot make tileable outputs.
+
+    Examples
+    --------
+    >>> from nrbench import synthesize, texture
+    >>> brick = texture("brick", shape=(96, 96))
+    >>> synthesize("quilting:block=24", brick, "160x128", seed=1).image.shape
+    (128, 160, 3)
+    """
+    import numpy as np
+
+    from nrbench.bending.needed_part import synthesize_from_part
+    from nrbench.bending.straightening import synthesize_in_geometry
+    from nrbench.bending.tileable import require_wrapping, synthesize_tileable
+    from nrbench.imaging.convert import match_ndim, quantize
+    from nrbench.plugins.forms import Refused, Task
+    from nrbench.running.output_checks import checked_synthesis
+    from nrbench.running.preparing import briefly_prepared
+    from nrbench.streams import pixels_hash, stream
+
+    plugin = plugin_in("synthesizers", method, parameters)
+    if tileable:
+        require_wrapping(type(plugin))
+    sample = quantize(image_in(image))
+    rng = stream("synthesis", seed, pixels_hash(sample), 0)
+    task = Task(sample, shape_in(shape), lattice_in(sample, lattice), rng, progress or (lambda fraction: None))
+    if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
+        raise Refused("the sample is constant; there is nothing to synthesize from")
+    make = synthesize_tileable if tileable else synthesize_in_geometry
+    with briefly_prepared(plugin, task, seed) as ready:
+        synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape)
+    given = image if hasattr(image, "ndim") else sample
+    return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, given))
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The scores of one output.
+
+    Parameters
+    ----------
+    values
+        By ``metric.column``.
+    reasons
+        Why a value is None, by ``metric.column``.
+    pictures
+        By ``metric.name``.
+
+    Examples
+    --------
+    >>> from nrbench import score, texture
+    >>> brick = texture("brick", shape=(96, 96))
+    >>> scores = score(brick, brick, metrics="appearance")
+    >>> sorted(scores.values) == sorted(scores.values.keys() | scores.reasons.keys())
+    True
+    """
+
+    values: Mapping[str, Value]
+    reasons: Mapping[str, str]
+    pictures: Mapping[str, Image]
+
+
+MOST_SCORED = 2 * 2048 * 2048
+"""Pixels of the largest output that :func:`score` takes. It needs about 5 GiB."""
+
+
+def score(
+    sample: Picture,
+    output: Picture,
+    lattice: Latticelike = None,
+    metrics: Metrics = (),
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Scores:
+    """Score any tool's output against its sample.
+
+    Parameters
+    ----------
+    sample, output
+        The two images, each an :data:`Imagelike`, both gray or both in color; a gray one may be stored in color.
+    lattice
+        The lattice of the sample, or the detector that finds it.  [default: scores that need one use the detector
+        dominance]
+
+        If None, it is that of the sample if this is a texture with a known lattice. Where none is known and the
+        detector finds none, the scores that need one are None, with the reason.
+    metrics
+        Compute these metrics, and print all their scores.
+
+        Their names, as a list or joined by commas; empty for all.
+    progress
+        Called after each metric with the number of metrics done, of all, and the name of the last one.
+
+    Returns
+    -------
+    Scores
+        The scores, and why some have no value.
+
+    Raises
+    ------
+    BadInput
+        For a bad image or lattice, an unknown metric, an output of more than :data:`MOST_SCORED` pixels, or if one
+        image is gray and the other one in color.
+
+    Examples
+    --------
+    >>> from nrbench import score, synthesize, texture
+    >>> brick = texture("brick", shape=(96, 96))
+    >>> tiled = synthesize("tiling", brick, (128, 128), lattice=brick.lattice)
+    >>> score(brick, tiled, metrics="regularity").values["regularity.preserved"]
+    True
+    """
+    from nrbench.imaging.convert import match_channels, quantize
+    from nrbench.plugins.forms import Observation, Texture
+
+    pair = quantize(image_in(sample, "sample")), quantize(image_in(output, "output"))
+    pair = match_channels(*pair), match_channels(*pair[::-1])
+    height, width, _ = pair[1].shape
+    if height * width > MOST_SCORED:
+        raise BadInput(f"output: {width}x{height} px; at most {MOST_SCORED} px in all are scored: crop it")
+    if pair[0].shape[2] != pair[1].shape[2]:
+        raise BadInput(f"output: has {pair[1].shape[2]} channels, the sample {pair[0].shape[2]}; convert one of them")
+    given = lattice_in(pair[0], lattice)
+    if given is None and isinstance(sample, Texture):
+        given = sample.lattice
+    truth = Texture(pair[0], given, (given,) if given else ())
+    return score_observation_by(Observation(*pair, truth=truth, lattice_given=given), names_of(metrics), progress)
+
+
+def score_observation_by(
+    observation: Observation,
+    metrics: Sequence[str] = (),
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Scores:
+    """Score an observation by some metrics, or by all if none are named.
+
+    The scores of a metric that raises an error are None, with the error as the reason.
+
+    Raises
+    ------
+    BadInput
+        For an unknown metric.
+    """
+    from nrbench.running.runner import find_metrics
+
+    names = find_metrics(metrics)
+    scores = {}
+    for number, metric in enumerate(names, 1):
+        scores[metric] = _score_or_failure(observation, metric)
+        if progress:
+            progress(number, len(names), metric)
+    return Scores(
+        {f"{metric}.{column}": value for metric, score in scores.items() for column, value in score.values.items()},
+        {f"{metric}.{column}": why for metric, score in scores.items() for column, why in score.reasons.items()},
+        {f"{metric}.{title}": image for metric, score in scores.items() for title, image in score.pictures.items()},
+    )
+
+
+def _score_or_failure(observation: Observation, metric: str) -> Score:
+    from nrbench.plugins.forms import Score
+    from nrbench.running.phases import failure_reason, score_observation
+
+    try:
+        return score_observation(observation, metric)
+    except Exception as error:
+        columns = plugins.build("metrics", metric).columns
+        return Score(dict.fromkeys(columns), dict.fromkeys(columns, failure_reason(error)))
+
+
+def render_textures(
+    what: Rendered,
+    directory: OutputFolder,
+    textures: Textures = (),
+    *,
+    sample: RenderedSize = None,
+    seed: OptionalNumber = None,
+    replicates: Count = None,
+) -> list[Path]:
+    """Draw the textures of a model or a suite as PNG files, with their truth and a contact sheet.
+
+    Parameters
+    ----------
+    what
+        A model, ``name`` or ``name:param=value,...``; a suite, its name or a TOML file.
+    directory
+        Directory of the pictures.
+    textures
+        Draw only these textures of a suite; repeatable.
+
+        Shell patterns of names, or a single one.
+    sample
+        Size of the pictures.
+
+        (height, width) in px, or ``"WIDTHxHEIGHT"``; if None, that of the suite.
+    seed
+        Seed.
+    replicates
+        Number of draws of each texture.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    BadInput
+        For an unknown model, suite or texture.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from nrbench import render_textures
+    >>> files = render_textures("brick:color=0.3", tempfile.mkdtemp(), sample="64x64")
+    >>> sorted({path.suffix for path in files})
+    ['.csv', '.json', '.png']
+    """
+    from nrbench.api.rendering import model_suite, write_textures
+    from nrbench.api.runs import changed
+    from nrbench.suites.plan import draw_samples
+    from nrbench.suites.suite import builtin, load_suite
+
+    if isinstance(what, str):
+        what = load_suite(what) if what in builtin() or Path(what).exists() else model_suite(what)
+    suite = changed(what, sample=sample, seed=seed, replicates=replicates)
+    return write_textures(draw_samples(suite, list_of(textures)), Path(directory))

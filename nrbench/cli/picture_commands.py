@@ -1,0 +1,222 @@
+"""The commands of single pictures: synth, lattice, score and render."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import click
+
+from nrbench.api import textures
+from nrbench.api.arguments import as_lattice, lattice_in, names_of
+from nrbench.cli.lattice_question import LatticeQuestion
+from nrbench.cli.progress import live_progress, waiting
+from nrbench.cli.verbs import check_output, choose_one, verb
+from nrbench.errors import BadInput
+from nrbench.flags import Flag, Json, Switch
+
+# The help of a command imports no more than this.
+if TYPE_CHECKING:
+    from nrbench.api.textures import Scores
+    from nrbench.imaging.convert import Image
+    from nrbench.lattice.geometry import Lattice
+
+OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png", kind=Path)]
+All = Annotated[bool, Flag("--all", kind=bool)]
+
+
+@verb(textures.synthesize)
+def synth_command(
+    call: Callable[..., Any],
+    image: Path,
+    method: str,
+    shape: str,
+    lattice: str | None,
+    output: OutputPicture,
+    extras: Switch = False,
+) -> None:
+    """Synthesize a texture of any size from IMAGE.
+
+    With --tileable, methods that can wrap synthesize around the edges of the output. The sample is strained, by at most
+    2.5 %, so that the lattice closes; the strain is printed, and a size nearby if that needs less than half of it. If
+    the strain would be larger, the command stops, and the message names the nearest size that closes.
+
+    Some methods return pictures beside the output: a tile, a mask, the elements. --extras writes them as OUT-NAME.png;
+    without it, their names are printed.
+
+    Parameters
+    ----------
+    output
+        The output.
+    extras
+        Also write the pictures that the method returns beside the output.
+    """
+    from nrbench import plugins
+    from nrbench.pictures.files import read_image, write_image
+    from nrbench.plugins.parameters import parse_size, parse_spec
+    from nrbench.running.output_checks import is_picture
+
+    name, parameters = parse_spec(method)
+    check_output(output)
+    if os.path.realpath(output) == os.path.realpath(image):
+        raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
+    finder = getattr(plugins.build("synthesizers", name, parameters), "finder", "")
+    size, sample = parse_size(shape), read_image(image)
+    given = _given_lattice(sample, lattice)
+    with waiting(f"{name}, {shape}") as progress:
+        synthesis = call(image=sample, shape=size, lattice=given, progress=progress)
+    write_image(output, synthesis.image)
+    click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
+    pictures = {title: array for title, array in synthesis.extras.items() if is_picture(array)}
+    if pictures and not extras:
+        click.echo(f"not written: {', '.join(pictures)}; --extras writes them", err=True)
+    for title, array in pictures.items() if extras else ():
+        click.echo(f"{write_image(output.with_name(f'{output.stem}-{title}.png'), array)} ({title})", err=True)
+    if given is None and synthesis.lattice is not None and finder != "consensus":
+        _warn_of_another_lattice(sample, name, synthesis.lattice)
+
+
+def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
+    """Return the lattice of the option ``--lattice``: its numbers, or what a detector finds, which is printed.
+
+    Raises
+    ------
+    BadInput
+        If the text is neither, or the detector finds no lattice.
+    """
+    from nrbench.plugins.forms import NoLatticeFound
+
+    if text is None or "," in text.partition(":")[0]:
+        return as_lattice(text)
+    try:
+        with waiting(f"{text} looks for the lattice"):
+            found = lattice_in(sample, text)
+    except NoLatticeFound as none:
+        raise BadInput(f"--lattice {text}: no lattice found ({none.reason}); give one as x1,y1,x2,y2") from None
+    assert found is not None
+    click.echo(f"--lattice {','.join(f'{x:.6g}' for x in found.numbers)}  ({text.partition(':')[0]})", err=True)
+    return found
+
+
+def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
+    """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
+    from nrbench.lattice.relation import relate
+    from nrbench.plugins.forms import NoLatticeFound
+
+    try:
+        with waiting("consensus checks the lattice"):
+            found = textures.detect_lattice(sample).lattice
+    except NoLatticeFound:
+        return
+    change = relate(used, found)
+    if change is not None and change.divisor == 1:
+        return  # the same lattice, or a supercell of it, which repeats the texture as well
+    texts = [",".join(f"{x:.5g}" for x in (*each.t1, *each.t2)) for each in (used, found)]
+    click.echo(
+        f"nrbench: warning: {method} repeats the lattice {texts[0]}, the detector consensus finds {texts[1]}; if the "
+        "output looks wrong, use --lattice consensus",
+        err=True,
+    )
+
+
+_PARTS = ("score", "regularity", "integrity", "randomness", "appearance")
+HEADLINES = ("regularity.preserved", *(f"quality.{part}" for part in _PARTS))
+"""The scores that `score` prints by default, and by whose metrics the lattice is judged."""
+
+
+@verb(textures.score)
+def score_command(
+    call: Callable[..., Scores],
+    sample: Path,
+    output: Path,
+    lattice: str | None,
+    metrics: str | None,
+    every: All = False,
+    as_json: Json = False,
+) -> None:
+    """Score any tool's OUTPUT against its SAMPLE.
+
+    Print whether the lattice is preserved, the quality, and its four parts: regularity, integrity, randomness and
+    appearance. "≤" marks a quality that is an upper bound, because a part could not be measured. --all prints all
+    scores.
+
+    Parameters
+    ----------
+    every
+        Compute all metrics.
+    as_json
+        Print JSON on standard output; of all metrics by default.
+    """
+    from nrbench.pictures.files import read_image
+
+    choose_one({"--metrics": metrics, "--all": every})
+    pictures = read_image(sample), read_image(output)
+    given = _given_lattice(pictures[0], lattice)
+    brief = not (metrics or every or as_json)
+    names = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES)) if brief else names_of(metrics or "")
+    with live_progress(patience=True) as progress:
+        scores = call(sample=pictures[0], output=pictures[1], lattice=given, metrics=names, progress=progress)
+    if as_json:
+        print(json.dumps({**scores.values, "reasons": dict(scores.reasons)}, indent=1))
+        return
+    first = [name for name in HEADLINES if name in scores.values]
+    print(_verdict_line(scores))
+    for name in first if brief else dict.fromkeys([*first, *scores.values]):
+        print(_score_line(scores, name))
+    for reason, missing in _group_reasons(scores, first if brief else list(scores.values)).items():
+        print(f"{', '.join(missing)}: {reason}")
+    if brief:
+        print(f"{len(scores.values) - len(first)} more scores of these metrics, and the other metrics: --all")
+
+
+def _verdict_line(scores: Scores) -> str:
+    """Return the verdict on the lattice in one line; empty if it was not asked for."""
+    name = HEADLINES[0]
+    if name not in scores.values:
+        return "the lattice was not judged; add regularity to --metrics"
+    if scores.values[name] is None:
+        return f"the lattice is not judged: {scores.reasons[name]}"
+    return f"the lattice is {'preserved' if scores.values[name] else 'LOST'}"
+
+
+def _score_line(scores: Scores, name: str) -> str:
+    value = scores.values[name]
+    text = "-" if value is None else str(value) if isinstance(value, bool) else f"{value:.4g}"
+    bound = "≤ " if name == "quality.score" and scores.values.get("quality.complete") is False else ""
+    return f"{name:<36} {bound}{text}"
+
+
+def _group_reasons(scores: Scores, names: list[str]) -> dict[str, list[str]]:
+    """Return the scores without a value by the reason."""
+    grouped: dict[str, list[str]] = {}
+    for name in names:
+        if scores.values[name] is None:
+            grouped.setdefault(scores.reasons[name], []).append(name)
+    return grouped
+
+
+@verb(textures.render_textures)
+def render_command(call: Callable[..., list[Path]]) -> None:
+    """Draw the textures of a model or a suite as PNG files.
+
+    The command also writes truth.csv, truth.json and a contact sheet to DIR. It keeps pictures of an earlier render,
+    and draws a picture of the same name again.
+    """
+    print(*call(), sep="\n")
+
+
+@verb(LatticeQuestion)
+def lattice_command(call: Callable[[], LatticeQuestion]) -> int:
+    """Detect the lattice of IMAGE, or those of all pictures in FOLDER.
+
+    "No lattice" is a valid result: the exit code is 0. For a folder, the command writes truth.csv, which `nrbench run
+    FOLDER` reads, and contact sheets by which you can check it.
+    """
+    question = call()
+    question.check()
+    from nrbench.cli.lattice_detection import answer_question
+
+    return answer_question(question)

@@ -1,0 +1,146 @@
+"""Commands whose options are the parameters of Python functions, with their defaults and their docstrings."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from nrbench.errors import BadInput
+from nrbench.flags import ARGUMENT, Flag
+from nrbench.running.options import Options
+
+_ENTRY = re.compile(r"^(\w[\w, ]*)\n((?:    .*\n|\n)+)", re.MULTILINE)
+
+
+class Verb(click.Command):
+    """A command that is declared by a Python function, and shows what the function returns.
+
+    The parameters of the function that have a :class:`~nrbench.flags.Flag` are the options of the command. So are the
+    fields of :class:`~nrbench.Options` if ``show`` has a parameter ``options``, and the parameters of ``show`` itself.
+
+    Parameters
+    ----------
+    function
+        The Python function.
+    show
+        The function that is called by the command. Its docstring is the help. Besides its own options it may have the
+        parameters ``call``, the function with the given arguments, ``options``, and any argument of the function.
+    without
+        Options that the command does not have.
+    """
+
+    def __init__(self, function: Callable[..., Any], show: Callable[..., int | None], without: Collection[str]) -> None:
+        self.function, self.wanted = function, list(inspect.signature(show).parameters)
+        self.shared = {name: each for name, each in read_flags(function) if name not in without}
+        how = read_flags(Options) if "options" in self.wanted else ()
+        self.options = {name: each for name, each in how if name not in without}
+        self.own = dict(read_flags(show))
+        declared = {**self.shared, **self.options, **self.own}
+        about = inspect.getdoc(show) or ""
+        name = show.__name__.removesuffix("_command")
+        super().__init__(name, callback=show, params=[*declared.values()], help=about.partition("\n\nParameters\n")[0])
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the command line into the arguments of ``show``."""
+        rest = super().parse_args(ctx, args)
+        given = {name: value for name, value in ctx.params.items() if value is not None}
+        call = partial(self.function, **{name: given[name] for name in self.shared if name in given})
+        values = {**ctx.params, "call": call}
+        if "options" in self.wanted:
+            values["options"] = Options(**{name: given[name] for name in self.options if name in given})
+        ctx.params = {name: values[name] for name in self.wanted}
+        return rest
+
+
+def verb(
+    function: Callable[..., Any] | None = None, without: Collection[str] = ()
+) -> Callable[[Callable[..., int | None]], Verb]:
+    """Return a decorator that makes a :class:`Verb` of the function that shows the results of a Python function."""
+    return lambda show: Verb(function or show, show, without)
+
+
+def read_flags(function: Callable[..., Any]) -> Iterator[tuple[str, click.Parameter]]:
+    """Yield the name of each parameter with a flag, and its option: with its default and its help."""
+    aliases, texts = vars(sys.modules[function.__module__]), _first_paragraphs(inspect.getdoc(function) or "")
+    for name, parameter in inspect.signature(function).parameters.items():
+        alias = aliases.get(str(parameter.annotation))
+        for flag in getattr(alias, "__metadata__", ()):
+            yield name, _make_option(name, flag, parameter.default, texts.get(name, ""))
+
+
+def _first_paragraphs(docstring: str) -> Mapping[str, str]:
+    """Return the first paragraph of the description of each parameter in a NumPy docstring."""
+    found = {}
+    for names, text in _ENTRY.findall(f"{docstring}\n"):
+        paragraph = inspect.cleandoc(text).partition("\n\n")[0].replace("\n", " ").replace("``", "`")
+        found.update(dict.fromkeys(names.split(", "), paragraph))
+    return found
+
+
+def _make_option(name: str, flag: Flag, default: Any, text: str) -> click.Parameter:
+    required = default is inspect.Parameter.empty
+    plain = isinstance(default, int | float | str) and default != ""
+    given: dict[str, Any] = {"default": default} if plain else {}
+    kind = _click_type(flag)
+    if flag.names == ARGUMENT:
+        return click.Argument(
+            [name], type=kind, required=required, nargs=-1 if flag.many else 1, metavar=flag.metavar, **given
+        )
+    spelled = flag.names.split() or [f"--{name.replace('_', '-')}"]
+    if flag.kind is bool:
+        return click.Option([*spelled, name], is_flag=True, help=text)
+    return click.Option(
+        [*spelled, name],
+        type=kind,
+        required=required,
+        multiple=flag.many,
+        metavar=flag.metavar,
+        help=text,
+        show_default=plain,
+        default=default if isinstance(default, int | float | str) else None,
+    )
+
+
+def _click_type(flag: Flag) -> Any:
+    if flag.choices:
+        return click.Choice(flag.choices)
+    if flag.kind is Path:
+        return click.Path(path_type=Path)
+    if flag.least is None or flag.kind is str:
+        return flag.kind
+    limits: dict[str, Any] = {"min": flag.least, "max": flag.most, "min_open": flag.above}
+    return click.IntRange(**limits) if flag.kind is int else click.FloatRange(**limits)
+
+
+def choose_one(given: Mapping[str, object]) -> None:
+    """Raise :class:`~nrbench.errors.BadInput` if more than one of some options is given."""
+    names = [name for name, value in given.items() if value]
+    if len(names) > 1:
+        raise BadInput(f"{' and '.join(names)}: choose one of them")
+
+
+def check_output(path: Path) -> None:
+    """Raise :class:`~nrbench.errors.BadInput` unless a picture can be written to ``path``.
+
+    A temporary file is made beside it, because the rights of a directory do not tell whether its file system takes
+    files.
+    """
+    if path.suffix.lower() != ".png":
+        raise BadInput(f"{path}: outputs are PNG; end the name in .png")
+    if not path.absolute().parent.is_dir():
+        raise BadInput(f"{path}: its directory does not exist; make it first")
+    if path.is_dir():
+        raise BadInput(f"{path}: is a directory; give the name of a file")
+    try:
+        with tempfile.TemporaryFile(dir=path.absolute().parent):
+            pass
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror or error}; choose another directory") from None

@@ -1,0 +1,241 @@
+"""Draw lattices over an image or a part of it, and many images on one sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil
+
+import numpy as np
+import PIL.Image
+import PIL.ImageDraw
+import PIL.ImageFont
+import skimage
+
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.pictures.files import to_pil
+
+COLOR = (1.0, 0.1, 0.6)
+"""sRGB color of lattices; rare in brick, cloth and tile."""
+PANEL = 248
+"""px; largest side of a panel."""
+_CELLS, _OTHER_CELLS = 5.0, 2.2
+"""A panel shows at least this number of cells of the first lattice, and of each other one, along each side."""
+_LEAST = 24.0
+"""px; least side of the part of the image that a panel shows."""
+_VISIBLE = 6.0
+"""px; cells of a smaller side are not drawn over a whole image: the lines would hide it."""
+_CLEAR = 24.0
+"""px; side of a cell that is clear to see among the lines."""
+_LARGEST = 2048
+"""px; no overlay is enlarged beyond it."""
+_ROWS = 256
+"""Number of rows that are drawn at a time: arrays of the whole image would need much memory."""
+_SIZE = 11
+"""Height of a letter, px."""
+_MARGIN = 8
+"""px; space between images."""
+_LETTERS = 30
+"""Least number of letters on a line of a caption."""
+
+
+def draw_lattice(image: Image, lattice: Lattice, color: tuple[float, float, float] = COLOR) -> Image:
+    """Return the image in color with the cells of the lattice drawn over it in anti-aliased lines one pixel wide.
+
+    Parameters
+    ----------
+    image
+        Any :data:`~nrbench.imaging.convert.Image`.
+    lattice
+        In the image's coordinates. The cells of its reduced basis are drawn.
+    color
+        sRGB color of the lines, in [0, 1].
+
+    Returns
+    -------
+    Image
+        Float32 ``(H, W, 3)`` in [0, 1].
+
+    Notes
+    -----
+    Each pixel is mixed with the color by its distance from the nearest line, which follows from its cell coordinates.
+    The time depends on the image alone and not on the number of cells.
+
+    Examples
+    --------
+    >>> from nrbench import draw_lattice, texture
+    >>> brick = texture("brick", shape=(64, 96))
+    >>> draw_lattice(brick.image, brick.lattice).shape
+    (64, 96, 3)
+    """
+    canvas = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image.copy()
+    basis = lattice.reduced()
+    steps = np.linalg.inv(basis.matrix)
+    slopes = steps / np.hypot(*steps)  # columns of length 1: their products with a vector are distances in px
+    apart = 1 / np.hypot(*steps)
+    x = np.arange(image.shape[1]) - basis.origin[0]
+    for top in range(0, image.shape[0], _ROWS):
+        rows = canvas[top : top + _ROWS]
+        y = np.arange(top, top + len(rows))[:, np.newaxis] - basis.origin[1]
+        near = np.full(rows.shape[:2], np.inf)
+        for (right, down), spacing in zip(slopes.T, apart, strict=True):
+            distance = x * right + y * down
+            distance -= spacing * np.rint(distance / spacing)
+            np.minimum(near, np.abs(distance, out=distance), out=near)
+        lines = near < 1
+        weight = (1 - near[lines]).astype(np.float32)[:, np.newaxis]
+        rows[lines] += weight * (np.array(color, np.float32) - rows[lines])
+    return canvas
+
+
+def draw_overlay(image: Image, lattice: Lattice) -> Image:
+    """Return the image with a lattice drawn over it, enlarged by a whole factor if the picture or the cells are small.
+
+    The factor makes the shortest side of a cell at least 24 px and the longer side of the picture at least 248 px,
+    as far as the picture stays under 2048 px.
+
+    Parameters
+    ----------
+    image
+        Any :data:`~nrbench.imaging.convert.Image`.
+    lattice
+        In the image's coordinates.
+    """
+    longer = max(image.shape[:2])
+    wanted = max(ceil(_CLEAR / lattice.s), ceil(PANEL / longer))
+    panel, factor = _scale(image, longer * max(1, min(wanted, _LARGEST // longer)))
+    return draw_lattice(panel, _place(lattice, (0, 0), factor))
+
+
+def draw_segments(image: Image, starts: Points, ends: Points) -> Image:
+    """Return the image in color with anti-aliased segments one pixel wide drawn over it.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    starts, ends
+        ``(n, 2)`` each: (x, y) px.
+    """
+    canvas = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image.copy()
+    for start, end in zip(starts, ends, strict=True):
+        _draw_line(canvas, start, end)
+    return canvas
+
+
+def _draw_line(canvas: Image, start: Points, end: Points) -> None:
+    x0, y0, x1, y1 = np.rint([*start, *end]).astype(int)
+    rows, columns, weight = skimage.draw.line_aa(y0, x0, y1, x1)  # type: ignore[no-untyped-call]
+    inside = (rows >= 0) & (rows < canvas.shape[0]) & (columns >= 0) & (columns < canvas.shape[1])
+    rows, columns, weight = rows[inside], columns[inside], weight[inside, np.newaxis].astype(np.float32)
+    canvas[rows, columns] = canvas[rows, columns] * (1 - weight) + np.array(COLOR, np.float32) * weight
+
+
+def zoom_panels(image: Image, lattices: Sequence[Lattice], side: int = PANEL) -> list[Image]:
+    """Return the same part of an image once for each lattice, with this lattice drawn over it.
+
+    Parameters
+    ----------
+    image
+        Any :data:`~nrbench.imaging.convert.Image`.
+    lattices
+        In the image's coordinates. The part is the middle of the image. It shows about five cells of the
+        first lattice along each side, and two of the others.
+    side
+        Largest side of a panel, px. Small parts are enlarged by a whole factor, large ones are shrunk.
+    """
+    if not lattices:
+        return []
+    longest = [float(np.hypot(*lattice.reduced().t2)) for lattice in lattices]
+    extent = max(_CELLS * longest[0], _OTHER_CELLS * max(longest), _LEAST)
+    height, width = (min(n, round(extent)) for n in image.shape[:2])
+    top, left = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
+    part = image[top : top + height, left : left + width]
+    panel, factor = _scale(part, side)
+    return [draw_lattice(panel, _place(lattice, (left, top), factor)) for lattice in lattices]
+
+
+def draw_overview(image: Image, lattice: Lattice | None, side: int = PANEL) -> Image:
+    """Return a whole image, scaled to ``side`` px, with a lattice drawn over it if its cells can be seen at this scale.
+
+    Parameters
+    ----------
+    image
+        Any :data:`~nrbench.imaging.convert.Image`.
+    lattice
+        In the image's coordinates; None: nothing is drawn.
+    side
+        Largest side of the result, px.
+    """
+    panel, factor = _scale(image, side)
+    if lattice is None or lattice.s * factor < _VISIBLE:
+        return np.repeat(panel, 3, axis=2) if panel.shape[2] == 1 else panel
+    return draw_lattice(panel, _place(lattice, (0, 0), factor))
+
+
+def _scale(image: Image, side: int) -> tuple[Image, float]:
+    """Return an image whose longer side is at most ``side`` px, and the factor: a whole number if it is enlarged."""
+    longer = max(image.shape[:2])
+    if longer <= side:
+        times = side // longer
+        return np.repeat(np.repeat(image, times, axis=0), times, axis=1), float(times)
+    size = (max(1, round(n * side / longer)) for n in image.shape[1::-1])
+    small = np.asarray(to_pil(image).resize(tuple(size), PIL.Image.Resampling.BOX), np.float32) / np.float32(255)
+    return small.reshape(*small.shape[:2], -1), side / longer
+
+
+def _place(lattice: Lattice, corner: tuple[int, int], factor: float) -> Lattice:
+    """Return a lattice in the coordinates of a part of the image that begins at ``corner`` (x, y) and is scaled."""
+    origin = (np.array(lattice.origin) - corner + 0.5) * factor - 0.5
+    return Lattice.from_basis(lattice.matrix * factor, (float(origin[0]), float(origin[1])))
+
+
+def stack(upper: Image, lower: Image) -> Image:
+    """Return two color images one above the other; the narrower one is filled up with white on its right."""
+    width = max(upper.shape[1], lower.shape[1])
+    parts = [np.pad(each, ((0, 0), (0, width - each.shape[1]), (0, 0)), constant_values=1) for each in (upper, lower)]
+    return np.concatenate(parts)
+
+
+def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: int = 8, letters: int = _SIZE) -> Image:
+    """Return all images in rows, each below its caption.
+
+    Parameters
+    ----------
+    pictures
+        Any sizes and channels; the widest one determines the width of all columns.
+    captions
+        One for each image; lines that are too long for their column are cut.
+    columns
+        Largest number of images in a row.
+    letters
+        Height of a letter, px.
+    """
+    line = _line_height(letters)
+    columns = min(columns, len(pictures))
+    lines = max(caption.count("\n") + 1 for caption in captions)
+    width = max(6 * _LETTERS, *(picture.shape[1] for picture in pictures)) + _MARGIN
+    rows = [range(i, min(i + columns, len(pictures))) for i in range(0, len(pictures), columns)]
+    heights = [max(pictures[k].shape[0] for k in row) + lines * line + _MARGIN for row in rows]
+    sheet = PIL.Image.new("RGB", (columns * width + _MARGIN, sum(heights) + _MARGIN), "white")
+    pen, top = PIL.ImageDraw.Draw(sheet), _MARGIN
+    for row, height in zip(rows, heights, strict=True):
+        for column, k in enumerate(row):
+            left = _MARGIN + column * width
+            _write(pen, (left, top), captions[k], width - _MARGIN, letters)
+            sheet.paste(to_pil(pictures[k]).convert("RGB"), (left, top + lines * line))
+        top += height
+    return np.asarray(sheet, np.float32) / np.float32(255)
+
+
+def _line_height(letters: int) -> int:
+    """Return the height of a line of a caption, px."""
+    return round(1.4 * letters) - 2
+
+
+def _write(pen: PIL.ImageDraw.ImageDraw, corner: tuple[int, int], caption: str, width: int, letters: int) -> None:
+    font = PIL.ImageFont.load_default(size=letters)
+    for i, line in enumerate(caption.split("\n")):
+        while font.getlength(line) > width:
+            line = line[:-1]
+        pen.text((corner[0], corner[1] + i * _line_height(letters)), line, fill="black", font=font)
