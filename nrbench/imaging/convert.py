@@ -151,13 +151,6 @@ def sum_channels(values: NDArray[Number]) -> NDArray[Number]:
     return total
 
 
-def mean_channels(values: NDArray[Number]) -> NDArray[Number]:
-    """Return the mean along the last axis, see :func:`sum_channels`."""
-    total = sum_channels(values)
-    total /= values.shape[-1]
-    return total
-
-
 def subtract_color(values: NDArray[np.float32], color: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return ``(..., W, C)`` values less one color ``(C,)``.
 

@@ -152,14 +152,14 @@ def improve_matches(field: FieldArrays, draws: Float32x1, sweeps: int) -> None:
             i = a if step > 0 else rows.size - 1 - a
             for b in range(columns.size):
                 j = b if step > 0 else columns.size - 1 - b
-                best = float(costs[i, j]), np.int64(matches[i, j, 0]), np.int64(matches[i, j, 1])
+                best = float(costs[i, j]), matches[i, j, 0] + 0, matches[i, j, 1] + 0
                 # Propagation from the patch above or below, and from the patch to the left or right.
                 if a > 0:
                     v = matches[i - step, j, 0] + rows[i] - rows[i - step]
-                    best = keep_better(field, i, j, v, np.int64(matches[i - step, j, 1]), best)
+                    best = keep_better(field, i, j, v, matches[i - step, j, 1], best)
                 if b > 0:
                     u = matches[i, j - step, 1] + columns[j] - columns[j - step]
-                    best = keep_better(field, i, j, np.int64(matches[i, j - step, 0]), u, best)
+                    best = keep_better(field, i, j, matches[i, j - step, 0], u, best)
                 # Random search around the best match, nearer and nearer.
                 reach = max(height, width)
                 while reach >= 1:

@@ -317,12 +317,11 @@ def keep_if_near(found: NearestPoints, key: np.int64, place: int) -> None:
 
 
 @step_kernel
-def measure_gaps(tree: TreeArrays, group: int, query: Int16x1, gaps: Int64x1) -> np.int64:
+def measure_gaps(tree: TreeArrays, group: int, query: Int16x1, gaps: Int64x1) -> int:
     """Return the squared distance of a query from a group's box, and write its part along each axis to ``gaps``."""
-    distance = np.int64(0)
+    distance = 0
     for a in range(query.size):
-        below, above = np.int64(tree.lows[group, a]) - query[a], np.int64(query[a]) - tree.highs[group, a]
-        beyond = max(below, above, np.int64(0))
+        beyond = max(tree.lows[group, a] - query[a], query[a] - tree.highs[group, a], 0)
         gaps[a] = beyond * beyond
         distance += gaps[a]
     return distance
@@ -384,13 +383,10 @@ def search_tree(
         if at < 0 or distance * shrink > found.keys[last] >> 32:
             continue
         while nodes[at, AXIS] >= 0:
-            axis = np.int64(nodes[at, AXIS])
+            axis = nodes[at, AXIS]
             # The query lies on the side of the cut whose points are nearer to it along the axis.
-            to_left, to_right = (
-                nodes[at, LEFT_END] - np.int64(query[axis]),
-                nodes[at, RIGHT_START] - np.int64(query[axis]),
-            )
-            near, far, gap = at + 1, np.int64(nodes[at, RIGHT]), to_right * to_right
+            to_left, to_right = nodes[at, LEFT_END] - query[axis], nodes[at, RIGHT_START] - query[axis]
+            near, far, gap = at + 1, nodes[at, RIGHT], to_right * to_right
             if to_left + to_right <= 0:
                 near, far, gap = far, near, to_left * to_left
             farther = distance - gaps[axis] + gap
@@ -452,7 +448,8 @@ def find_continuation(sources: Int64x2, places: Int64x1, width: int, pixel: tupl
     source -= y * width + x
     if source < 0 or source >= places.size:
         return -1
-    return places[source]
+    place: int = places[source]
+    return place
 
 
 @step_kernel
@@ -540,8 +537,9 @@ def choose_source(
             other.keys[0] = np.int64(math.ceil((near.keys[0] >> 32) / factor)) << 32
         search_tree(sample.tree, group, point, 1.0, other, buffers.search)
     elif near.keys[0] < other.keys[0] or (factor > 0 and (near.keys[0] >> 32) <= factor * (other.keys[0] >> 32)):
-        return near.places[0]
-    return other.places[0] if other.places[0] >= 0 else near.places[0]
+        other.places[0] = -1
+    place: int = other.places[0] if other.places[0] >= 0 else near.places[0]
+    return place
 
 
 @kernel

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from nrbench.detectors.autocorrelation.lattice_evidence import PAD, REACH, LatticeEvidence, finer_bases, highest_added
+from nrbench.detectors.autocorrelation.lattice_evidence_kernels import rate_added_points
 from nrbench.detectors.autocorrelation.vector_pair_kernels import mean_correlations
-from nrbench.detectors.consensus_rating.lattice_evidence import PAD, REACH, LatticeEvidence
-from nrbench.detectors.consensus_rating.lattice_evidence_kernels import rate_added_points
-from nrbench.detectors.consensus_rating.sublattice_search import finer_bases, highest_added, ridge_height
+from nrbench.detectors.candidate_search.sublattice_search import ridge_height
 from nrbench.imaging.correlation import half_autocorrelation
 from nrbench.lattice.geometry import Lattice, hermite_matrices
 
@@ -92,8 +92,8 @@ def test_a_sample_of_many_lags_has_their_mean(evidence: LatticeEvidence) -> None
 def test_few_of_many_multiples_fit_a_basis(monkeypatch: pytest.MonkeyPatch, evidence: LatticeEvidence) -> None:
     """The fit to a sample of the multiples ends within 0.01 px of the fit to all."""
     start, expected = BASIS + np.array([[0.6, -0.4], [0.3, 0.5]]), evidence.fit(BASIS)
-    monkeypatch.setattr("nrbench.detectors.consensus_rating.lattice_evidence.MOST_FITTED", 20)
-    monkeypatch.setattr("nrbench.detectors.consensus_rating.lattice_evidence.NEAREST", 2)
+    monkeypatch.setattr("nrbench.detectors.autocorrelation.lattice_evidence.MOST_FITTED", 20)
+    monkeypatch.setattr("nrbench.detectors.autocorrelation.lattice_evidence.NEAREST", 2)
     np.testing.assert_allclose(evidence.fit(start), expected, atol=0.01)
     assert not np.array_equal(evidence.fit(start), expected)
 

@@ -481,7 +481,7 @@ def nearest_distance(grid: PeakGrid, peaks: Float64x2, i: int) -> float:
                 if 0 <= c < columns:
                     nearest = min(nearest, nearest_in_box(grid, peaks, r, c, x, y))
         ring += 1
-    return np.sqrt(nearest)
+    return float(np.sqrt(nearest))
 
 
 @kernel

@@ -101,7 +101,7 @@ def draw_step(state: int, mean: int) -> tuple[int, int]:
 def is_multiple(inverse: Float64x2, x: float, y: float) -> bool:
     """Return whether a lag is a point of a lattice, given the inverse of its basis, up to 0.02 of each vector."""
     u, v = x * inverse[0, 0] + y * inverse[1, 0], x * inverse[0, 1] + y * inverse[1, 1]
-    return max(abs(u - np.rint(u)), abs(v - np.rint(v))) < 0.02
+    return bool(max(abs(u - np.rint(u)), abs(v - np.rint(v))) < 0.02)
 
 
 @kernel
@@ -300,7 +300,8 @@ def solve_newton(sums: Float64x1) -> Float64x1:
     # The farthest multiple moves by these sums along x and y.
     along = sums[1] * abs(step[0]) + sums[2] * abs(step[1])
     down = sums[1] * abs(step[2]) + sums[2] * abs(step[3])
-    return step / max(1.0, along, down)
+    step /= max(1.0, along, down)
+    return step
 
 
 @kernel
