@@ -122,7 +122,7 @@ def draw_perils(run: Run) -> None:
 STEPS = {"cli": 1, "suites": 2, "running": 3, "detectors": 4, "synthesizers": 4, "metrics": 5, "runs": 6, "reports": 7}
 """The packages through which a cell goes, in order."""
 FILLS = {"plugins": "#fff3d6", "core": "#e4eefb", "base": "#eeeeee"}
-WIDE, MARGIN, GAP, LINE = 1000, 20, 10, 15
+WIDE, MARGIN, GAP, LINE = 800, 10, 8, 15
 """px: width of the picture, margin, gap between boxes, and height of a line of text."""
 
 
@@ -138,7 +138,7 @@ def describe(name: str) -> str:
     """Return the first line of a package's or a module's docstring."""
     places = (ROOT / name / "__init__.py", ROOT / "nrbench" / name / "__init__.py", ROOT / "nrbench" / f"{name}.py")
     page = ast.get_docstring(ast.parse(next(path for path in places if path.exists()).read_text("utf-8"))) or ""
-    return page.partition("\n")[0].rstrip(".")
+    return page.partition("\n")[0].rstrip(".").replace("`", "")
 
 
 def draw_structure() -> None:
@@ -146,10 +146,11 @@ def draw_structure() -> None:
     parts, top, floors = [], MARGIN, list_floors()
     for floor in floors:
         width = (WIDE - 2 * MARGIN - GAP * (len(floor) - 1)) / len(floor)
-        texts = {name: textwrap.wrap(describe(name), int(width / 6.6)) for name in floor}
+        texts = {name: textwrap.wrap(describe(name), int((width - 16) / 6.1)) for name in floor}
         height = LINE * max(map(len, texts.values())) + 34
         for k, (name, lines) in enumerate(texts.items()):
-            left, wing = MARGIN + k * (width + GAP), (ROOT / name).is_dir() or name == "detectors"
+            left = MARGIN + k * (width + GAP)
+            wing = (ROOT / name / "__init__.py").exists() or name == "detectors"
             fill = FILLS["plugins" if wing else "base" if floor is floors[-1] else "core"]
             box = f'width="{width:.0f}" height="{height}" rx="5" fill="{fill}" stroke="#8090a0"'
             parts.append(f'<rect x="{left:.0f}" y="{top}" {box}/>')

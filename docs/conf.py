@@ -20,7 +20,9 @@ extensions = [
     "sphinx_copybutton",
 ]
 extlinks = {"DOI": ("https://doi.org/%s", "doi:%s")}
-exclude_patterns = ["_build"]
+HAS_GALLERY = any((Path(__file__).parent / "gallery" / "perils").glob("*.md"))
+"""Whether ``benchmarks/gallery.py`` has written its pages to the end."""
+exclude_patterns = ["_build", *([] if HAS_GALLERY else ["gallery"])]
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 3
 suppress_warnings = ["myst.header"]
@@ -46,8 +48,8 @@ html_css_files = ["gallery.css"]
 
 
 def leave_out_missing_gallery(app: Sphinx, page: str, text: list[str]) -> None:
-    """Leave out the gallery where ``benchmarks/gallery.py`` has not written its pages."""
-    if page == "user" and not any(Path(app.srcdir, "gallery", "perils").glob("*.md")):
+    """Leave out the lists of the gallery's pages where there are none."""
+    if page == "user" and not HAS_GALLERY:
         text[0] = text[0].partition("## Gallery")[0]
 
 

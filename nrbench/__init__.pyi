@@ -44,10 +44,10 @@ from .plugins.forms import Task as Task
 from .plugins.forms import Texture as Texture
 from .plugins.forms import find_lattice as find_lattice
 from .plugins.forms import require_lattice as require_lattice
+from .plugins.parameters import user_path as user_path
 from .plugins.registry import NamedDetector as NamedDetector
 from .running.options import Options as Options
 from .runs.records import CellRecord as CellRecord
 from .runs.records import Run as Run
-from .storage import user_path as user_path
 from .tracking.bent_lattice import Deformation as Deformation
 from .version import __version__ as __version__

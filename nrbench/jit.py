@@ -1,4 +1,4 @@
-"""Compiled kernels: numba where it is installed, plain Python with a warning where it is not.
+"""Kernels that numba compiles.
 
 The first call of a kernel, or :func:`load_kernels`, imports numba and compiles the kernel or reads it from the cache.
 The annotations of a kernel are the types that it is compiled for. ``Float64x2`` is an array of float64 with two
@@ -12,7 +12,6 @@ import contextlib
 import hashlib
 import importlib
 import inspect
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FunctionType
@@ -48,8 +47,10 @@ UInt8x2 = Annotated[NDArray[np.uint8], "uint8[:, ::1]"]
 UInt8x3 = Annotated[NDArray[np.uint8], "uint8[:, :, ::1]"]
 UInt64x1 = Annotated[NDArray[np.uint64], "uint64[::1]"]
 UInt8View2 = Annotated[NDArray[np.uint8], "uint8[:, :]"]
+UInt8View3 = Annotated[NDArray[np.uint8], "uint8[:, :, :]"]
 Boolx1 = Annotated[NDArray[np.bool_], "boolean[::1]"]
 Boolx2 = Annotated[NDArray[np.bool_], "boolean[:, ::1]"]
+BoolView2 = Annotated[NDArray[np.bool_], "boolean[:, :]"]
 
 _SCALARS: dict[Any, str] = {float: "float64", int: "int64", bool: "boolean", type(None): "void"}
 
@@ -147,10 +148,7 @@ def load_kernels(compiling: Callable[[], None] = lambda: None) -> None:
 
 def _is_uncompiled(declared: Kernel[..., Any]) -> bool:
     """Return whether no kernel of a kernel's file is in nrbench's cache. Another cache of numba's is not searched."""
-    try:
-        numba: Any = importlib.import_module("numba")
-    except ImportError:
-        return False
+    numba: Any = importlib.import_module("numba")
     cached = numba.config.CACHE_DIR or cache_folder(declared.function, numba.__version__).is_dir()
     return not (cached or declared.inlined)
 
@@ -211,16 +209,9 @@ def _link_kernels(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _compile(declared: Kernel[P, R]) -> Callable[P, R]:
+    import numba
+
     function = declared.function
-    try:
-        import numba
-    except ImportError:
-        warnings.warn(
-            f"numba is not installed: {function.__name__} runs uncompiled, hundreds of times slower; pip install numba",
-            RuntimeWarning,
-            stacklevel=3,
-        )
-        return function
     if declared.inlined:  # compiled with its callers
         inlined: Callable[P, R] = numba.njit(inline="always")(_link_kernels(function))
         return inlined

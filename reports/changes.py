@@ -19,9 +19,9 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.plugins.forms import Column
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import Run
-from nrbench.storage import write_text
+from nrbench.storage import write_files
 
-from .markdown import escape_markdown
+from .markdown import escape_markdown, pipe_table
 from .statistics.estimates import FEWEST, Estimate, estimate_means, mean_of_known, stack_draws
 from .statistics.format import format_interval, format_number, format_signed, pluralize
 from .statistics.pair_tests import ALPHA, POWER, detectable_losses, p_values_by_flips
@@ -84,9 +84,7 @@ class Changes:
             return []
         changes = self.compare(run)
         texts = {"changes.md": changes.markdown(), "changes.json": json.dumps(changes.as_dict(), indent=1) + "\n"}
-        for name, text in texts.items():
-            write_text(directory / name, text)
-        return [directory / name for name in texts]
+        return write_files(directory, texts)
 
     def compare(self, run: Run) -> RunChanges:
         """Return the changes from the baseline to a run.
@@ -252,11 +250,10 @@ class RunChanges:
 
     def markdown(self) -> str:
         """Return the changes as a Markdown table for a pull request."""
-        rows = [HEADS, ["---"] * len(HEADS), *([*map(escape_markdown, change.cells)] for change in self.changes)]
-        table = [f"| {' | '.join(row)} |" for row in rows]
+        table = pipe_table(HEADS, ([*map(escape_markdown, change.cells)] for change in self.changes))
         title = f"**{escape_markdown(str(self.first.root))} → {escape_markdown(str(self.second.root))}**"
         notes = [f"- {escape_markdown(line)}" for line in self.notes]
-        return "\n".join([title, "", *table, "", LEGEND, *(["", *notes] if notes else [])]) + "\n"
+        return "\n".join([title, "", table, "", LEGEND, *(["", *notes] if notes else [])]) + "\n"
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it for JSON."""

@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 from markupsafe import Markup
 
 from nrbench.errors import strip_control
 from nrbench.labelling import questions
 from nrbench.labelling.labels import content_hash
+from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
-from nrbench.storage import write_text
+from nrbench.storage import write_files
 from nrbench.version import find_project
 
-from .csv import csv_text, summary_table
-from .latex import bibliography, latex_text
+from .csv import csv_text
+from .latex import LatexTables, bibliography
 from .page import gallery
 from .page.environment import make_environment
-from .page.forest_plot import forest_axes
-from .page.method_terms import group_by_family, list_patch_terms, order_by_peril
 from .page.pictures import CROP, PictureStore
 from .plots.method_plots import (
     plot_claim,
@@ -36,26 +37,32 @@ from .plots.method_plots import (
     plot_ranks,
     timed_methods,
 )
-from .plots.perils_points import perils_points
 from .statistics.detections import compare_detectors
+from .statistics.estimates import NO_ESTIMATE
 from .statistics.expectations import compare_with_published, evaluate_claims
+from .statistics.format import format_number, format_percent
+from .statistics.frames import method_classes, print_patches, summary_table
 from .statistics.labelers import compare_labelers
 from .statistics.levels import BROKEN, compare_levels
-from .statistics.method_comparison import compare_methods
+from .statistics.method_comparison import ComparisonOptions
 from .statistics.summaries import (
+    COSTS,
+    MethodSummary,
+    SummaryRow,
     describe_scores,
     headline_columns,
     other_score_rows,
+    perils_points,
     sort_headlines_first,
 )
-from .statistics.verdicts import SCORE
+from .statistics.verdicts import PERILS, SCORE
 
 _LEVELS_WIDTH = 8.7
 """Width of the plot of levels, inches: three columns."""
 
 
 @dataclass(frozen=True)
-class HtmlReport:
+class HtmlReport(ComparisonOptions):
     """The whole run on one page, ``report.html``, which works offline from ``file://``.
 
     It shows the ranking of the methods by quality, the comparison by texture, where each method fails and what its
@@ -72,32 +79,21 @@ class HtmlReport:
         copies exceed 7 MB loads them from that folder, too.
     labels
         Answer files of the labelling pages of ``nrbench label``. They add the agreement of labelers with the scores.
-    tests
-        Whether to test which methods differ. Without tests there is no leading group.
-    baseline
-        The method with which the others are compared, by its name or label; by default the best ranked one.
-    population
-        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     single_file: bool = False
     labels: tuple[Path, ...] = ()
-    tests: bool = True
-    baseline: str = ""
-    population: bool = False
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "report"
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``report.html`` and return its path."""
-        path = directory / "report.html"
-        write_text(path, self.render(run, directory))
-        return [path]
+        return write_files(directory, {"report.html": self.render(run, directory)})
 
     def render(self, run: Run, directory: Path) -> str:
         """Return the page as it will lie in ``directory``."""
-        comparison = compare_methods(run, self.tests, self.baseline, self.population)
+        comparison = self.compare(run)
         pictures = PictureStore(directory, self.single_file)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         labelers, claims, timed = compare_labelers(run, self.labels), evaluate_claims(run), timed_methods(comparison)
@@ -106,12 +102,12 @@ class HtmlReport:
             "command": shlex.join(map(str, run.info.get("argv") or [])),
             "run": run,
             "comparison": comparison,
-            "patch_terms": list_patch_terms(run),
+            "patches": print_patches(run),
             "first_reference": next((i for i, one in enumerate(comparison.methods) if i and one.reference), -1),
             "more_rows": other_score_rows(run, comparison.summaries),
             "axes": forest_axes(comparison.summary_rows),
-            "families": group_by_family(run, comparison.summaries),
-            "perils": order_by_peril(comparison.summaries),
+            "families": _group_by_family(run, comparison.summaries),
+            "perils": _order_by_peril(comparison.summaries),
             "project": find_project(run.info),
             "points": points,
             "plane": plot_perils_plane("svg", points) if points else b"",
@@ -119,7 +115,7 @@ class HtmlReport:
             "heat_map": plot_heat_map("svg", comparison) if comparison.has_ranking else b"",
             "cost_plane": plot_cost("svg", timed) if timed else b"",
             "summary_csv": csv_text(summary_table(comparison)),
-            "summary_latex": latex_text(run, comparison) if comparison.scored and comparison.rows else "",
+            "summary_latex": LatexTables().summary(comparison) if comparison.scored and comparison.rows else "",
             "bibliography": bibliography(run),
             "panels": panels,
             "level_plot": plot_levels("svg", panels, _LEVELS_WIDTH) if panels else b"",
@@ -192,3 +188,109 @@ def _failed_scores(cells: Sequence[CellRecord]) -> list[tuple[CellRecord, str, s
         if why.startswith("failed:")
     }
     return [(record, metric, why) for (_, metric, why), record in failures.items()]
+
+
+def _group_by_family(run: Run, summaries: Sequence[MethodSummary]) -> dict[str, list[MethodSummary]]:
+    """Return the ranked methods by the family that each declares, the best first; those without one come last."""
+    plugin = {record.method: record.cell.method for record in run.cells}
+    classes = method_classes(run.cells)
+    groups: dict[str, list[MethodSummary]] = {}
+    for one in sorted((each for each in summaries if each.rank), key=lambda each: each.rank or 0):
+        family = str(getattr(classes.get(plugin[one.method.name]), "family", "")) or "other methods"
+        groups.setdefault(family, []).append(one)
+    return dict(sorted(groups.items(), key=lambda group: group[0] == "other methods"))
+
+
+def _order_by_peril(summaries: Sequence[MethodSummary]) -> dict[str, list[MethodSummary]]:
+    """Return the methods that are no references by each peril, those that keep most first; unmeasured ones last."""
+    own = [one for one in summaries if not one.method.reference]
+
+    def kept(one: MethodSummary, peril: str) -> float:
+        value = one.means[peril].value if peril in one.means else None
+        return -1.0 if value is None else value
+
+    measured = [peril for peril in PERILS if any(kept(one, peril) >= 0 for one in own)]
+    return {peril: sorted(own, key=lambda one: -kept(one, peril)) for peril in measured}
+
+
+Scale = Callable[[float | None], float | None]
+"""Maps a value to its place on an axis, from 0 to 100."""
+
+
+Point = tuple[float | None, float | None, float | None]
+"""Places of a value and of the ends of its interval on an axis; None if there is none."""
+
+
+@dataclass(frozen=True)
+class ForestAxis:
+    """One axis, with a point for each method.
+
+    Parameters
+    ----------
+    row
+        The numbers of the methods.
+    ends
+        The ends of the axis as text.
+    one
+        Place of the value 1, 0 to 100, for a score that is best there; else None.
+    better
+        Which values are better, in words.
+    points
+        One for each method, by its label.
+    """
+
+    row: SummaryRow
+    ends: tuple[str, str]
+    one: float | None
+    better: str
+    points: Mapping[str, Point]
+
+
+_BETTER = {"higher": "better →", "lower": "← better", "one": "best at 1", "none": ""}
+
+
+def forest_axes(rows: Sequence[SummaryRow]) -> list[ForestAxis]:
+    """Return an axis for each number that summarizes the methods, without the variants."""
+    return [_axis(row) for row in rows if not row.variant]
+
+
+def _axis(row: SummaryRow) -> ForestAxis:
+    text = format_percent if row.rate else format_number
+    estimates = {label: number.estimate or NO_ESTIMATE for label, number in row.numbers.items()}
+    known = [x for one in estimates.values() for x in (one.value, one.low, one.high) if x is not None]
+    logarithmic = row.name in COSTS and bool(known) and min(known) > 0
+    low, high = _whole_decades(known) if logarithmic else _linear_range(row.column, known)
+    scale = _scale(low, high, math.log if logarithmic else float)
+    return ForestAxis(
+        row,
+        ends=(text(low), text(high)),
+        one=scale(1.0) if row.column.better == "one" else None,
+        better=_BETTER[row.column.better],
+        points={label: (scale(one.value), scale(one.low), scale(one.high)) for label, one in estimates.items()},
+    )
+
+
+def _whole_decades(known: Sequence[float]) -> tuple[float, float]:
+    low, high = 10.0 ** math.floor(math.log10(min(known))), 10.0 ** math.ceil(math.log10(max(known)))
+    return low, high if high > low else 10 * low
+
+
+def _linear_range(column: Column, known: Sequence[float]) -> tuple[float, float]:
+    """Return the declared range if it is narrow, else a range that holds the known values."""
+    low, high = column.range
+    if column.better == "one":
+        known = [*known, 1.0]
+    low = low if math.isfinite(low) else min([0.0, *known])
+    if not (math.isfinite(high) and high <= low + 1):
+        high = max([low + 1e-9, *known]) * 1.05
+    return low, high if high > low else low + 1
+
+
+def _scale(low: float, high: float, transform: Callable[[float], float]) -> Scale:
+    """Return the map from [low, high] to [0, 100] that is linear in the transformed value."""
+    ends = (transform(low), transform(high))
+
+    def scale(value: float | None) -> float | None:
+        return None if value is None else round(float(np.interp(transform(max(value, low)), ends, (0, 100))), 2)
+
+    return scale

@@ -10,45 +10,30 @@ from typing import Any, ClassVar
 
 from nrbench.errors import strip_control
 from nrbench.runs.records import Run
-from nrbench.storage import write_text
+from nrbench.storage import write_files
 
-from .statistics.method_comparison import Comparison, compare_methods
+from .statistics.method_comparison import Comparison, ComparisonOptions
 from .statistics.summaries import MethodSummary, describe_scores
 
 
 @dataclass(frozen=True)
-class JsonSummary:
+class JsonSummary(ComparisonOptions):
     """``comparison.json``: suite, methods with all their means, textures, differences and tests.
 
     A mean has ``value``, ``low`` and ``high`` (its 95 % interval), ``n`` and ``of``, and ``at_most``: whether it is an
     upper bound. What is not known is null. Numbers are rounded to 10 digits.
-
-    Parameters
-    ----------
-    tests
-        Whether to test which methods differ. Without tests there is no leading group.
-    baseline
-        The method with which the others are compared, by its name or label; by default the best ranked one.
-    population
-        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
-
-    tests: bool = True
-    baseline: str = ""
-    population: bool = False
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``comparison.json`` and return its path."""
-        path = directory / "comparison.json"
-        write_text(path, self.render(run))
-        return [path]
+        return write_files(directory, {"comparison.json": self.render(run)})
 
     def render(self, run: Run) -> str:
         """Return the comparison as JSON; it ends in a newline."""
-        content = _content(run, compare_methods(run, self.tests, self.baseline, self.population))
+        content = _content(run, self.compare(run))
         return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
-from nrbench.storage import write_text
+from nrbench.storage import write_files
 
 from .page.environment import make_environment
-from .page.method_terms import list_patch_terms, method_classes
-from .statistics.expectations import compare_with_published
+from .statistics.expectations import PublishedComparison, compare_with_published
 from .statistics.format import break_name
-from .statistics.method_comparison import Comparison, choose_rows, compare_methods
-from .statistics.selection import restrict_comparison
-from .statistics.summaries import SummaryRow
+from .statistics.frames import (
+    PrintedTable,
+    cell_text,
+    method_classes,
+    print_methods,
+    print_patches,
+    print_published,
+    print_rates,
+    print_textures,
+)
+from .statistics.method_comparison import Comparison, ComparisonOptions, Entry, choose_rows, restrict_comparison
+from .statistics.summaries import MethodSummary, Number, SummaryRow
 
 _SPECIAL: Mapping[str, str] = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
@@ -34,18 +42,22 @@ _WIDTHS: Mapping[str, float] = {"column": 229.0, "text": 345.0, "page": 469.0}
 """What tables must fit, pt: the widths of LaTeX's own class ``article`` at 10 pt."""
 _GAP = 8.0
 """Space between columns, pt."""
-_RAISED = 12.0
-"""Width of the raised marks of a method, pt."""
+_MARK, _RAISED = 15.0, 12.0
+"""Widths of the mark of a verdict, and of the raised marks of a method, pt."""
 _PAGE_LINES = 58
 """Lines of a table that a page has room for."""
 _LEAST_CAPTION, _COLUMN_CAPTION = 8, 25
 """Such lines that the long caption takes, across the page or in one column, and in a column of two."""
 _LINE_LETTERS = 12
 _NARROW, _BROAD = frozenset(" .,:;()[]|'!ijltfrI/"), frozenset("mw%≤±–")
+_DELIMITERS = {
+    **{"block_start_string": "<%", "block_end_string": "%>", "variable_start_string": "<<"},
+    **{"variable_end_string": ">>", "comment_start_string": "<#", "comment_end_string": "#>"},
+}
 
 
 @dataclass(frozen=True)
-class LatexTables:
+class LatexTables(ComparisonOptions):
     r"""Tables for ``\input`` in a paper.
 
     ``summary.tex`` (methods by scores), ``comparison.tex`` (textures by methods) and, for methods that copy patches,
@@ -79,12 +91,6 @@ class LatexTables:
     bare
         Whether files hold the ``tabular`` alone, for a float and a caption of the paper's own; the caption is then a
         comment.
-    tests
-        Whether to test which methods differ. Without tests there is no leading group.
-    baseline
-        The method with which the others are compared, by its name or label; by default the best ranked one.
-    population
-        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     columns: int = 6
@@ -94,9 +100,6 @@ class LatexTables:
     width: Literal["column", "text", "page"] = "text"
     intervals: bool = True
     bare: bool = False
-    tests: bool = True
-    baseline: str = ""
-    population: bool = False
 
     version: ClassVar[str] = "2"
     folder: ClassVar[str] = "tables"
@@ -112,93 +115,96 @@ class LatexTables:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; without a regularity score only ``patches.tex``, if at all."""
-        comparison, terms = compare_methods(run, self.tests, self.baseline, self.population), list_patch_terms(run)
-        style: dict[str, Any] = {"width": self.width, "bare": self.bare}
-        wide = {**style, "width": "page" if self.width == "column" else self.width}
-        texts = {"patches.tex": _fill(run, comparison, "patches", patch_terms=terms, **wide)} if terms else {}
+        comparison, patches = self.compare(run), print_patches(run)
+        wide = replace(self, width="page") if self.width == "column" else self
+        texts = {"patches.tex": wide._fill(comparison, [patches])} if patches.rows else {}
         if comparison.scored and comparison.rows:
             shown = restrict_comparison(comparison, self.methods, self.textures)
-            if len(shown.methods) < len(comparison.methods):
-                style["left_out"] = f"{len(shown.methods)} of the run's {len(comparison.methods)} methods."
-            texts["summary.tex"] = latex_text(run, shown, self.scores, self.intervals, **style)
-            parts = _comparison_parts(shown, self.columns, _WIDTHS[self.width])
-            texts["comparison.tex"] = _fill(run, shown, "comparison", parts=parts, **style)
+            left = len(shown.methods) < len(comparison.methods)
+            left_out = f"{len(shown.methods)} of the run's {len(comparison.methods)} methods." if left else ""
+            methods = print_methods(shown, choose_rows(run, comparison, self.scores))
+            texts["summary.tex"] = self._fill(shown, [methods], left_out)
+            texts["comparison.tex"] = self._fill(shown, [print_textures(shown)], left_out)
             if published := compare_with_published(run, comparison):
-                texts["published.tex"] = _fill(run, comparison, "published", published=published, **wide)
+                tables = [*print_published(published), print_rates(published)]
+                texts["published.tex"] = wide._fill(comparison, tables, published=published)
         if entries := bibliography(run):
             texts["methods.bib"] = f"{entries}\n"
-        for name, text in texts.items():
-            write_text(directory / name, text)
-        return [directory / name for name in texts]
+        return write_files(directory, texts)
+
+    def summary(self, comparison: Comparison) -> str:
+        """Return the table of methods by scores, with the definitions of its marks."""
+        return self._fill(comparison, [print_methods(comparison, choose_rows(comparison.run, comparison, self.scores))])
+
+    def _fill(
+        self,
+        comparison: Comparison,
+        tables: Sequence[PrintedTable],
+        left_out: str = "",
+        published: PublishedComparison | None = None,
+    ) -> str:
+        """Return the file of tables; the delimiters of its template leave braces and percent signs to LaTeX."""
+        suite = comparison.run.info.get("suite", {})
+        broken = partial(break_name, letters=_LINE_LETTERS)
+        filters: dict[str, Any] = {"tex": escape_latex, "column_title": column_title, "break_name": broken}
+        return (
+            make_environment(filters, **_DELIMITERS)
+            .get_template("tables.tex")
+            .render(
+                tables=[(table, self._lay_out(table)) for table in tables],
+                report=self,
+                comparison=comparison,
+                published=published,
+                left_out=left_out,
+                suite=f"{suite.get('name', 'run')} {suite.get('version', '')} ({suite.get('hash', 'no hash')})",
+            )
+        )
+
+    def _lay_out(self, table: PrintedTable) -> list[list[list[int]]]:
+        """Return the columns of each block of each part of a table that fits a page.
+
+        Columns that do not fit follow in further blocks below, and what is too high for a page in further parts. The
+        first part has the long caption, which takes more lines in a column than across the page.
+        """
+        columns = zip(map(_head_width, table.heads), *(map(_cell_width, row) for row in table.rows), strict=True)
+        widths = [max(column) + _GAP for column in columns]
+        most, limit = self.columns if table.name == "comparison" else 1000, _WIDTHS[self.width] + _GAP
+        blocks = table.split(widths, limit, most)
+        lines = (1 + (self.intervals and table.name == "summary")) * len(table.rows) + 5
+        size = max(1, (_PAGE_LINES - _LEAST_CAPTION) // lines)
+        caption = _COLUMN_CAPTION if self.width == "column" else _LEAST_CAPTION
+        first = max(1, (_PAGE_LINES - caption) // lines)
+        parts = [blocks[:first], *(blocks[i : i + size] for i in range(first, len(blocks), size))]
+        return parts
 
 
-def latex_text(
-    run: Run,
-    comparison: Comparison,
-    scores: Sequence[str] = (),
-    intervals: bool = True,
-    width: str = "text",
-    **style: Any,
-) -> str:
-    """Return the table of methods by scores, with the definitions of its marks."""
-    lines = choose_rows(run, comparison, scores)
-    widths = [max(_score_widths(line, intervals)) for line in lines]
-    limit = _WIDTHS[width]
-    parts = _split(_blocks(widths, _names_width(comparison), limit), len(comparison.summaries) * (1 + intervals), limit)
-    return _fill(run, comparison, "summary", lines=lines, parts=parts, intervals=intervals, width=width, **style)
+def _head_width(head: Any) -> float:
+    """Return about the width of the head of a column, pt."""
+    name = head.method.name if isinstance(head, MethodSummary) else str(getattr(head, "name", head))
+    text = column_title(head) if isinstance(head, SummaryRow) else name
+    mark = _RAISED if isinstance(head, MethodSummary) else 0.0
+    return max(map(_text_width, break_name(text, _LINE_LETTERS))) + mark
 
 
-def _comparison_parts(comparison: Comparison, columns: int, limit: float) -> list[list[list[int]]]:
-    """Return the tables of ``comparison.tex``, each as blocks of methods."""
-    names = max(map(_text_width, ("texture", *(row.texture for row in comparison.rows)))) + _GAP + _text_width("share")
-    heads = [max(map(_text_width, break_name(one.name, _LINE_LETTERS))) + _RAISED for one in comparison.methods]
-    columns_of = [[row.entries[i] for row in comparison.rows] for i in range(len(comparison.methods))]
-    entries = [max((15 + _text_width(one.detail) for one in column if one), default=0) for column in columns_of]
-    blocks = _blocks(list(map(max, heads, entries)), names, limit, columns)
-    return _split(blocks, len(comparison.rows), limit)
-
-
-def _score_widths(line: SummaryRow, intervals: bool) -> Iterator[float]:
-    """Yield the widths of the lines of a column of ``summary.tex``, pt."""
-    for piece in break_name(_column_title(line), _LINE_LETTERS):
-        yield _text_width(piece)
-    for value, interval, shown in zip(line.values, line.intervals, line.shown, strict=True):
-        count = shown is not None and (line.rate or shown.n < shown.of)
-        yield _text_width(f"{value} /{shown.n}" if shown is not None and count else value)
-        yield 0.9 * _text_width(interval) if intervals else 0.0
-
-
-def _names_width(comparison: Comparison) -> float:
-    return max(_text_width(one.name) for one in comparison.methods) + 2 * _RAISED
-
-
-def _blocks(widths: Sequence[float], first: float, limit: float, most: int = 1000) -> list[list[int]]:
-    """Return the numbers of columns in blocks that fit the width behind a ``first`` column, at least one in each."""
-    blocks: list[list[int]] = []
-    left = 0.0
-    for index, width in enumerate(widths):
-        left -= width + _GAP
-        if left < 0 or len(blocks[-1]) == most:
-            blocks.append([])
-            left = limit - first - width - _GAP
-        blocks[-1].append(index)
-    return blocks
-
-
-def _split(blocks: Sequence[list[int]], lines: int, limit: float) -> list[list[list[int]]]:
-    """Return blocks of some lines in tables that fit the height of a page, at least one block in each.
-
-    The first table has the long caption, which takes more lines in a column than across the page.
-    """
-    size = max(1, (_PAGE_LINES - _LEAST_CAPTION) // (lines + 5))
-    caption = _COLUMN_CAPTION if limit == _WIDTHS["column"] else _LEAST_CAPTION
-    first = max(1, (_PAGE_LINES - caption) // (lines + 5))
-    return [list(blocks[:first]), *(list(blocks[i : i + size]) for i in range(first, len(blocks), size))]
+def _cell_width(cell: Any) -> float:
+    """Return about the width of a cell, pt."""
+    if isinstance(cell, MethodSummary):
+        return _text_width(cell.method.name) + 2 * _RAISED
+    if isinstance(cell, Number):
+        count = f" /{cell.shown.n}" if cell.partial else ""
+        return max(_text_width(cell.text + count), 0.9 * _text_width(cell.interval))
+    return _MARK + _text_width(cell.detail) if isinstance(cell, Entry) else _text_width(cell_text(cell))
 
 
 def _text_width(text: str) -> float:
     """Return about the width of text in Computer Modern of 8 pt, pt."""
     return sum(2.6 if letter in _NARROW else 6.6 if letter in _BROAD or letter.isupper() else 4.4 for letter in text)
+
+
+def column_title(line: SummaryRow) -> str:
+    """Return the title of a column with its unit."""
+    unit = "%" if line.rate else line.column.unit
+    return line.title.replace("_", " ") + (f", {unit}" if unit else "")
 
 
 def bibliography(run: Run) -> str:
@@ -216,29 +222,3 @@ def escape_latex(text: str) -> str:
         _SPECIAL.get(letter, letter if ord(letter) <= _LAST_LATIN else rf"\nrbUnicode{{{ord(letter):04X}}}{{{letter}}}")
         for letter in " ".join(strip_control(text).split())
     )
-
-
-def _fill(run: Run, comparison: Comparison, table: str, **content: Any) -> str:
-    """Return the file of a table; the delimiters of its template leave braces and percent signs to LaTeX."""
-    environment = make_environment(
-        {"tex": escape_latex, "column_title": _column_title, "break_name": partial(break_name, letters=_LINE_LETTERS)},
-        block_start_string="<%",
-        block_end_string="%>",
-        variable_start_string="<<",
-        variable_end_string=">>",
-        comment_start_string="<#",
-        comment_end_string="#>",
-    )
-    suite = run.info.get("suite", {})
-    return environment.get_template("tables.tex").render(
-        table=table,
-        comparison=comparison,
-        suite=f"{suite.get('name', 'run')} {suite.get('version', '')} ({suite.get('hash', 'no hash')})",
-        **{"left_out": "", "width": "text", "bare": False, **content},
-    )
-
-
-def _column_title(line: SummaryRow) -> str:
-    """Return the title of a column with its unit."""
-    unit = "%" if line.rate else line.column.unit
-    return line.title.replace("_", " ") + (f", {unit}" if unit else "")

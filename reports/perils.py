@@ -8,16 +8,16 @@ from typing import ClassVar
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
-from nrbench.storage import write_bytes
+from nrbench.storage import write_files
 
 from .plots.method_plots import plot_cost, plot_heat_map, plot_levels, plot_perils_plane, plot_ranks, timed_methods
-from .plots.perils_points import perils_points
 from .statistics.levels import compare_levels
-from .statistics.method_comparison import compare_methods
+from .statistics.method_comparison import ComparisonOptions
+from .statistics.summaries import perils_points
 
 
 @dataclass(frozen=True)
-class PerilsPlane:
+class PerilsPlane(ComparisonOptions):
     """The perils plane, and where each method breaks, as SVG and PDF.
 
     ``perils.svg`` and ``perils.pdf`` hold the perils plane, with one point for each method. The horizontal axis says
@@ -33,22 +33,17 @@ class PerilsPlane:
     ``levels.svg`` and ``levels.pdf`` show the quality of each method by the level of a difficulty, with one panel for
     each difficulty. They are written if the suite has textures at two levels or more of one departure.
 
-    ``ranks.svg`` and ``ranks.pdf`` show mean qualities, with bars over methods that do not differ, from 6 textures up;
+    ``ranks.svg`` and ``ranks.pdf`` show mean qualities, with bars over methods that do not differ, from 6 textures up
+    and with tests;
     ``cost.*`` shows quality against time, ``heat-map.*`` the quality of every method on every texture.
 
     Parameters
     ----------
     width
         Width in inches, from 3 to 12; the text keeps its size.
-    tests
-        Whether to test which methods differ. Without tests there are no ``ranks.*``.
-    population
-        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     width: float = 5.5
-    tests: bool = True
-    population: bool = False
 
     version: ClassVar[str] = "2"
     folder: ClassVar[str] = "report"
@@ -59,24 +54,21 @@ class PerilsPlane:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; none if no method has a quality."""
-        comparison = compare_methods(run, self.tests, population=self.population)
+        comparison = self.compare(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
-        paths = []
+        files = {}
         for kind in ("svg", "pdf"):
-            contents = {"perils": plot_perils_plane(kind, points, self.width)} if points else {}
+            if points:
+                files[f"perils.{kind}"] = plot_perils_plane(kind, points, self.width)
             if panels:
-                contents["levels"] = plot_levels(kind, panels, self.width)
+                files[f"levels.{kind}"] = plot_levels(kind, panels, self.width)
             if comparison.tests:
-                contents["ranks"] = plot_ranks(kind, comparison, self.width)
+                files[f"ranks.{kind}"] = plot_ranks(kind, comparison, self.width)
             if timed := timed_methods(comparison):
-                contents["cost"] = plot_cost(kind, timed, self.width)
+                files[f"cost.{kind}"] = plot_cost(kind, timed, self.width)
             if comparison.has_ranking:
-                contents["heat-map"] = plot_heat_map(kind, comparison)
-            for name, content in contents.items():
-                path = directory / f"{name}.{kind}"
-                write_bytes(path, content)
-                paths.append(path)
-        return paths
+                files[f"heat-map.{kind}"] = plot_heat_map(kind, comparison)
+        return write_files(directory, files)
 
     def render(self, run: Run, kind: str) -> bytes:
         """Return the perils plane as a file of a kind: ``svg``, ``pdf`` or ``png``.
@@ -86,7 +78,7 @@ class PerilsPlane:
         BadInput
             If no method of the run has a quality.
         """
-        points = perils_points(compare_methods(run).summaries)
+        points = perils_points(self.compare(run).summaries)
         if not points:
             raise BadInput(f"{run.root}: no method has a quality, so there is nothing to plot")
         return plot_perils_plane(kind, points, self.width)

@@ -13,10 +13,10 @@ from scipy.stats import kendalltau, rankdata, trim_mean
 
 from nrbench.errors import BadInput
 from nrbench.runs.records import Run
-from nrbench.storage import write_text
+from nrbench.storage import write_files
 
 from .csv import csv_text
-from .markdown import escape_markdown
+from .markdown import escape_markdown, pipe_table
 from .statistics.format import format_number
 from .statistics.method_comparison import compare_methods
 from .statistics.pair_tests import Floats, adjust_means
@@ -54,9 +54,7 @@ class RankingRobustness:
         """Write the files and return their paths."""
         table = self.table(run)
         texts = {"robustness.csv": csv_text(table), "robustness.md": _markdown(table)}
-        for name, text in texts.items():
-            write_text(directory / name, text)
-        return [directory / name for name in texts]
+        return write_files(directory, texts)
 
     def table(self, run: Run) -> pd.DataFrame:
         """Return one row a ranking: what was changed, Kendall's tau, and each method's place; none for one method.
@@ -120,14 +118,9 @@ def _markdown(table: pd.DataFrame) -> str:
     if table.empty:
         return "Fewer than two methods are ranked.\n"
     labels = list(table.columns[2:])
+    shown = table.astype(str).map(escape_markdown).assign(tau=table["tau"].map(format_number))
     lines = ["# How far the ranking depends on choices", ""]
-    lines += [
-        f"| ranking | tau | {' | '.join(map(escape_markdown, labels))} |",
-        "| --- |" + " --- |" * (1 + len(labels)),
-    ]
-    for _, row in table.iterrows():
-        places = " | ".join(str(row[label]) for label in labels)
-        lines.append(f"| {escape_markdown(row['ranking'])} | {format_number(float(row['tau']))} | {places} |")
+    lines.append(pipe_table([*map(escape_markdown, table.columns)], shown.to_numpy().tolist()))
     ranges = {label: (table[label].min(), table[label].max()) for label in labels}
     settled = [f"{escape_markdown(label)} ({low})" for label, (low, high) in ranges.items() if low == high]
     moving = [f"{escape_markdown(label)} ({low} to {high})" for label, (low, high) in ranges.items() if low < high]

@@ -2,33 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from io import StringIO
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
-from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
 from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
-from nrbench.storage import write_text
+from nrbench.storage import write_files
 
 from .statistics import verdicts
-from .statistics.detections import DetectorSummary, compare_detectors
-from .statistics.estimates import Estimate
+from .statistics.detections import compare_detectors
 from .statistics.expectations import compare_with_published
-from .statistics.format import format_interval, format_number, format_percent, format_value, pluralize
-from .statistics.method_comparison import Comparison, Entry, choose_rows, compare_methods
-from .statistics.summaries import MethodSummary, SummaryRow
+from .statistics.format import format_number, format_percent, pluralize
+from .statistics.frames import (
+    PrintedTable,
+    cell_text,
+    print_detectors,
+    print_methods,
+    print_published,
+    print_textures,
+)
+from .statistics.method_comparison import Comparison, ComparisonOptions, Entry, choose_rows
+from .statistics.summaries import MethodSummary, Number, SummaryRow
 
 _MOST_REASONS = 8
 """Number of reasons that are printed."""
+_GAP = 2
+"""Space beside a column, characters."""
 _SUPERSCRIPT = str.maketrans("0123456789,", "⁰¹²³⁴⁵⁶⁷⁸⁹˒")
 _DETECTOR_LEGEND = (
     "Shares over draws, with Wilson's 95 % intervals. Exact: the smallest lattice of the texture was found. "
@@ -38,7 +46,7 @@ _DETECTOR_LEGEND = (
 
 
 @dataclass(frozen=True)
-class TextTable:
+class TextTable(ComparisonOptions):
     """The comparison as plain text: methods from the highest mean quality to the lowest, then textures by methods.
 
     If the run has analogues of figures of the report of 2004, its tables 2 and 3 follow, with the measured verdicts.
@@ -51,19 +59,10 @@ class TextTable:
         Characters in a line, at least 40; columns that do not fit follow in a further table below.
     columns
         The scores of the table of methods, as in ``columns.csv``; empty for the headlines.
-    tests
-        Whether to test which methods differ. Without tests there is no leading group.
-    baseline
-        The method with which the others are compared, by its name or label; by default the best ranked one.
-    population
-        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
     """
 
     width: int = 120
     columns: tuple[str, ...] = ()
-    tests: bool = True
-    baseline: str = ""
-    population: bool = False
 
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
@@ -75,123 +74,92 @@ class TextTable:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``comparison.txt`` and return its path."""
-        path = directory / "comparison.txt"
-        write_text(path, self.render(run))
-        return [path]
+        return write_files(directory, {"comparison.txt": self.render(run)})
 
     def render(self, run: Run) -> str:
         """Return the comparison as text without color codes; every line ends in a newline."""
-        comparison, detectors = compare_methods(run, self.tests, self.baseline, self.population), compare_detectors(run)
+        comparison, detectors = self.compare(run), compare_detectors(run)
         lines = choose_rows(run, comparison, self.columns)
         file = StringIO()
         console = Console(file=file, width=self.width, color_system=None, force_terminal=False, emoji=False)
         console.print(Text(comparison.title))
         if comparison.scored or self.columns:
             console.print(Text(comparison.estimand))
-            console.print(*_split_table(partial(_summary_table, comparison, lines), len(lines), console), sep="")
-            methods = len(comparison.methods) if comparison.scored else 0
-            console.print(*_split_table(partial(_texture_table, comparison), methods, console), sep="")
+            _print(console, print_methods(comparison, lines))
+            if comparison.scored:
+                _print(console, print_textures(comparison))
             for line in [*_legend(comparison), *_reasons(run)]:
                 console.print(Text(line))
         if published := compare_with_published(run, comparison):
-            for regular in (True, False):
-                if published.table(regular):
-                    heads, *rows = published.lines(regular)
-                    table = _make_table(*heads)
-                    for row in rows:
-                        table.add_row(*map(Text, row))
-                    console.print(Text(f"{published.titles[regular]} of the report of 2004: published, then measured"))
-                    console.print(table)
+            for table in print_published(published):
+                console.print(Text(f"{table.title} of the report of 2004: published, then measured"))
+                _print(console, table)
             console.print(Text(f"{published.sentence} {published.agreement}"))
         if detectors:
-            console.print(_detector_table(detectors.summaries))
+            _print(console, print_detectors(detectors.summaries))
             console.print(Text(_DETECTOR_LEGEND))
         return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
 
 
-def _split_table(build: Callable[[int, int], Table], count: int, console: Console) -> Iterator[Table]:
-    """Yield tables of as many of ``count`` columns as fit into the width of the console."""
-    start = 0
-    while start < count:
-        stop = start + 1
-        while stop < count and _fits(build(start, stop + 1), console):
-            stop += 1
-        yield build(start, stop)
-        start = stop
+def _print(console: Console, table: PrintedTable) -> None:
+    """Print a table in parts as wide as the console."""
+    columns = zip(map(_head, table.heads), *(map(_cell, row) for row in table.rows), strict=True)
+    widths = [max(cell_len(line) for text in column for line in text.splitlines() or [""]) + _GAP for column in columns]
+    console.print(*(_lay_out(table.pick(part)) for part in table.split(widths, console.width)), sep="")
 
 
-def _fits(table: Table, console: Console) -> bool:
-    return Measurement.get(console, console.options.update(max_width=10_000), table).maximum <= console.width
+def _lay_out(table: PrintedTable) -> Table:
+    """Return a table for the console. A word wider than its column is continued on the next line, never cut."""
+    laid = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for head in table.heads:
+        laid.add_column(Text(_head(head)), overflow="fold", justify="right" if head == "share" else "left")
+    for i, row in enumerate(table.rows):
+        if i in table.rules:
+            laid.add_section()
+        laid.add_row(*(Text(_cell(cell)) for cell in row))
+    return laid
 
 
-def _make_table(*heads: str | Text) -> Table:
-    """Return an empty table. A word wider than its column is continued on the next line, never cut."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for head in heads:
-        table.add_column(head, overflow="fold", justify="right" if str(head) == "share" else "left")
-    return table
+def _head(head: Any) -> str:
+    if isinstance(head, MethodSummary):
+        return _method(head, "\n")
+    return head.title.replace(" ", "\n") if isinstance(head, SummaryRow) else str(getattr(head, "label", head))
 
 
-def _summary_table(comparison: Comparison, lines: Sequence[SummaryRow], start: int, stop: int) -> Table:
-    """Return one row a method, with some of its numbers; references stand apart."""
-    table = _make_table("method", *(Text(line.title.replace(" ", "\n")) for line in lines[start:stop]))
-    for i, one in enumerate(comparison.summaries):
-        if one.method.reference and i and not comparison.summaries[i - 1].method.reference:
-            table.add_section()
-        table.add_row(
-            _method(one, " "), *(_estimate(line.shown[i], line.values[i], line.rate) for line in lines[start:stop])
-        )
-    return table
+def _cell(cell: Any) -> str:
+    if isinstance(cell, MethodSummary):
+        return _method(cell, " ")
+    if isinstance(cell, Number):
+        return _number(cell)
+    return _entry(cell) if isinstance(cell, Entry) else cell_text(cell)
 
 
-def _texture_table(comparison: Comparison, start: int, stop: int) -> Table:
-    table = _make_table("texture", "share", *map(_method, comparison.summaries[start:stop]))
-    for row in comparison.rows:
-        share = "" if row.regular_share is None else f"{row.regular_share:.2f}"
-        table.add_row(Text(row.texture), share, *map(_entry, row.entries[start:stop]))
-    return table
-
-
-def _method(one: MethodSummary, separator: str = "\n") -> Text:
+def _method(one: MethodSummary, separator: str) -> str:
     """Return the name with the sign of the leading group, and below it the source of the lattice or "reference"."""
     method = one.method
     source = "" if method.lattice_source == "none" else method.lattice_source
     reference = f"reference{one.validity.sign}" if method.reference else ""
     name = f"{method.name} {verdicts.LEADING_SIGN}" if one.leading else method.name
-    return Text("\n".join([name, separator.join(filter(None, (source, reference)))]).rstrip())
+    return "\n".join([name, separator.join(filter(None, (source, reference)))]).rstrip()
 
 
-def _entry(entry: Entry | None) -> Text:
-    if entry is None:
-        return Text("")
+def _entry(entry: Entry) -> str:
     notes = ",".join(map(str, entry.notes)).translate(_SUPERSCRIPT)
     sign = f" {verdicts.BASELINE_SIGN}" if entry.baseline_valid else ""
-    return Text(f"{entry.text}{sign} {notes}".rstrip())
+    return f"{entry.text}{sign} {notes}".rstrip()
 
 
-def _estimate(one: Estimate | None, value: str, rate: bool) -> Text:
+def _number(number: Number) -> str:
     """Return two short lines: the value with the number of textures that it rests on, and its interval."""
-    if one is None or one.value is None:
-        return Text(value)
-    if rate:
+    one, value = number.shown, number.text
+    if number.rate and one.value is not None:
         value += f" ({one.value * one.n:.3g}/{one.n})"
-    short = f" ({one.n}/{one.of})" if not rate and one.n < one.of else ""
-    if one.ends is None or not format_interval(one, rate):
-        return Text(value + short)
-    low, high = map(format_percent if rate else format_number, one.ends)
-    return Text(f"{value}{short}\n{low.removesuffix(' %')}–{high}")
-
-
-def _detector_table(summaries: Sequence[DetectorSummary]) -> Table:
-    table = _make_table("detector", "exact", "false", "error", "calibration", "seconds")
-    for one in summaries:
-        numbers = (Text(format_number(value)) for value in (one.vector_error, one.calibration.error, one.seconds))
-        table.add_row(
-            Text(one.detector),
-            *(_estimate(rate, format_value(rate, True), True) for rate in (one.exact, one.false)),
-            *numbers,
-        )
-    return table
+    elif number.partial:
+        value += f" ({one.n}/{one.of})"
+    if one.ends is None or not number.interval:
+        return value
+    low, high = map(format_percent if number.rate else format_number, one.ends)
+    return f"{value}\n{low.removesuffix(' %')}–{high}"
 
 
 def _legend(comparison: Comparison) -> Iterator[str]:

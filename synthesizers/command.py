@@ -19,9 +19,8 @@ from nrbench.imaging.convert import Image, match_channels
 from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Synthesis, Task, require_lattice
-from nrbench.plugins.parameters import checked_label
+from nrbench.plugins.parameters import checked_label, user_path
 from nrbench.plugins.registry import NamedDetector
-from nrbench.storage import user_path
 
 LATTICE_FIELDS = ("lattice", "t1x", "t1y", "t2x", "t2y", "originx", "originy")
 FIELDS = ("sample", "output", "width", "height", "seed", *LATTICE_FIELDS)

@@ -70,7 +70,7 @@ class GraphCuts:
     defaults are the variants of the paper: on our models they worked best, or as well as the others.
 
     All cuts are computed by one solver,
-    :func:`~nrbench.synthesizers.seams.seam_kernels.cut_links`: on patches of 128 x 128 px with old seams it takes 1 to
+    :func:`~nrbench.synthesizers.canvas.seam_kernels.cut_links`: on patches of 128 x 128 px with old seams it takes 1 to
     3 ms and ``scipy.sparse.csgraph.maximum_flow`` 18 to 50 ms. A shortest path in the planar dual (Dijkstra) takes 3 to
     4 ms instead of 10 to 22 ms, but only for strips without old seams inside, of which an output has few.
 

@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
-from .gap_filling.block_canvas import Box, box_slices
+from .canvas.canvas import Box, Canvas, Patch, feather_weights
 from .gap_filling.matching import FrameMatcher, frame_mask
-from .patch_laying.raster_canvas import (
+from .patch_laying.raster_order import (
     LARGEST_SHARE,
     Place,
-    RasterCanvas,
     RasterGrid,
+    Spot,
     check_patch,
     choose_size,
+    cover,
     draw_within,
 )
 from .pixel_growing.neighbor_search import FARTHEST, LANES, KdTree, TreePoints
@@ -127,7 +128,7 @@ class PatchBased:
         """
         patch = choose_size("patch", self.patch, "zone", self.zone, task.sample.shape)
         grid = RasterGrid.of(task, patch, self.zone)
-        canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
+        matcher = FrameMatcher(task.sample, grid.size)
         tree = lru_cache(maxsize=3)(lambda hole: ZoneTree(matcher, hole))
 
         def choose(old: NDArray[np.float32], hole: Box) -> Place:
@@ -140,7 +141,10 @@ class PatchBased:
                 x, y = places[draw_within(-matcher.rate(old, hole, places), limit, task.rng)].tolist()
             return x, y
 
-        return canvas.cover(task, matcher.search_shape, choose, canvas.join_by_feathering)
+        def feather(canvas: Canvas, spot: Spot, patch: Patch) -> None:
+            canvas.blend(spot.window, patch, feather_weights(grid.size, self.zone, spot.sides), self.zone + 1)
+
+        return cover(task, grid, choose, feather)
 
 
 def squared_limit(zone: NDArray[np.float32], epsilon: float) -> float:
@@ -212,7 +216,8 @@ class ZoneTree:
         patches = sliding_window_view(self.matcher.values, shape)[:, :, 0]
         chosen = np.unique(np.linspace(0, rows * columns - 1, FITTED).astype(np.int64))
         vectors = patches[np.divmod(chosen, columns)].astype(np.float64)
-        vectors[(slice(None), *box_slices(self.hole))] = 0
+        y0, y1, x0, x1 = self.hole
+        vectors[:, y0:y1, x0:x1] = 0
         # There are fewer patches than values, so the components follow from the products of the patches.
         centered = vectors.reshape(len(vectors), -1) - vectors.reshape(len(vectors), -1).mean(0)
         _, weights = np.linalg.eigh(centered @ centered.T)

@@ -13,8 +13,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, match_channels
 from nrbench.pictures.files import read_image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
-from nrbench.plugins.parameters import checked_label
-from nrbench.storage import user_path
+from nrbench.plugins.parameters import checked_label, user_path
 from nrbench.streams import pixels_hash
 
 _NAMES = ("sample", "output")

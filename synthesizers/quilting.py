@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
-from .gap_filling.block_canvas import Box
+from .canvas.canvas import Box, Canvas, Patch, cut_closed_seam, edge_mask, find_paths
 from .gap_filling.matching import FrameMatcher
-from .patch_laying.raster_canvas import (
+from .patch_laying.raster_order import (
     LARGEST_SHARE,
     Place,
-    RasterCanvas,
     RasterGrid,
+    Spot,
     check_patch,
     choose_size,
+    cover,
     draw_within,
 )
 
@@ -95,7 +96,7 @@ class Quilting:
         """
         block = choose_size("block", self.block, "overlap", self.overlap, task.sample.shape)
         grid = RasterGrid.of(task, block, self.overlap or max(round(block / PARTS), 1))
-        canvas, matcher = RasterCanvas(task.sample, grid), FrameMatcher(task.sample, grid.size)
+        matcher = FrameMatcher(task.sample, grid.size)
 
         def choose(old: NDArray[np.float32], hole: Box) -> Place:
             errors = -matcher.rate_everywhere(old, hole)
@@ -104,4 +105,25 @@ class Quilting:
             y, x = divmod(index, matcher.search_shape[1])
             return x, y
 
-        return canvas.cover(task, matcher.search_shape, choose, canvas.join_along_seam)
+        return cover(task, grid, choose, cut_in)
+
+
+def cut_in(canvas: Canvas, spot: Spot, patch: Patch) -> None:
+    """Lay a patch into a spot, cut along the paths of least squared difference, or along a closed seam of least cost.
+
+    A closed seam, an exact minimum cut, is needed where the patch overlaps others on three or four sides.
+    """
+    old, new = canvas.image[canvas.pixels(spot.window)], patch[0]
+    if spot.sides[2] or spot.sides[3]:
+        known = np.ones(old.shape[:2], np.bool_)
+        before, after = (np.asarray(part / np.float32(255), np.float32) for part in (old, new))
+        fixed_old, fixed_new = edge_mask(known.shape, spot.sides), np.zeros_like(known)
+        fixed_old[:, 0] &= spot.sides[0]
+        y0, y1, x0, x1 = spot.hole
+        fixed_new[y0:y1, x0:x1] = True
+        mask = cut_closed_seam(before, after, known, (fixed_old & ~fixed_new, fixed_new))
+    else:
+        apart = old.astype(np.int32) - new
+        error = np.einsum("hwc,hwc->hw", apart, apart).astype(np.float64)
+        mask = find_paths(error, spot.hole[2], spot.hole[0]).mask()
+    canvas.place(spot.window, patch, mask)

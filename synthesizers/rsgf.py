@@ -19,7 +19,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Geometry, Refused, Synthesis, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .gap_filling.block_canvas import Block, BlockCanvas, BlockGrid, SeamMethod, check_border
+from .gap_filling.blocks import Block, BlockGrid, BlockPlacer, SeamMethod, check_border
 from .gap_filling.matching import FrameMatcher, Match, align_patch
 from .sampling.equal_places import EqualPlaces, Pixels, SearchShape, nearby_pixels, nearest_pixels
 from .sampling.patches import Patches, round_places
@@ -169,7 +169,7 @@ class Rsgf:
         filler = GapFiller(self, task, found.lattice)
         filler.place_blocks()
         filler.fill_gaps()
-        image, source = filler.canvas.output()
+        image, source = filler.placer.canvas.output()
         task.progress(1.0)
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=self._note(found))
 
@@ -201,7 +201,7 @@ class GapFiller:
     def __init__(self, method: Rsgf, task: Task, lattice: Lattice | None) -> None:
         self.method, self.task, self.lattice = method, task, lattice
         self.grid = method.block_grid(task)
-        self.canvas = BlockCanvas(Patches(task.sample), self.grid, method.seam)
+        self.placer = BlockPlacer(Patches(task.sample), self.grid, method.seam)
         self.matcher = FrameMatcher(task.sample, self.grid.size, method.match)
         self.sampler = PlaceSampler(task.rng, self.grid.size, method.prefer_unused)
 
@@ -217,8 +217,8 @@ class GapFiller:
     def place_blocks(self) -> None:
         """Section 4.1: fill every second block with a random patch from the places equal to it."""
         for block in self.grid.placed():
-            self.canvas.place_block(block, self._draw_place(block) + self.grid.border)
-        self.canvas.extend_placed()
+            self.placer.place_block(block, self._draw_place(block) + self.grid.border)
+        self.placer.extend_placed()
 
     def fill_gaps(self) -> None:
         """Section 4.2: fill the gaps with the patches that agree best with the borders around."""
@@ -227,7 +227,7 @@ class GapFiller:
             place, equal = self._match_border(gap)
             if self.method.subpixel:
                 place = self._refine_place(gap, place, equal)
-            self.canvas.fill_gap(gap, place)
+            self.placer.fill_gap(gap, place)
             self.task.progress((done + 1) / len(gaps))
 
     def _draw_place(self, block: Block) -> Points:
@@ -250,7 +250,7 @@ class GapFiller:
         Also return the nearest place that the lattice makes equal to the gap's, if the search uses the lattice.
         """
         hole = gap.border.hole
-        template = np.rint(self.canvas.image[gap.window()] * 255).astype(np.float32)
+        template = np.rint(self._pixels(gap) * 255).astype(np.float32)
         if self.lattice is None or self.method.search != "lattice":
             ratings = self.matcher.rate_everywhere(template, hole)
             return self.sampler.draw(np.argwhere(ratings == ratings.max())[:, ::-1]), None
@@ -260,6 +260,10 @@ class GapFiller:
         ratings = self.matcher.rate(template, hole, candidates)
         best = self.sampler.draw(self._best_candidates(candidates, ratings, equal))
         return best, np.asarray(equal[np.abs(equal - best).max(1).argmin()])
+
+    def _pixels(self, gap: Block) -> Image:
+        """Return what the output shows in a gap."""
+        return np.asarray(self.placer.canvas.image[self.placer.canvas.pixels(gap.window())])
 
     def _best_candidates(self, candidates: Pixels, ratings: NDArray[np.float64], equal: Points) -> Pixels:
         fraction = 0.5 if self.method.candidate_fraction is None else self.method.candidate_fraction
@@ -283,13 +287,13 @@ class GapFiller:
         The search starts from the equal place if that is less than a pixel away.
         """
         last = np.array(self.matcher.search_shape[::-1]) - 0.5
-        weight = self.canvas.border_mask(gap).astype(np.float64)
+        weight = self.placer.border_mask(gap).astype(np.float64)
 
         def cut(place: Points) -> Image:
-            return self.canvas.cut_patch(np.clip(place, -0.5, last), gap.box)[0]
+            return self.placer.cut_patch(np.clip(place, -0.5, last), gap.box)[0]
 
         start = equal if equal is not None and np.abs(equal - best).max() < 1 else best
-        place = align_patch(cut, start, self.canvas.image[gap.window()], weight)
+        place = align_patch(cut, start, self._pixels(gap), weight)
         if equal is not None:
             place = equal + np.clip(place - equal, -self.tolerance, self.tolerance)
         return np.asarray(np.clip(round_places(place), -0.5, last))

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from nrbench.plugins.forms import Kind, Synthesis, Task
 
-from .gap_filling.block_canvas import BlockGrid, check_border, compose
+from .gap_filling.blocks import BlockGrid, BlockPlacer, check_border
 from .sampling.patches import Patches
 
 
@@ -51,7 +49,12 @@ class Scatter:
         if task.tileable:
             grid = BlockGrid.closing(task.shape, self.block, self.border, task.sample.shape)
         rows, columns = grid.search_shape(task.sample.shape)
-        places = task.rng.integers((columns, rows), size=(*grid.counts, 2)) + self.border
-        image, source = compose(Patches(task.sample), grid, places.astype(np.float64))
+        places = task.rng.integers((columns, rows), size=(*grid.counts, 2)) + float(self.border)
+        placer = BlockPlacer(Patches(task.sample), grid)
+        for block in grid.placed():
+            placer.place_block(block, places[block.row, block.column])
+        for gap in grid.gaps():
+            placer.fill_gap(gap, places[gap.row, gap.column])
+        image, source = placer.canvas.output()
         task.progress(1.0)
         return Synthesis(image, source=source)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -15,10 +16,21 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Geometry, Refused, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .canvas.canvas import Canvas, Window, find_paths
 from .sampling.equal_places import require_two_periods
-from .tile_laying.tile_canvas import CoveredPixels, OverlapMeasure, ShiftedImages, TileCanvas, TilePlaces, TileStock
-from .tile_laying.tile_kernels import FEATHER
-from .tile_laying.tile_shape import AnchorKind, ElementWeights, TileKind, TileShape, anchor_lattice, tile_shape
+from .tile_laying.tile_kernels import FEATHER, Under, blend_weights, cut_tile, error_surface
+from .tile_laying.tiles import (
+    AnchorKind,
+    ElementWeights,
+    OverlapMeasure,
+    ShiftedImages,
+    TileKind,
+    TilePlaces,
+    TileShape,
+    TileStock,
+    anchor_lattice,
+    tile_shape,
+)
 
 FINE_PARTS: Final = 4
 """Default parts of a pixel at which tiles are placed if whole pixels are too coarse."""
@@ -226,8 +238,12 @@ class TileLaying:
         self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
         self.stock = TileStock(self.tile, ShiftedImages.of(task.sample, parts), self.lattice)
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
-        weights = ElementWeights.of(task.sample, self.lattice) if method.stitch == "graphcut" else None
-        self.canvas = TileCanvas(task.shape, self.stock, weights, task.tileable)
+        self.margin = np.ceil(3 * self.tile.reach).astype(int) + 2
+        down, across = int(self.margin[1]), int(self.margin[0])
+        self.canvas = Canvas(task.shape, task.sample.shape[2], np.uint8, (down, across), task.tileable)
+        if method.stitch == "graphcut":
+            weights = ElementWeights.of(task.sample, self.lattice)
+            self._weights = weights.table, weights.numbers_from(-self.margin)
 
     def lay_tiles(self) -> None:
         """Lay every tile that touches the output, row by row (step 2)."""
@@ -265,24 +281,50 @@ class TileLaying:
     def lay_tile(self, i: int, j: int, place: Points, threshold: float) -> None:
         """Draw a tile of the set at step i in the row and row j, and lay it at a place (steps 3 to 6)."""
         pixel = np.floor(place + 0.5)
-        tiles = self.stock.cut(self.sets[i % 2, j % 2] + (pixel - place))
-        left, top = (pixel.astype(int) + self.canvas.margin).tolist()
-        overlap = self.canvas.overlap(left, top)
-        if self._repeats_others(pixel, overlap):
-            return
-        if not len(overlap.values):
-            self.canvas.lay(left, top, self.draw(tiles, np.arange(len(tiles.row))))
-            return
-        differences = self.stock.differences(overlap, tiles)
-        size = len(overlap.values) if self.method.overlap_measure == "mean" else 1
-        candidates = np.flatnonzero(differences <= max(threshold * size, int(differences.min())))
-        drawn = self.draw(tiles, candidates)
-        self.canvas.lay(left, top, self.stock.register(overlap, drawn, self.radius) if self.radius else drawn)
+        tiles = self.stock.find_places(self.sets[i % 2, j % 2] + (pixel - place))
+        (x0, y0), (x1, y1) = (self.tile.box + pixel.astype(int)).tolist()
+        window = y0, y1 + 1, x0, x1 + 1
+        pixels = self.canvas.pixels(window)
+        under = self.canvas.image[pixels], self.canvas.known[pixels], self.canvas.seams[:, *pixels]
+        overlap = self.stock.gather(*under[:2])
+        size = len(overlap[0]) // self.task.sample.shape[2]
+        if self.task.tileable and size == self._size and not self._is_inside(pixel):
+            return  # It repeats others on the opposite side.
+        if not size:
+            drawn = self.draw(tiles, np.arange(len(tiles.row)))
+        else:
+            differences = self.stock.differences(overlap, tiles)
+            limit = threshold * (size if self.method.overlap_measure == "mean" else 1)
+            drawn = self.draw(tiles, np.flatnonzero(differences <= max(limit, int(differences.min()))))
+            if self.radius:
+                drawn = self.stock.register(overlap, drawn, self.radius)
+        self.join(window, drawn, under)
 
-    def _repeats_others(self, pixel: Points, overlap: CoveredPixels) -> bool:
-        """Return whether a tile is needless: it lies outside an output that wraps, where others are repeated."""
-        inside = ((pixel >= 0) & (pixel < self.task.shape[::-1])).all()
-        return self.task.tileable and not inside and len(overlap.values) == len(self.tile.pixels)
+    def _is_inside(self, pixel: Points) -> bool:
+        return bool(((pixel >= 0) & (pixel < self.task.shape[::-1])).all())
+
+    def join(self, window: Window, drawn: TilePlaces, under: Under) -> None:
+        """Lay one tile into a window of the canvas, and join it to what is known under it (steps 5 and 6)."""
+        patch = self.stock.cut(drawn)
+        if self.method.stitch == "graphcut":
+            corner = window[2] + int(self.margin[0]), window[0] + int(self.margin[1])
+            shown = cut_tile(under, patch[0], self._border, self._weights, corner)
+            self.canvas.place(window, patch, shown)
+            self.canvas.seams[:, *self.canvas.pixels(window)] = under[2]
+            return
+        surface, bands = error_surface(*under[:2], patch[0], self.tile.cells)
+        across, down, row, column = find_paths(surface, *bands)
+        weights = blend_weights(under[1], self.tile.pixel_cells, across, down, (row, column), bands)
+        self.canvas.blend(window, patch, weights)
+
+    @cached_property
+    def _border(self) -> NDArray[np.int64]:
+        return np.ascontiguousarray(self.tile.pixel_cells[..., 2])
+
+    @cached_property
+    def _size(self) -> int:
+        """Number of pixels of a tile."""
+        return int(self.tile.mask.sum())
 
     def draw(self, tiles: TilePlaces, candidates: NDArray[np.int64]) -> TilePlaces:
         """Return one of the candidates at random."""

@@ -19,7 +19,7 @@ from nrbench.suites.cell import RESULTS_VERSION
 
 # Reports of nrbench run no cell.
 if TYPE_CHECKING:
-    from nrbench.running.options import Options
+    pass
 
 
 def status_counts(cells: Sequence[CellRecord]) -> dict[str, int]:
@@ -76,7 +76,6 @@ def write_reports(
     formats: Mapping[str, Mapping[str, Any]] | None = None,
     tables_only: bool = False,
     shared: Mapping[str, Any] | None = None,
-    options: Options | None = None,
     progress: Callable[[int, int, str], None] | None = None,
     tell_failure: Callable[[str], None] = warnings.warn,
 ) -> list[Path]:
@@ -92,8 +91,6 @@ def write_reports(
         Whether reports other than tables are left out.
     shared
         Parameters of all reports that have them, such as the files of labelers' answers, ``labels``.
-    options
-        Limits of each report of another package.
     progress
         Called after each report with the number of reports done, of all, and the name of the last one.
     tell_failure
@@ -104,8 +101,6 @@ def write_reports(
     list of Path
         The files that were written.
     """
-    from nrbench.running.guard import Limits
-    from nrbench.running.plugin_children import LIMITS, write_guarded
     from nrbench.running.runner import working_plugins
 
     made_by = run.info.get("results_version")
@@ -120,13 +115,9 @@ def write_reports(
     reports = {name: build_report(name, shared or {}, given) for name, given in formats.items()}
     wanted = {name: report for name, report in reports.items() if not tables_only or _folder(report) == "tables"}
     written: list[Path] = []
-    allowed = Limits(options.timeout, options.memory) if options else LIMITS
     for number, (name, report) in enumerate(wanted.items(), 1):
-        folder = _folder(report)
-        own = plugins.find("reports", name).own
         try:
-            files = report.write(run, run.root / folder) if own else write_guarded(run, name, report, folder, allowed)
-            written += [Path(path) for path in files]
+            written += [Path(path) for path in report.write(run, run.root / _folder(report))]
         except (Exception, SystemExit) as error:
             tell_failure(f"report {name} failed: {describe_error(error)}")
         if progress:

@@ -145,14 +145,12 @@ def run(
     'ok'
     """
     from nrbench.running.guard import Limits
-    from nrbench.running.plugin_children import guarded_plugins
     from nrbench.running.runner import execute
 
     limits = Limits(options.timeout, options.memory) if options else None
-    with guarded_plugins():
-        changes |= {"sample": sample, "size": size, "seed": seed, "replicates": replicates}
-        plan, root = plan_cells(suite, methods, textures, lattice, out, limits=limits, **changes)
-        return execute(plan, root, options, progress or (lambda step: None))
+    changes |= {"sample": sample, "size": size, "seed": seed, "replicates": replicates}
+    plan, root = plan_cells(suite, methods, textures, lattice, out, limits=limits, **changes)
+    return execute(plan, root, options, progress or (lambda step: None))
 
 
 def plan_cells(
@@ -183,7 +181,8 @@ def plan_cells(
     BadInput
         As for :func:`run`.
     """
-    from nrbench.running.plugin_children import LIMITS, plan_run
+    from nrbench.running.guard import LIMITS
+    from nrbench.running.runner import plan_run
 
     chosen = find_suite(suite)
     specs = [method_text(method) for method in list_of(methods)]
@@ -470,12 +469,9 @@ def plan(
     """
     import pandas as pd
 
-    from nrbench.running.plugin_children import guarded_plugins
-
-    with guarded_plugins():
-        changes |= {"sample": sample, "size": size, "seed": seed, "replicates": replicates}
-        planned, root = plan_cells(suite, methods, textures, lattice, out, **changes)
-        return pd.DataFrame(plan_summary(planned, root, retry_failed)["cells"])
+    changes |= {"sample": sample, "size": size, "seed": seed, "replicates": replicates}
+    planned, root = plan_cells(suite, methods, textures, lattice, out, **changes)
+    return pd.DataFrame(plan_summary(planned, root, retry_failed)["cells"])
 
 
 def status(run: Runlike) -> dict[str, Any]:
@@ -539,7 +535,7 @@ def report(
     tell_failure
         Called with a sentence about each report that fails; by default a warning.
     options
-        Limits of each report of another package.
+        Without effect: reports are written in this process, without limits.
     **parameters
         Parameters of all reports that have them: ``single_file``, ``tests``, ``population``, and so on.
 
@@ -564,7 +560,7 @@ def report(
     read_labelers(read, files)
     wanted = parse_formats(list_of(format)) if format else None
     shared = {"labels": files, **parameters}
-    return write_reports(read, wanted, False, shared, options, progress, tell_failure)
+    return write_reports(read, wanted, False, shared, progress, tell_failure)
 
 
 def label(

@@ -23,13 +23,13 @@ from nrbench import plugins
 from nrbench.authoring.plugin_checks import CHECKS, MARK, MARKUP, Subject, demand_of, earlier_clause
 from nrbench.errors import BadInput, describe_error
 from nrbench.plugins.forms import Refused
-from nrbench.plugins.parameters import nearest
+from nrbench.plugins.parameters import leave_user_folder, nearest
 from nrbench.running.guard import Limits, explain_exit
 from nrbench.running.output_checks import InvalidOutput
 from nrbench.running.phases import FAULTS
 from nrbench.running.runner import Options, execute
 from nrbench.running.supervisor import worker_environment
-from nrbench.storage import leave_user_folder, read_json, temporary_folder, working_folder, write_json
+from nrbench.storage import read_json, temporary_folder, write_json
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import validated_suite
 
@@ -155,7 +155,7 @@ def _check_in_child(subject: Subject, clause: str, limits: Limits, place: Path) 
     folder = place / clause
     folder.mkdir()
     program = f"from {__name__} import check_alone; check_alone(*__import__('sys').argv[1:])"
-    words = [subject.to_json(), clause, working_folder(), str(folder), str(limits.seconds), str(limits.mib)]
+    words = [subject.to_json(), clause, str(Path.cwd()), str(folder), str(limits.seconds), str(limits.mib)]
     with (folder / "log.txt").open("w+b") as log:
         process = subprocess.Popen(
             [sys.executable, "-c", program, *words],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import gc
 import importlib
 import io
@@ -11,8 +10,7 @@ import itertools
 import os
 import sys
 import warnings
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from typing import Any, TextIO, cast
 
 import click
@@ -29,9 +27,6 @@ VERBS: Mapping[str, str] = {
 }
 """Each verb, and the module of :mod:`nrbench.cli` that holds its function ``VERB_command``."""
 
-COORDINATING = ("run", "plan", "report", "status", "label", "compare", "audit", "list", "show")
-"""Verbs whose process imports no plugins of others. The other verbs run one plugin, in their own process."""
-
 
 class Verbs(click.Group):
     """A group that imports the module of a verb only when the verb is used."""
@@ -45,9 +40,7 @@ class Verbs(click.Group):
         if cmd_name not in VERBS:
             return None
         module = importlib.import_module(f"nrbench.cli.{VERBS[cmd_name]}")
-        command = copy.copy(getattr(module, f"{cmd_name}_command"))
-        command.callback = partial(_run_verb, cmd_name, command.callback)
-        return command  # type: ignore[no-any-return]
+        return getattr(module, f"{cmd_name}_command")  # type: ignore[no-any-return]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write what each verb does: the first sentence of its help."""
@@ -83,37 +76,17 @@ def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> N
 @click.option(
     "--plugin", "plugin_files", multiple=True, metavar="FILE.py", help="Load plugins from FILE.py; repeatable."
 )
-@click.pass_context
-def nrbench(context: click.Context, debug: bool, plugin_files: tuple[str, ...]) -> None:
+def nrbench(debug: bool, plugin_files: tuple[str, ...]) -> None:
     """Compare methods of near-regular texture synthesis.
 
     nrbench draws textures whose lattices are known, runs methods on them, and scores the regularity, the randomness
     and the cost of the outputs.
     """
-    context.obj = plugin_files
+    if plugin_files:
+        from nrbench import plugins
 
-
-def _run_verb(verb: str, callback: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Call the function of a verb, with the plugins of files; coordinators import no plugins of others."""
-    files = click.get_current_context().obj
-    asks: list[Callable[[Mapping[str, Any]], Any]] = []
-    if not files and verb not in COORDINATING:
-        return callback(*arguments, **options)
-    from nrbench import plugins
-
-    with contextlib.ExitStack() as stack:
-
-        def ask(question: Mapping[str, Any]) -> Any:
-            from nrbench.running.plugin_children import make_ask
-
-            if not asks:
-                asks.append(make_ask(stack))
-            return asks[0](question)
-
-        stack.enter_context(plugins.asking(ask if verb in COORDINATING else None))
-        for file in files:
+        for file in plugin_files:
             plugins.add_file(file)
-        return callback(*arguments, **options)
 
 
 class _TerminalText:

@@ -144,7 +144,7 @@ def _find_plugins(name: str, kind: str | None, files: Collection[str]) -> list[t
 
     kinds = [kind] if kind else PLUGIN_KINDS
     if not name:
-        listed = [(each, plugin) for each in kinds for plugin in plugins.from_files(each)]
+        listed = [(each, plugin) for each in kinds for plugin in plugins.inventory(each) if plugin.in_file]
         found = [(each, plugin.name) for each, plugin in listed if plugin.distribution in files]
         if not found:
             raise BadInput("no plugin of that kind in these files; name one")

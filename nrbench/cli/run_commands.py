@@ -53,7 +53,6 @@ def run_command(
     from nrbench.api.run_reports import write_reports
     from nrbench.cli import summary
     from nrbench.running.cluster import ClusterLost
-    from nrbench.running.guard import Limits
     from nrbench.running.pace import first_interrupt
     from nrbench.running.runner import execute
 
@@ -75,8 +74,8 @@ def run_command(
     failures = Failures()
     with lock, live_progress(patience=True) as show:
         stale = summary.remove_stale_report(run) if no_report else None
-        written = write_reports(run, None, no_report, None, options, None if as_json else show, failures.add)
-    failed = summary.print_summary(run, written, as_json, scores, Limits(options.timeout, options.memory))
+        written = write_reports(run, None, no_report, None, None if as_json else show, failures.add)
+    failed = summary.print_summary(run, written, as_json, scores)
     if lacking:
         tell(
             f"{root} holds {lacking} more {'cell' if lacking == 1 else 'cells'} of an earlier command, which the "
@@ -89,8 +88,7 @@ def run_command(
 
 def _draw_samples(call: partial[Any], options: Options | None) -> tuple[Plan, Path]:
     """Return the plan of a command line, and its run directory."""
-    from nrbench.running.guard import Limits
-    from nrbench.running.plugin_children import LIMITS
+    from nrbench.running.guard import LIMITS, Limits
 
     given = {name: value for name, value in call.keywords.items() if name != "retry_failed"}
     limits = Limits(options.timeout, options.memory) if options else LIMITS
@@ -156,7 +154,7 @@ def report_command(
 ) -> int:
     """Write the reports of RUN again from its files. No cell is run.
 
-    The limits hold for reports of other packages.
+    The limits have no effect: reports are written in this process.
 
     Parameters
     ----------

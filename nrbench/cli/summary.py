@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 from nrbench import plugins
 from nrbench.api.run_reports import build_report, failures, status_counts, unfinished
-from nrbench.errors import BadInput, strip_control
+from nrbench.errors import BadInput, describe_error, strip_control
 from nrbench.plugins.parameters import nearest
 from nrbench.runs.records import Run
 from nrbench.runs.store import RUN_FILE
 from nrbench.storage import read_json, remove
 
 if TYPE_CHECKING:
-    from nrbench.running.guard import Limits
     from nrbench.suites.plan import Plan
 
 
@@ -54,16 +53,16 @@ def remove_stale_report(run: Run) -> Path | None:
     return page
 
 
-def print_summary(run: Run, written: list[Path], as_json: bool, columns: Sequence[str], limits: Limits) -> bool:
+def print_summary(run: Run, written: list[Path], as_json: bool, columns: Sequence[str]) -> bool:
     """Print the reports for a terminal, or JSON, and all failures; return whether anything failed.
 
-    ``columns`` are the scores of the table; empty for the headlines. ``limits`` are those of the reports of others.
+    ``columns`` are the scores of the table; empty for the headlines.
     """
     broken = False
     if as_json:
         print(json.dumps(_summary(run, written), indent=1))
     else:
-        broken = _print_terminal_reports(run, columns, limits)
+        broken = _print_terminal_reports(run, columns)
         page = next((path for path in written if path.suffix == ".html"), None)
         print(f"report: {page.resolve()}" if page else f"tables: {(run.root / 'tables').resolve()}")
     failed = failures(run.cells) + unfinished(run)
@@ -72,13 +71,11 @@ def print_summary(run: Run, written: list[Path], as_json: bool, columns: Sequenc
     return bool(failed or broken)
 
 
-def _print_terminal_reports(run: Run, columns: Sequence[str], limits: Limits) -> bool:
+def _print_terminal_reports(run: Run, columns: Sequence[str]) -> bool:
     """Print each report whose class variable ``terminal`` is true; its method ``render`` returns the text.
 
     Such a report has the parameter ``width``, and may have ``columns``. Return whether one failed.
     """
-    from nrbench.running.plugin_children import write_guarded
-
     shared: dict[str, Any] = {"width": max(40, shutil.get_terminal_size((120, 40)).columns)}
     if columns:
         shared["columns"] = tuple(columns)
@@ -87,11 +84,10 @@ def _print_terminal_reports(run: Run, columns: Sequence[str], limits: Limits) ->
         if getattr(plugin.cls, "terminal", False):
             try:
                 report = build_report(plugin.name, shared, {})
-                guarded = None if plugin.own else write_guarded(run, plugin.name, report, None, limits)
-                print(report.render(run) if plugin.own else strip_control(guarded), end="")
-            except (BadInput, RuntimeError) as error:
+                print(report.render(run), end="")
+            except (Exception, SystemExit) as error:
                 broken = True
-                print(f"nrbench: report {plugin.name} failed: {strip_control(str(error))}", file=sys.stderr)
+                print(f"nrbench: report {plugin.name} failed: {describe_error(error)}", file=sys.stderr)
     return broken
 
 

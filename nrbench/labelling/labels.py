@@ -26,7 +26,7 @@ from nrbench.errors import BadInput
 from nrbench.pictures.files import read_image
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RunDirectory
-from nrbench.storage import open_file, read_json, write_json, write_text
+from nrbench.storage import read_json, write_json, write_text
 from nrbench.streams import pixels_hash, stream
 
 from .questions import ANSWERS, PRESERVED, QUESTIONS, find_questions
@@ -284,7 +284,7 @@ def _content(root: Path, page: LabelPage) -> dict[str, Any]:
 def encode_pixels(path: Path) -> bytes:
     """Return a picture as PNG without texts, times and names of programs, which could reveal the method."""
     file = io.BytesIO()
-    with open_file(path) as content, PIL.Image.open(content) as image:
+    with path.open("rb") as content, PIL.Image.open(content) as image:
         PIL.Image.fromarray(np.asarray(image.convert("RGB"))).save(file, "PNG")
     return file.getvalue()
 

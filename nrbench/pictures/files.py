@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput, strip_control
 from nrbench.imaging.convert import MIN_SIDE, Image, as_image, to_bytes
-from nrbench.storage import open_file, write_aside
+from nrbench.storage import write_aside
 
 ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
 """Endings of picture files."""
@@ -90,7 +90,7 @@ def _opened(path: str | Path, where: str) -> Iterator[PIL.Image.Image]:
     try:
         with (
             warnings.catch_warnings(action="ignore"),
-            open_file(Path(path)) as file,
+            Path(path).open("rb") as file,
             PIL.Image.open(file, formats=FORMATS) as picture,
         ):
             width, height = picture.size

@@ -9,10 +9,9 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from importlib.machinery import SourceFileLoader
-from importlib.metadata import EntryPoint
 from typing import Any
 
-from nrbench.plugins.registry import Plugin, distribution_of, entry_points_of, from_files, load_plugin
+from nrbench.plugins.registry import Plugin, inventory
 
 
 @dataclass(frozen=True)
@@ -40,12 +39,9 @@ class Summary:
 def summaries(kind: str) -> list[Summary]:
     """Return the summaries of all plugins of a kind, broken and duplicate ones included.
 
-    Plugins of nrbench are read from their source. Plugins of others are imported.
+    Plugins of nrbench are read from their source. Third-party plugins are imported.
     """
-    points = [(point, i > 0) for group in entry_points_of(kind).values() for i, point in enumerate(group)]
-    read = [(not later and _read_source(point), point, later) for point, later in points]
-    listed = [summary or _of_plugin(load_plugin(kind, point, later)) for summary, point, later in read]
-    return listed + [_of_plugin(plugin) for plugin in from_files(kind)]
+    return [_read_source(plugin) or _of_plugin(plugin) for plugin in inventory(kind)]
 
 
 def _of_plugin(plugin: Plugin) -> Summary:
@@ -54,17 +50,17 @@ def _of_plugin(plugin: Plugin) -> Summary:
     return Summary(plugin.name, plugin.distribution, plugin.version, about, reference, plugin.error)
 
 
-def _read_source(point: EntryPoint) -> Summary | None:
+def _read_source(plugin: Plugin) -> Summary | None:
     """Return the summary of a plugin of nrbench, or None if it cannot be read without an import."""
-    distribution, version = distribution_of(point)
-    if distribution != "nrbench":
+    if not plugin.own:
         return None
     try:
-        page, constants = _read_class(point.module, point.attr)
+        page, constants = _read_class(plugin.source.module, plugin.source.attr)
     except LookupError:
         return None
     about, reference = page.partition("\n")[0], bool(constants.get("reference", False))
-    return Summary(point.name, distribution, str(constants.get("version", version)), about, reference)
+    version = str(constants.get("version", plugin.release))
+    return Summary(plugin.name, plugin.distribution, version, about, reference)
 
 
 @cache

@@ -7,14 +7,15 @@ import dataclasses
 import difflib
 import inspect
 import itertools
+import os
 import re
+import sys
 from collections.abc import Collection, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from nrbench.errors import BadInput
-from nrbench.storage import user_path
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -197,6 +198,51 @@ def _convert(cls: type[Any], key: str, value: Any, where: str) -> Any:
             if attempt != (value,):  # that text is no list of one item says nothing about a number
                 why = error.errors()[0]["msg"]
     raise BadInput(f"{where}: {key}={value!r}: {why[:1].lower()}{why[1:]}")
+
+
+_user_folder: Path | None = None
+
+
+def leave_user_folder(user_folder: Path, working: Path) -> None:
+    """Make another folder the working directory of this process, which is about to run a plugin.
+
+    Files that the plugin writes to relative paths then do not litter the user's folder. :func:`user_path` still starts
+    from there, and so do the relative entries of ``sys.path``, which become absolute.
+
+    Parameters
+    ----------
+    user_folder
+        The folder in which the user started nrbench.
+    working
+        The new working directory. It is made if it does not exist.
+    """
+    global _user_folder
+    sys.path[:] = [str(user_folder / entry) if (user_folder / entry).exists() else entry for entry in sys.path]
+    working.mkdir(parents=True, exist_ok=True)
+    os.chdir(working)
+    _user_folder = user_folder
+
+
+def user_path(path: str | Path) -> Path:
+    """Return a path that a user gave, as it is to be opened: a relative one starts from the user's folder.
+
+    Parameters
+    ----------
+    path
+        As the user wrote it.
+
+    Returns
+    -------
+    Path
+        Absolute where the working directory is not the user's folder.
+
+    Examples
+    --------
+    >>> from nrbench import user_path
+    >>> user_path("picture.png").name
+    'picture.png'
+    """
+    return Path(path) if _user_folder is None else _user_folder / path
 
 
 def _located(value: Any) -> Any:

@@ -1,7 +1,7 @@
-"""The plugin registry: plugins from entry points and from plain files, checked at registration.
+"""The plugin registry: plugins from entry points and from plain files.
 
-The plugins of nrbench are imported where they are needed. Those of others are imported by the process that runs them; a
-process that coordinates a run asks its children what they are (:func:`asking`), and gets stand-ins of plain values.
+A module with plugins is imported when one of them is needed, and third-party plugins are then checked. An error of an
+import is an error of that plugin alone.
 """
 
 from __future__ import annotations
@@ -15,19 +15,16 @@ import json
 import math
 import re
 import sys
-import threading
 import traceback
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from nrbench.errors import BadInput
 from nrbench.plugins.parameters import PRESET, converted, missing, nearest, parse_spec, validated
-from nrbench.storage import outside_user_folder
 
 # The forms import numpy, which the names of plugins do not need.
 if TYPE_CHECKING:
@@ -75,40 +72,86 @@ PATCH_TERMS = ("patch_shape", "patch_placement", "patch_stitching")
 """Optional class variables of a synthesizer: how it works, in the three terms of the table of patch-based methods."""
 
 
-@dataclass(frozen=True)
+class DoesNotLoad(BadInput):
+    """A plugin is registered, but cannot be imported, or is not valid. The message names it, and says why."""
+
+
+@dataclass(frozen=True, eq=False)
 class Plugin:
-    """A registered plugin, or one that is broken.
+    """A registered plugin. Its module is imported when :attr:`cls` or :attr:`version` is first read.
 
     Parameters
     ----------
     kind, name
         A key of :data:`FORMS`, and the name of the plugin.
-    cls
-        The frozen dataclass; None if the plugin is broken.
-    distribution
-        The installed distribution or the file that defines it.
-    version
-        The ``version`` of the class, else that of the distribution; for a plain file also a hash of the file.
-    error
-        The traceback or a message if the plugin is broken or a duplicate; else empty.
+    distribution, release
+        The installed distribution that defines it, and its version; or the file that defines it, and a hash of it.
+    source
+        The entry point, or the class that a file defines.
+    duplicate
+        Whether another plugin of the kind has taken the name; this one is then not used.
     """
 
     kind: str
     name: str
-    cls: type[Any] | None
     distribution: str
-    version: str
-    error: str = ""
+    release: str
+    source: EntryPoint | type[Any]
+    duplicate: bool = False
 
     @property
     def own(self) -> bool:
-        """Whether nrbench itself defines it; all others run in processes of their own."""
+        """Whether nrbench itself defines it. Third-party plugins run in child processes of their own."""
         return self.distribution == "nrbench"
+
+    @property
+    def cls(self) -> type[Any] | None:
+        """The frozen dataclass; None if the plugin does not load."""
+        return self._loaded[0]
+
+    @property
+    def error(self) -> str:
+        """The traceback or a message if the plugin does not load, or is a duplicate; else empty."""
+        return self._loaded[1]
+
+    @cached_property
+    def _loaded(self) -> tuple[type[Any] | None, str]:
+        if isinstance(self.source, type):
+            return self.source, ""
+        if self.duplicate:
+            used = f"the name {self.name!r} was registered before; this one ({self.source.value}) is not used"
+            return None, f"duplicate: {used}"
+        try:
+            with contextlib.redirect_stdout(sys.stderr):  # what an import prints is no part of the answer
+                cls = self.source.load()
+            wrong = "" if self.own else fault(self.kind, cls)  # the tests of nrbench check its own plugins
+        except KeyboardInterrupt:
+            raise
+        except BaseException:
+            return None, traceback.format_exc()
+        return (None, wrong) if wrong else (cls, "")
+
+    @property
+    def in_file(self) -> bool:
+        """Whether a plain file defines it."""
+        return isinstance(self.source, type)
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether this process has imported it."""
+        return "_loaded" in vars(self) and self.cls is not None
 
     @property
     def shared(self) -> bool:
         """Whether a worker may import it for all cells; a plugin whose ``isolation`` is "cell" is imported in each."""
         return bool(getattr(self.cls, "isolation", "worker") != "cell")
+
+    @property
+    def version(self) -> str:
+        """The ``version`` of the class, else that of the distribution; for a plain file also the hash of the file."""
+        if self.in_file:
+            return f"{getattr(self.cls, 'version', '0')}+{self.release}"
+        return str(getattr(self.cls, "version", self.release))
 
     @property
     def full_version(self) -> str:
@@ -122,35 +165,11 @@ class Plugin:
         return "".join([self.version, *called])
 
 
-Ask = Callable[[Mapping[str, Any]], Any]
-"""Answers a question about plugins of others, see :func:`nrbench.plugins.answers.answer`; raises BadInput."""
 _files: dict[Path, list[Plugin]] = {}
-_loaded: dict[tuple[str, EntryPoint, bool, bool], Plugin] = {}
-_asks: list[Ask | None] = []
 
 
-@contextlib.contextmanager
-def asking(ask: Ask | None) -> Iterator[None]:
-    """Let other processes import the plugins of others for a while; None: import them in this process.
-
-    Parameters
-    ----------
-    ask
-        Sends a question to a child process, and returns its answer.
-    """
-    _asks.append(ask)  # several threads may do so at the same time
-    try:
-        yield
-    finally:
-        _asks.remove(ask)
-
-
-def _asked() -> Ask | None:
-    return _asks[-1] if _asks else None
-
-
-def add_file(path: str | Path, later: Iterable[Sequence[str]] | None = None) -> None:
-    """Register the plugins that a plain Python file defines (``--plugin mine.py``).
+def add_file(path: str | Path) -> None:
+    """Import a plain Python file, and register the plugins that it defines (``--plugin mine.py``).
 
     A plugin's name is its class variable ``name``, else the class's name in lower case.
 
@@ -158,143 +177,94 @@ def add_file(path: str | Path, later: Iterable[Sequence[str]] | None = None) -> 
     ----------
     path
         The file.
-    later
-        Kind and name of its plugins, if they are known; it is then read when one of them is needed.
 
     Raises
     ------
     BadInput
-        When the file is missing, cannot be imported, or defines no plugin, or when a name is taken.
+        When the file is missing, cannot be imported, or defines no valid plugin, or when a name is taken.
     """
     file = Path(path).resolve()
     if file in _files:
         return
-    if later is not None:
-        _files[file] = [Plugin(kind, name, None, str(file), "") for kind, name in later]
-        return
-    found = _plugins_of(file)
+    if not file.is_file():
+        raise BadInput(f"plugin {file}: there is no such file")
+    found = _file_plugins(file, _import_file(file))
     if not found:
         raise BadInput(f"plugin {path}: defines no plugin; write a frozen dataclass with one of: {_methods_wanted()}")
     for plugin in found:
-        if plugin.error:
-            raise BadInput(f"plugin {path}: {plugin.error}")
+        if wrong := fault(plugin.kind, plugin.cls):
+            raise BadInput(f"plugin {path}: {wrong}")
         if plugin.name in names(plugin.kind):
             raise BadInput(f"plugin {path}: the name {plugin.name!r} is taken; give the class another `name`")
     _files[file] = found
 
 
-def _plugins_of(file: Path) -> list[Plugin]:
-    """Return the plugins of a file: imported, or stand-ins of those that another process imports."""
-    if not file.is_file():
-        raise BadInput(f"plugin {file}: there is no such file")
-    ask = _asked()
-    if ask is None:
-        return _file_plugins(file, _import_file(file))
-    return _described(ask({"file": str(file)}), str(file))
+def files() -> list[str]:
+    """Return the paths of the plain files whose plugins are registered."""
+    return [str(file) for file in _files]
 
 
-def _described(facts: Any, distribution: str) -> list[Plugin]:
-    """Return the plugins that another process has described, with stand-ins for their classes."""
-    from nrbench.plugins import stand_ins
-
-    found = []
-    for each in stand_ins.checked_facts(facts):
-        if each.threads and each.variables.isolation != "cell":
-            warnings.warn(
-                f"{FORMS[each.kind].noun} {each.name!r} starts threads when it is imported, so each cell imports it "
-                'anew, in a process of its own; `isolation: ClassVar[str] = "cell"` says that this is meant',
-                stacklevel=2,
-            )
-        found.append(Plugin(each.kind, each.name, stand_ins.make_class(each), distribution, each.version))
-    return found
+@cache
+def _installed(kind: str) -> list[Plugin]:
+    """Return the plugins of a kind that entry points name; of the same name, those of nrbench come first."""
+    known = [(point, *_name_and_version(point.dist)) for point in entry_points(group=f"nrbench.{kind}")]
+    grouped: dict[str, list[Plugin]] = {}
+    for point, distribution, version in sorted(known, key=lambda each: each[1] != "nrbench"):
+        group = grouped.setdefault(point.name, [])
+        group.append(Plugin(kind, point.name, distribution, version, point, duplicate=bool(group)))
+    return [plugin for group in grouped.values() for plugin in group]
 
 
-def files(shared: bool = False) -> dict[str, list[tuple[str, str]]]:
-    """Return kind and name of the plugins of each plain file registered so far, by its path (for other processes).
-
-    Parameters
-    ----------
-    shared
-        Whether they are those that a worker may import for all cells: all, or none if a plugin of one is not to be.
-    """
-    apart = shared and not all(plugin.shared for each in _files.values() for plugin in each)
-    known = {} if apart else _files
-    return {str(path): [(plugin.kind, plugin.name) for plugin in found] for path, found in known.items()}
-
-
-def shared_plugins() -> list[tuple[str, str]]:
-    """Return kind and name of the installed plugins of others that this process knows and workers may import."""
-    known = (plugin for plugin in _loaded.values() if plugin.cls is not None and not plugin.own and plugin.shared)
-    return sorted({(plugin.kind, plugin.name) for plugin in known})
-
-
-def loaded_methods() -> list[str]:
-    """Return the names of the synthesizers of nrbench that this process has loaded, such as those of its plan."""
-    return sorted({each.name for each in _loaded.values() if each.kind == "synthesizers" and each.own and each.cls})
-
-
-def names(kind: str) -> list[str]:
-    """Return the names of all plugins of a kind, without loading them."""
-    in_files = (plugin.name for found in _files.values() for plugin in found if plugin.kind == kind)
-    return list(dict.fromkeys([*entry_points_of(kind), *in_files]))
-
-
-def installed(kind: str) -> list[Plugin]:
-    """Return all plugins of a kind without loading those of others, whose version is that of their distribution."""
-    found = []
-    for points in entry_points_of(kind).values():
-        for later, point in enumerate(points):
-            distribution, version = distribution_of(point)
-            loads = later > 0 or distribution == "nrbench" or (kind, point, False, _asked() is None) in _loaded
-            unread = Plugin(kind, point.name, None, distribution, version)
-            found.append(load_plugin(kind, point, later > 0) if loads else unread)
-    return [*found, *from_files(kind)]
-
-
-def origins() -> list[dict[str, str]]:
-    """Return kind and name of every plugin, and its distribution with its version. No installed plugin is imported."""
-    found = []
-    for kind in FORMS:
-        points = [(point.name, *distribution_of(point)) for each in entry_points_of(kind).values() for point in each]
-        points += [(plugin.name, plugin.distribution, plugin.version) for plugin in from_files(kind)]
-        found += [dict(zip(("kind", "name", "distribution", "version"), (kind, *each), strict=True)) for each in points]
-    return found
-
-
-def name_of(kind: str, cls: type[Any]) -> str:
-    """Return the name under which a class is registered; empty if it is not. No other plugin is loaded."""
-    value = f"{cls.__module__}:{cls.__qualname__}"
-    named = (name for name, points in entry_points_of(kind).items() if points[0].value == value)
-    return next(named, next((plugin.name for plugin in from_files(kind) if plugin.cls is cls), ""))
+@cache  # its metadata are a text, which is parsed for each of the two
+def _name_and_version(distribution: Distribution | None) -> tuple[str, str]:
+    return (distribution.name, distribution.version) if distribution else ("unknown", "0")
 
 
 def inventory(kind: str) -> list[Plugin]:
-    """Load every plugin of a kind. Broken and duplicate plugins are included, with their errors."""
-    groups = entry_points_of(kind).values()
-    listed = [load_plugin(kind, point, later > 0) for points in groups for later, point in enumerate(points)]
-    return listed + list(from_files(kind))
+    """Return every plugin of a kind, duplicates included. None is imported before its class is read."""
+    return [*_installed(kind), *(plugin for found in _files.values() for plugin in found if plugin.kind == kind)]
 
 
-def find(kind: str, name: str) -> Plugin:
-    """Return the working plugin called ``name``.
+def names(kind: str) -> list[str]:
+    """Return the names of all plugins of a kind. None is imported."""
+    return list(dict.fromkeys(plugin.name for plugin in inventory(kind)))
+
+
+def name_of(kind: str, cls: type[Any]) -> str:
+    """Return the name under which a class is registered; empty if it is not. No plugin is imported."""
+    value = f"{cls.__module__}:{cls.__qualname__}"
+    known = (each for each in inventory(kind) if cls is each.source or getattr(each.source, "value", "") == value)
+    return next((plugin.name for plugin in known if not plugin.duplicate), "")
+
+
+def lookup(kind: str, name: str) -> Plugin:
+    """Return the plugin called ``name``, which is not imported, and may not load.
 
     Raises
     ------
     BadInput
-        When there is no such plugin (the message names the nearest), or it is broken.
+        When there is no such plugin; the message names the nearest.
     """
-    points = entry_points_of(kind).get(name)
-    if not points:
-        for plugin in from_files(kind, name):
-            if plugin.name == name:
-                return plugin
-        raise BadInput(
-            f"{FORMS[kind].noun} {name!r} is not known{nearest(name, names(kind))}; see `nrbench list {kind}`"
-        )
-    plugin = load_plugin(kind, points[0], False)
+    for plugin in inventory(kind):
+        if plugin.name == name:
+            return plugin
+    raise BadInput(f"{FORMS[kind].noun} {name!r} is not known{nearest(name, names(kind))}; see `nrbench list {kind}`")
+
+
+def find(kind: str, name: str) -> Plugin:
+    """Import the plugin called ``name``, and return it.
+
+    Raises
+    ------
+    BadInput
+        When there is no such plugin; the message names the nearest.
+    DoesNotLoad
+        When it does not load.
+    """
+    plugin = lookup(kind, name)
     if plugin.cls is None:
         last = plugin.error.strip().splitlines()[-1]
-        raise BadInput(f"{FORMS[kind].noun} {name!r} of {plugin.distribution} does not load: {last}")
+        raise DoesNotLoad(f"{FORMS[kind].noun} {name!r} of {plugin.distribution} does not load: {last}")
     return plugin
 
 
@@ -308,19 +278,11 @@ def build(kind: str, name: str, parameters: Mapping[str, Any] | None = None) -> 
     BadInput
         For an unknown plugin, preset or parameter (the message names the nearest), or a value of the wrong type or
         range.
+    DoesNotLoad
+        When the plugin does not load.
     """
     cls = find(kind, name).cls
     assert cls is not None
-    ask = _asked()
-    if ask is not None and is_stand_in(cls):
-        from nrbench.plugins import stand_ins
-
-        given = {key: _plain(value) for key, value in (parameters or {}).items()}
-        try:
-            return stand_ins.make_instance(cls, ask({"kind": kind, "name": name, "parameters": given}))
-        except BadInput as error:
-            where = f"{FORMS[kind].noun} {name}"
-            raise BadInput(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
     return validated(cls, parameters or {}, f"{FORMS[kind].noun} {name}")
 
 
@@ -390,97 +352,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [_plain(part) for part in value]
     return str(value) if isinstance(value, Path) else value
-
-
-@cache
-def entry_points_of(kind: str) -> dict[str, list[EntryPoint]]:
-    """Return the entry points of a kind by name; of the same name, those of nrbench come first."""
-    found = sorted(entry_points(group=f"nrbench.{kind}"), key=lambda point: distribution_of(point)[0] != "nrbench")
-    grouped: dict[str, list[EntryPoint]] = {}
-    for point in found:
-        grouped.setdefault(point.name, []).append(point)
-    return grouped
-
-
-def from_files(kind: str, name: str = "") -> Iterator[Plugin]:
-    """Return the plugins of a kind that plain files define; files that were registered for later are read.
-
-    Parameters
-    ----------
-    kind
-        The kind.
-    name
-        Only files with a plugin of this name are read; empty: all.
-    """
-    for file, found in _files.items():
-        wanted = not name or any((plugin.kind, plugin.name) == (kind, name) for plugin in found)
-        if wanted and not (found and all(plugin.cls and (_asked() or not is_stand_in(plugin.cls)) for plugin in found)):
-            _files[file] = _plugins_of(file)
-    return (plugin for found in _files.values() for plugin in found if plugin.kind == kind)
-
-
-def count_threads() -> int:
-    """Return the number of threads of this process: also those that Python does not know, on Linux."""
-    with contextlib.suppress(OSError):
-        return len(list(Path("/proc/self/task").iterdir()))
-    return threading.active_count()
-
-
-def is_stand_in(cls: Any) -> bool:
-    """Return whether a class stands for one that another process has imported, see :mod:`nrbench.plugins.stand_ins`."""
-    return hasattr(cls, "stand_in")
-
-
-def distribution_of(point: EntryPoint) -> tuple[str, str]:
-    """Return the name and the version of the distribution that an entry point belongs to."""
-    return _name_and_version(point.dist) if point.dist else ("unknown", "0")
-
-
-@cache  # its metadata are a text, which is parsed for each of the two
-def _name_and_version(distribution: Distribution) -> tuple[str, str]:
-    return distribution.name, distribution.version
-
-
-def load_plugin(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
-    """Import the plugin of an entry point and check it, or let another process do so; see :func:`asking`.
-
-    A duplicate is reported without an import. The plugins of nrbench are checked by its tests, not each time they are
-    loaded.
-    """
-    key = (kind, point, duplicate, _asked() is None)
-    if key not in _loaded:
-        _loaded[key] = _load(kind, point, duplicate)
-    return _loaded[key]
-
-
-def _load(kind: str, point: EntryPoint, duplicate: bool) -> Plugin:
-    distribution, version = distribution_of(point)
-    if duplicate:
-        error = f"duplicate: the name {point.name!r} was registered before; this one ({point.value}) is not used"
-        return Plugin(kind, point.name, None, distribution, version, error)
-    own = distribution == "nrbench"
-    try:
-        ask = None if own else _asked()
-        if ask is not None:
-            (found,) = _described(ask({"kind": kind, "name": point.name}), distribution)
-            return dataclasses.replace(found, kind=kind, name=point.name)
-        with contextlib.nullcontext() if own else _importing():
-            cls = point.load()
-        error = "" if own else fault(kind, cls)
-    except BadInput as told:
-        return Plugin(kind, point.name, None, distribution, version, str(told))
-    except KeyboardInterrupt:
-        raise
-    except BaseException:
-        return Plugin(kind, point.name, None, distribution, version, traceback.format_exc())
-    return Plugin(kind, point.name, None if error else cls, distribution, str(getattr(cls, "version", version)), error)
-
-
-@contextlib.contextmanager
-def _importing() -> Iterator[None]:
-    """Import a plugin of others: outside of the user's folder, and without a word on standard output."""
-    with outside_user_folder(), contextlib.redirect_stdout(sys.stderr):
-        yield
 
 
 def fault(kind: str, cls: Any) -> str:
@@ -622,27 +493,24 @@ def _import_file(file: Path) -> Any:
         raise BadInput(f"plugin {file}: is no Python file; its name must end in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[module.__name__] = module
-    with _importing():
-        try:
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
             spec.loader.exec_module(module)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
-            raise BadInput(f"plugin {file}: does not import: {type(error).__name__}: {error}") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise BadInput(f"plugin {file}: does not import: {type(error).__name__}: {error}") from error
     return module
 
 
 def _file_plugins(file: Path, module: Any) -> list[Plugin]:
     digest = hashlib.blake2b(file.read_bytes(), digest_size=8).hexdigest()
-    found = []
-    for cls in vars(module).values():
-        if not (inspect.isclass(cls) and cls.__module__ == module.__name__):
-            continue
-        for kind in _kinds_of(cls):
-            name = getattr(cls, "name", cls.__name__.lower())
-            version = f"{getattr(cls, 'version', '0')}+{digest}"
-            found.append(Plugin(kind, str(name), cls, str(file), version, fault(kind, cls)))
-    return found
+    return [
+        Plugin(kind, str(getattr(cls, "name", cls.__name__.lower())), str(file), digest, cls)
+        for cls in vars(module).values()
+        if inspect.isclass(cls) and cls.__module__ == module.__name__
+        for kind in _kinds_of(cls)
+    ]
 
 
 def _kinds_of(cls: type[Any]) -> list[str]:

@@ -23,9 +23,8 @@ from typing import Any
 
 from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
-from nrbench.running.plugin_children import guarded_plugins
+from nrbench.running.phases import Request
 from nrbench.running.supervisor import own_supervisor, run_job
-from nrbench.running.worker import Request
 from nrbench.runs.store import CellFolder, Result
 
 CONNECT = 10.0
@@ -123,7 +122,7 @@ class Cluster:
         """Send a job to the cluster. ``cancel`` of the future fails, because a worker may have the job."""
         future: Future[Result] = Future()
         future.set_running_or_notify_cancel()
-        task = self._executor.submit(run_on_worker, job, code_hash(tuple(job.plugins)))
+        task = self._executor.submit(run_on_worker, job, code_hash(job.plugin_files))
         task.add_done_callback(lambda task: _finish(job, task, future))
         return future
 
@@ -232,16 +231,16 @@ def run_on_worker(job: Request, code: str) -> Result:
 
     worker: Any = get_worker()
     where = f"--scheduler: the worker {worker.address}"
-    if code_hash(tuple(job.plugins)) != code:
+    if code_hash(job.plugin_files) != code:
         raise BadInput(f"{where} has other code than this machine; install the same there, and restart the workers")
     if not CellFolder(Path(job.folder)).cell_file.is_file():
         raise BadInput(f"{where} does not see {job.folder}; pass an --out that all machines share under the same path")
-    with guarded_plugins(), _ends_when_unwanted(worker):
-        for file in job.plugins:
+    with _ends_when_unwanted(worker):
+        for file in job.plugin_files:
             plugins.add_file(file)
         for kind, name in job.imports:
             plugins.find(kind, name)
-        return run_job(job)
+        return run_job(job, own_supervisor())
 
 
 @contextmanager

@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits
 
 from nrbench.running.cluster import connect
 from nrbench.running.options import print_notice
-from nrbench.running.supervisor import InProcessRunner, close_all, perform_phases, run_job
-from nrbench.running.worker import Request
+from nrbench.running.phases import Request
+from nrbench.running.supervisor import InProcessRunner, close_all, own_supervisor, run_job
 from nrbench.runs.store import Result
 
 
@@ -41,7 +41,7 @@ def _run_now(job: Request) -> Future[Result]:
     """Run a job in the caller's thread, for the debugger; return its finished future."""
     future: Future[Result] = Future()
     try:
-        future.set_result(perform_phases(job, InProcessRunner()))
+        future.set_result(run_job(job, InProcessRunner()))
     except Exception as error:
         future.set_exception(error)
     return future
@@ -83,7 +83,7 @@ class _GroupedThreads:
             self._groups[thread] = job.group
         if future.set_running_or_notify_cancel():
             try:
-                future.set_result(run_job(job, self._tell))
+                future.set_result(run_job(job, own_supervisor(self._tell)))
             except BaseException as error:
                 future.set_exception(error)
 

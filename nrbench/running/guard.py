@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import select
+import shutil
 import signal
 import sys
 import time
@@ -16,9 +17,7 @@ from typing import Any, Protocol, cast
 
 import psutil
 
-from nrbench.errors import BadInput
 from nrbench.runs.store import Result, is_result_part
-from nrbench.storage import open_regular
 
 TICK = 0.02
 """Seconds between two checks of the clock and of the memory of the child. Above half of its limit there are more."""
@@ -69,6 +68,10 @@ class Limits:
     parts: tuple[str, ...] = ()
     start_seconds: float = 0.0
     start_mib: float = 0.0
+
+
+LIMITS = Limits(120.0, 4096.0)
+"""The limits where no others are given."""
 
 
 @dataclass(frozen=True)
@@ -241,7 +244,7 @@ class Watch:
 
 def shorten(log: Path) -> None:
     """Cut a log that has grown long: only its end is kept. The child goes on appending to it, and may remove it."""
-    with contextlib.suppress(OSError, BadInput), open(open_regular(log, os.O_RDWR), "r+b") as file:  # noqa: PTH123
+    with contextlib.suppress(OSError), log.open("r+b") as file:
         if os.fstat(file.fileno()).st_size <= LONG_LOG:
             return
         file.seek(-SHORT_LOG, os.SEEK_END)
@@ -393,7 +396,7 @@ def adopt_orphans() -> None:
     _prctl(36, 1)
 
 
-def go_on_in_child(leash: int) -> None:
+def go_on_in_child(leash: int, folder: str) -> None:
     """Fork the calling process and go on in the child (Linux). The parent stays to kill what the child leaves behind.
 
     The parent waits until the child has ended, or nobody holds the other end of a pipe any more, because the run was
@@ -403,6 +406,8 @@ def go_on_in_child(leash: int) -> None:
     ----------
     leash
         The end of the pipe that this process reads, a file descriptor.
+    folder
+        The temporary files of the process, which the parent removes at the end.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -423,7 +428,9 @@ def go_on_in_child(leash: int) -> None:
     poll.register(leash, 0)
     while not poll.poll():
         pass
-    _end_with_children()
+    kill_children(os.getpid())
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(0)
 
 
 def _end_with_children(*_: Any) -> None:

@@ -1,7 +1,7 @@
 """The phases of a cell: detect a lattice, synthesize, score. Each reads the cell's folder and writes into it.
 
-A phase runs in a child process of its own and reports by messages. ``nrbench.score`` calls
-:func:`score_observation` in the caller's process.
+A :class:`Request` says which phase runs on which folder. The phase runs in a child process and reports by messages.
+:func:`nrbench.score` calls :func:`score_observation` in the caller's process.
 """
 
 from __future__ import annotations
@@ -9,9 +9,12 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import os
+import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -24,7 +27,6 @@ from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import read_image, write_image
-from nrbench.plugins.answers import answer
 from nrbench.plugins.forms import (
     Again,
     Column,
@@ -38,13 +40,13 @@ from nrbench.plugins.forms import (
     Value,
     timed_detection,
 )
-from nrbench.running.guard import Message, cpu_seconds
+from nrbench.plugins.parameters import leave_user_folder
+from nrbench.running.guard import MIB, Message, cpu_seconds, peak_bytes
 from nrbench.running.output_checks import InvalidOutput, checked_synthesis, is_picture
 from nrbench.running.preparing import prepare_method
 from nrbench.running.sample_surveys import survey_once
-from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder, Result, metric_key
-from nrbench.storage import make_folder, read_arrays, read_json, write_arrays, write_json
+from nrbench.storage import read_arrays, read_json, write_arrays, write_json
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.cell import Cell, Recipe
 from nrbench.suites.plan import draw_texture
@@ -58,6 +60,94 @@ Send = Callable[[Message], None]
 """Sends one message to the process that watches this one."""
 FAULTS = (Exception, SystemExit, GeneratorExit)
 """What a plugin may raise that ends its phase. A keyboard interrupt ends a run that has no children, as it should."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """One phase of one cell, or all of them, to be run under limits.
+
+    Parameters
+    ----------
+    phase
+        What to do: the name of a function below: ``render``, ``detect``, ``synthesize_cell`` or ``score_cell``.
+        :func:`~nrbench.running.supervisor.run_job` takes ``cell``, too: synthesize and score.
+    folder
+        The cell's folder, which holds ``cell.json`` and ``sample.png``.
+    seconds, mib
+        Limits of each phase, see :class:`~nrbench.running.guard.Limits`.
+    metrics
+        The metrics that score the cell.
+    plugin_files
+        Files of plugins.
+    imports
+        Kind and name of the installed third-party plugins that a worker of a cluster imports before it forks.
+    own
+        Whether it runs no third-party code: it scores by metrics of nrbench, and a dataset of nrbench drew the texture.
+    side_by_side
+        1 if other cells run at the same time, else 0; it is recorded beside the costs.
+    group
+        Requests of one group, the cells of a texture, are best run by one worker, which learns their texture once.
+    user_folder
+        The folder in which the user started nrbench, which a worker of a cluster does not know: relative paths in
+        parameters start from there.
+    temporary
+        The working directory of the phase, which is also its folder of temporary files; the worker fills it in. It does
+        not lie in the cell's folder: the path of a socket has 107 bytes at most, and that of a run may be longer.
+    """
+
+    phase: str
+    folder: str
+    seconds: float
+    mib: float
+    metrics: tuple[str, ...] = ()
+    plugin_files: tuple[str, ...] = ()
+    imports: tuple[tuple[str, str], ...] = ()
+    own: bool = False
+    side_by_side: float = 0.0
+    group: str = ""
+    user_folder: str = dataclasses.field(default_factory=os.getcwd)
+    temporary: str = ""
+
+    @property
+    def log(self) -> Path:
+        """The file of what the phase prints."""
+        return Path(self.folder) / "log.txt"
+
+    def set_up_process(self) -> None:
+        """Set up the calling process for the phase: its working directory, temporary files and plugins."""
+        os.environ["TMPDIR"] = tempfile.tempdir = self.temporary
+        leave_user_folder(Path(self.user_folder), Path(self.temporary))
+        for file in self.plugin_files:
+            plugins.add_file(file)
+
+    def to_json(self) -> str:
+        """Return the request as one line of JSON."""
+        return json.dumps(vars(self))
+
+    @classmethod
+    def from_json(cls, line: str) -> Request:
+        """Read a request from :meth:`to_json`."""
+        content: dict[str, Any] = json.loads(line)
+        tuples: dict[str, Any] = {name: tuple(value) for name, value in content.items() if isinstance(value, list)}
+        return cls(**{**content, **tuples})
+
+
+def perform(request: Request, send: Send) -> None:
+    """Run one phase in this process, sending messages; an error that ends it is the last one."""
+    before = peak_bytes()
+
+    def send_with_memory(message: Message) -> None:
+        used = {}
+        if request.phase == "synthesize_cell":  # the method is sent with the peak of what it found done
+            mib = max(0, peak_bytes() - before) / MIB
+            used = {"peak_mib": max(mib, cast("Any", message).get("peak_mib", 0.0))}
+        send(cast("Message", {**message, **used}))
+
+    phases = {"render": render, "detect": detect, "synthesize_cell": synthesize_cell, "score_cell": score_cell}
+    try:
+        phases[request.phase](Path(request.folder), send_with_memory, *request.metrics)
+    except FAULTS as error:
+        send_error(error, send_with_memory)
 
 
 def send_error(error: BaseException, send: Send) -> None:
@@ -217,31 +307,6 @@ def _write(where: CellFolder, synthesis: Synthesis) -> None:
     write_image(where.output, synthesis.image)
 
 
-def describe(folder: Path, send: Send) -> None:
-    """Import the plugin about which ``cell.json`` asks, and send what is known of it."""
-    try:
-        facts = answer(read_json(CellFolder(folder).cell_file) or {})
-    except BadInput as error:
-        send({"status": "refused", "message": str(error)})
-    else:
-        send(cast("Message", {"status": "ok", "message": "", "facts": facts}))
-
-
-def write_report(folder: Path, send: Send) -> None:
-    """Write the report of a run that ``cell.json`` names, and send the paths of its files, or its text."""
-    wanted = read_json(CellFolder(folder).cell_file) or {}
-    run = Run(Path(wanted["run"]))
-    plugin = plugins.build("reports", wanted["report"], wanted["parameters"])
-    if wanted["folder"] is None:
-        send(cast("Message", {"status": "ok", "message": "", "text": str(plugin.render(run))}))
-        return
-    folder = (run.root / wanted["folder"]).resolve()
-    if not folder.is_relative_to(run.root.resolve()):
-        raise BadInput(f"folder {wanted['folder']!r} of the report lies outside the run; give one inside")
-    folder.mkdir(parents=True, exist_ok=True)
-    send({"status": "ok", "message": "", "written": [str(path) for path in plugin.write(run, folder)]})
-
-
 def score_cell(folder: Path, send: Send, *metrics: str) -> None:
     """Score a cell by some metrics, and write one file for each; send ``{"scored": metric}`` after each.
 
@@ -264,16 +329,16 @@ def score_cell(folder: Path, send: Send, *metrics: str) -> None:
 
 @cache  # a search among all plugins for each request would touch, and so copy, much memory that children share
 def is_own(kind: str, name: str) -> bool:
-    """Return whether a plugin is known, loads, and belongs to nrbench."""
+    """Return whether a plugin is known, and belongs to nrbench."""
     try:
-        return plugins.find(kind, name).own
+        return plugins.lookup(kind, name).own
     except BadInput:
         return False
 
 
 def write_score(where: CellFolder, metric: str, score: Score) -> None:
     """Write the file of a score, and its pictures beside it."""
-    make_folder(where.scores)
+    where.scores.mkdir(parents=True, exist_ok=True)
     pictures = {}
     for title, picture in score.pictures.items():
         pictures[title] = f"{metric_key(metric)}-{Path(title).name}.png"

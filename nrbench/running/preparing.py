@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from nrbench.plugins.forms import Task
-from nrbench.storage import read_json, remove_folder, temporary_folder, write_json
+from nrbench.storage import read_json, remove, temporary_folder, write_json
 from nrbench.streams import pixels_hash, stream
 
 RECORD = ".prepared.json"
@@ -46,7 +46,7 @@ def prepare_method(method: Any, task: Task, folder: Path, seed: int) -> tuple[Ta
         return task, None
     seconds = _read_seconds(folder)
     if seconds is None:
-        remove_folder(folder)  # it is damaged, if it is there
+        remove(folder)  # it is damaged, if it is there
         aside = folder.with_name(f".{folder.name}-{uuid.uuid4().hex}")
         aside.mkdir(parents=True)
         rng, start = stream("prepare", seed, pixels_hash(task.sample)), time.perf_counter()
@@ -58,7 +58,7 @@ def prepare_method(method: Any, task: Task, folder: Path, seed: int) -> tuple[Ta
             with contextlib.suppress(OSError):  # that of another cell is there
                 aside.rename(folder)
         finally:
-            remove_folder(aside)
+            remove(aside)
     return replace(task, cache=folder), seconds
 
 
@@ -73,9 +73,5 @@ def briefly_prepared(method: Any, task: Task, seed: int) -> Iterator[Task]:
 
 def _read_seconds(folder: Path) -> float | None:
     """Return how long the preparation of a folder took; None if the folder is not complete."""
-    if folder.is_symlink():
-        return None
-    with contextlib.suppress(OSError):
-        seconds = (read_json(folder / RECORD) or {}).get("seconds")
-        return seconds if isinstance(seconds, float) and 0 <= seconds < float("inf") else None
-    return None
+    seconds = (read_json(folder / RECORD) or {}).get("seconds")
+    return seconds if isinstance(seconds, float) and 0 <= seconds < float("inf") else None

@@ -7,29 +7,32 @@ import dataclasses
 import hashlib
 import itertools
 import json
-import stat
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from nrbench import plugins
 from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image
 from nrbench.pictures.files import write_image
-from nrbench.plugins.forms import FoundLattice
+from nrbench.plugins.forms import FoundLattice, Shape, Texture
 from nrbench.running.executors import Executor, executor
+from nrbench.running.guard import LIMITS, Limits
 from nrbench.running.options import Options as Options
 from nrbench.running.options import print_notice
 from nrbench.running.output_checks import InvalidOutput
 from nrbench.running.pace import Pace, Progress
-from nrbench.running.phases import read_output
-from nrbench.running.worker import Request
+from nrbench.running.phases import Request, read_output, read_texture
+from nrbench.running.supervisor import RequestRunner, Supervisor, third_party
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
-from nrbench.storage import make_folder, remove, remove_folder, write_json, write_text
-from nrbench.suites.cell import Cell, reader_of
-from nrbench.suites.plan import Plan, PlannedSample
+from nrbench.storage import remove, temporary_folder, write_json, write_text
+from nrbench.suites.cell import Cell, Recipe, reader_of
+from nrbench.suites.plan import Plan, PlannedSample, make_plan
+from nrbench.suites.suite import Suite
 
 T = TypeVar("T")
 TICK = 0.2
@@ -58,11 +61,11 @@ def working_plugins(kind: str, tell: Callable[[str], None] = print_notice) -> li
     kind
         The kind.
     tell
-        Called with a sentence about each plugin of others that does not load.
+        Called with a sentence about each third-party plugin that does not load.
     """
     listed = plugins.inventory(kind)
     for plugin in listed:
-        if plugin.cls is None and not (plugin.own or plugin.error.startswith("duplicate")):
+        if plugin.cls is None and not plugin.duplicate:
             why = plugin.error.strip().splitlines()[-1]
             tell(f"{plugins.FORMS[kind].noun} {plugin.name!r} of {plugin.distribution} is left out: {why}")
     return [plugin.name for plugin in listed if plugin.cls is not None]
@@ -77,6 +80,48 @@ def find_metrics(names: Iterable[str], tell: Callable[[str], None] = lambda text
         When a metric is not known or does not load.
     """
     return [plugins.find("metrics", name).name for name in dict.fromkeys(names)] or working_plugins("metrics", tell)
+
+
+def plan_run(
+    suite: Suite,
+    textures: Sequence[str] = (),
+    limits: Limits = LIMITS,
+    progress: Callable[[float], None] = lambda done: None,
+) -> Plan:
+    """Draw every sample and list every cell, as :func:`~nrbench.suites.plan.make_plan` does.
+
+    A third-party dataset draws in a child process: if it fails, hangs or kills its process, the cells of its texture
+    fail, with the cause.
+
+    Parameters
+    ----------
+    suite, textures, progress
+        See :func:`~nrbench.suites.plan.make_plan`.
+    limits
+        The limits of the drawing of one texture.
+    """
+    with Supervisor(warm=False) as supervisor:  # it starts a process when it is first used
+        return make_plan(suite, textures, partial(draw_guarded, supervisor, limits), progress)
+
+
+def draw_guarded(runner: RequestRunner, limits: Limits, recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
+    """Draw a texture in a child process under limits; see :func:`~nrbench.suites.plan.draw_texture`.
+
+    Raises
+    ------
+    BadInput
+        If that fails. The error has the last lines that the dataset printed as a note.
+    """
+    with temporary_folder() as folder:
+        write_json(CellFolder(folder).cell_file, {"recipe": recipe.as_dict(), "shape": list(shape)})
+        request = Request("render", str(folder), limits.seconds, limits.mib, plugin_files=tuple(plugins.files()))
+        result = runner.run(request).result
+        if result["status"] == "ok" and "texture" in result:
+            return read_texture(folder, result["texture"])
+        cause = result["message"] or "ended without an answer"
+        error = BadInput(cause if result["status"] == "invalid" else f"dataset {recipe.dataset}: {cause}")
+        error.add_note(CellFolder(folder).log_tail())
+        raise error
 
 
 def execute(
@@ -120,12 +165,17 @@ def execute(
         locked.enter_context(directory.locked())
         directory.write_info(plan, options.argv, metrics)
         for unfinished in (root / "prepared").glob(".*"):  # of preparations that were killed
-            remove_folder(unfinished)
+            remove(unfinished)
         if options.reuse is not None:
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
         with executor(options.jobs, options.scheduler, options.worker_wait, options.tell) as pool:
             runner = _Runner(directory, options, metrics, pool)
-            runner.run(runner.with_detected_lattices(plan.cells), progress)
+            cells = runner.with_detected_lattices(plan.cells)
+            pace = Pace([cell for cell, _ in cells])
+            jobs = ((cell, runner.cell_job(cell, sample)) for cell, sample in _interleave(cells, pool.count_slots()))
+            for cell, future in runner.run_jobs(jobs):  # the folder of a cell is made just before it starts
+                result = future.result()
+                progress(pace.step(cell, result["status"], result.get("wall"), pool.count_slots()))
         if lock is not None:
             lock.enter_context(locked.pop_all())
     return Run(root)
@@ -144,7 +194,7 @@ class _Runner:
         """Run each detector of the lattice axis once for each sample; return the cells with the detected lattices."""
         wanted = {_detection_key(cell): (cell, sample) for cell, sample in cells if cell.detector and not cell.fault}
         jobs = ((key, self._detection_job(key, *wanted[key])) for key in wanted)
-        results = {key: future.result() for key, future in self._run_jobs(jobs)}
+        results = {key: future.result() for key, future in self.run_jobs(jobs)}
         return [
             (_with_lattice(cell, results[key]) if (key := _detection_key(cell)) in results else cell, sample)
             for cell, sample in cells
@@ -157,22 +207,13 @@ class _Runner:
             return result
         assert cell.detector is not None
         where.clear()
-        make_folder(where.path)
+        where.path.mkdir(parents=True, exist_ok=True)
         write_image(where.sample, sample.image())
         name, version, parameters = cell.detector
         write_json(where.cell_file, {"detector": name, "version": version, "parameters": parameters})
         return self._job("detect", where)
 
-    def run(self, cells: list[tuple[Cell, PlannedSample]], progress: Progress) -> None:
-        """Run every cell; its folder is prepared just before it starts."""
-        pace = Pace([cell for cell, _ in cells])
-        cells = _interleave(cells, self.pool.count_slots())
-        jobs = ((cell, self._cell_job(cell, sample)) for cell, sample in cells)
-        for cell, future in self._run_jobs(jobs):
-            result = future.result()
-            progress(pace.step(cell, result["status"], result.get("wall"), self.pool.count_slots()))
-
-    def _cell_job(self, cell: Cell, sample: PlannedSample) -> Request | Result:
+    def cell_job(self, cell: Cell, sample: PlannedSample) -> Request | Result:
         where, retry = self.directory.cell(cell.key), self.options.retry_failed
         result = where.result()
         if result is not None and is_cached(self.directory, cell, self.metrics, retry):
@@ -189,11 +230,14 @@ class _Runner:
             if log:
                 write_text(where.log, log + "\n")
             phase = "render" if sample.size is None else "detect" if cell.detector else "given"
+            if cell.fault_status == "error" and phase == "given":
+                phase = "load"
             result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
             return {**where.write_result(result), "wall": 0.0}
-        return self._job("cell", where, cell.texture)
+        own = plugins.lookup("datasets", cell.recipe.dataset).own
+        return self._job("cell", where, cell.texture, own)
 
-    def _job(self, phase: str, where: CellFolder, group: str = "") -> Request:
+    def _job(self, phase: str, where: CellFolder, group: str = "", own: bool = False) -> Request:
         options = self.options
         return Request(
             phase,
@@ -201,41 +245,36 @@ class _Runner:
             options.timeout,
             options.memory,
             metrics=tuple(self.metrics),
-            plugins=plugins.files(),
-            imports=tuple(plugins.shared_plugins()),
+            plugin_files=tuple(plugins.files()),
+            imports=tuple(third_party()[1]),
             side_by_side=float(options.jobs > 1 or options.scheduler is not None),
             group=group,
+            own=own,
         )
 
-    def _run_jobs(self, jobs: Iterable[tuple[T, Request | Result]]) -> Iterator[tuple[T, Future[Result]]]:
+    def run_jobs(self, jobs: Iterable[tuple[T, Request | Result]]) -> Iterator[tuple[T, Future[Result]]]:
         """Yield each finished job with its tag; few are submitted at a time, so that folders are made when needed."""
         running: dict[Future[Result], T] = {}
-        stopped = False
-        for tag, job in jobs:
-            if isinstance(job, Request) and self.options.stop.is_set():
-                stopped = True
-                break
-            running[self._start(job)] = tag
-            while len(running) >= max(1, 4 * self.pool.count_slots()) and not self.options.stop.is_set():
-                stopped |= yield from self._take_finished(running)
-        while running:
-            stopped |= yield from self._take_finished(running)
+        waiting, more, stopped = iter(jobs), True, False
+        while more or running:
+            stopping = self.options.stop.is_set()
+            if more and (stopping or len(running) < max(1, 4 * self.pool.count_slots())):
+                tag, job = next(waiting, (None, None))
+                more = job is not None and not (stopping and isinstance(job, Request))
+                stopped |= job is not None and not more
+                if job is not None and tag is not None and more:
+                    running[self._start(job)] = tag
+                    continue
+            done, undone = wait(running, TICK, FIRST_COMPLETED)
+            self.pool.check()
+            for future in undone:
+                if self.options.stop.is_set() and future.cancel():
+                    running.pop(future)
+                    stopped = True
+            for future in done:
+                yield running.pop(future), future
         if stopped:
             raise KeyboardInterrupt
-
-    def _take_finished(self, running: dict[Future[Result], T]) -> Generator[tuple[T, Future[Result]], None, bool]:
-        """Wait a moment, and yield the jobs that have ended.
-
-        Once the run is to stop, drop those that wait, and return whether there were any.
-        """
-        done, waiting = wait(running, TICK, FIRST_COMPLETED)
-        self.pool.check()
-        dropped = [future for future in waiting if self.options.stop.is_set() and future.cancel()]
-        for future in dropped:
-            running.pop(future)
-        for future in done:
-            yield running.pop(future), future
-        return bool(dropped)
 
     def _start(self, job: Request | Result) -> Future[Result]:
         if isinstance(job, Request):
@@ -278,21 +317,9 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
     return dataclasses.replace(cell, fault=f"{cell.lattice_source}: no lattice: {why}", fault_status="refused")
 
 
-def _detach_log(log: Path) -> None:
-    """Remove a log that is a folder, or also has a name elsewhere: it would be written to, and be cut there, too."""
-    with contextlib.suppress(FileNotFoundError):
-        if not stat.S_ISREG(log.lstat().st_mode):
-            remove_folder(log)
-        elif log.lstat().st_nlink > 1:
-            log.unlink()
-
-
 def _prepare(where: CellFolder, cell: Cell, sample: PlannedSample) -> None:
     """Write the files that a cell's child processes read. What is there may be damaged."""
-    make_folder(where.path)
-    _detach_log(where.log)
-    if not where.scores.is_dir():
-        remove(where.scores)
+    where.path.mkdir(parents=True, exist_ok=True)
     if sample.size is not None:
         write_image(where.sample, sample.image())
     again = sample.again() if cell.reference else None

@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
@@ -19,13 +19,14 @@ from typing import Any, Protocol
 import numpy as np
 
 from nrbench import plugins
-from nrbench.errors import BadInput, describe_error, storage_fault
+from nrbench.errors import describe_error, storage_fault
 from nrbench.running import guard
 from nrbench.running.guard import Message, Reply
 from nrbench.running.options import print_notice
-from nrbench.running.worker import GRACE, Request, perform, read_lines, start_worker
+from nrbench.running.phases import Request, perform
+from nrbench.running.worker import GRACE, read_lines, start_worker
 from nrbench.runs.store import CellFolder, Result
-from nrbench.storage import follow_no_link_below, remove, temporary_folder
+from nrbench.storage import temporary_folder
 
 THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -43,6 +44,8 @@ START = 900.0
 """Seconds that a worker may take to start. A busy machine compiles all kernels for minutes."""
 COMPILING = "compiling kernels (once per machine, up to some minutes)"
 """The notice of a worker that compiles kernels."""
+KINDS = ("synthesizers", "detectors", "datasets", "metrics")
+"""The kinds of plugins that run in child processes."""
 _compiling = threading.Lock()
 """Held from the first notice on, so that a process gives it once."""
 
@@ -55,60 +58,13 @@ class RequestRunner(Protocol):
         ...
 
 
-def perform_phases(job: Request, runner: RequestRunner) -> Result:
-    """Detect a lattice, or run the phases of a cell.
+def run_job(job: Request, runner: RequestRunner) -> Result:
+    """Detect a lattice, or synthesize and score a cell.
 
     Returns
     -------
     Result
         As written to ``result.json``, with the wall seconds of all phases.
-    """
-    start = time.monotonic()
-    result = _perform_phases(job, runner)
-    return {**result, "wall": time.monotonic() - start}
-
-
-def _perform_phases(job: Request, runner: RequestRunner) -> Result:
-    where, phase = CellFolder(Path(job.folder)), "detect" if job.phase == "detect" else "synthesize"
-    follow_no_link_below(where.path.parents[1])  # on a cluster, this is another process than that of the run
-    try:
-        if job.phase == "detect":
-            return _detect(job, where, runner)
-        result = where.result() or _synthesize(job, where, runner)
-        if result["status"] == "ok":
-            phase = "score"
-            _score(job, where, runner)
-            if where.result() is None:  # a plugin removed or garbled it
-                where.write_result(result)
-        return result
-    except Exception as error:
-        if storage_fault(error) is not None and not _can_write(where.path):
-            raise
-        result = {"status": "crash", "message": describe_error(error), "phase": phase}
-        with contextlib.suppress(OSError, BadInput):  # BadInput: a plugin has put a link in the place of the cell
-            remove(where.result_file)  # where a plugin has put a folder
-            where.write_result(result)
-        return result
-
-
-def _detect(job: Request, where: CellFolder, runner: RequestRunner) -> Result:
-    result = _run(runner, dataclasses.replace(job, metrics=())).result
-    if result["status"] == "ok" and "lattice" not in result:
-        result = {"status": "crash", "message": "ended without an answer"}
-    return where.write_result(result)
-
-
-def _synthesize(job: Request, where: CellFolder, runner: RequestRunner) -> Result:
-    result = _run(runner, dataclasses.replace(job, phase="synthesize_cell", metrics=())).result
-    if result["status"] == "ok" and not where.output.is_file():
-        result = {"status": "crash", "message": "ended without an output"}
-    if result["status"] != "ok":
-        result = {**result, "phase": "synthesize"}
-    return where.write_result({**result, "side_by_side": job.side_by_side})
-
-
-def _run(runner: RequestRunner, request: Request) -> Reply:
-    """Run a request.
 
     Raises
     ------
@@ -116,7 +72,41 @@ def _run(runner: RequestRunner, request: Request) -> Reply:
         When the disk of the run is full or broken. This ends the run, because further cells would fail in the same way.
         A full disk elsewhere, such as that of a plugin's own files, is an error of the plugin.
     """
-    reply = runner.run(request)
+    start, where = time.monotonic(), CellFolder(Path(job.folder))
+    phase, function = ("detect", "detect") if job.phase == "detect" else ("synthesize", "synthesize_cell")
+    request = dataclasses.replace(job, phase=function, metrics=(), own=False)
+    try:
+        result = where.result()
+        if result is None:
+            result = _record(job, where, _checked(runner.run(request), request))
+        if result["status"] == "ok" and job.phase == "cell":
+            phase = "score"
+            _score(job, where, runner)
+    except Exception as error:
+        if storage_fault(error) is not None and not _can_write(where.path):
+            raise
+        result = {"status": "crash", "message": describe_error(error), "phase": phase}
+        with contextlib.suppress(OSError):
+            where.write_result(result)
+    return {**result, "wall": time.monotonic() - start}
+
+
+def _record(job: Request, where: CellFolder, reply: Reply) -> Result:
+    """Write how a detection or a synthesis ended, and return it."""
+    result, detects = reply.result, job.phase == "detect"
+    if result["status"] == "ok" and detects and "lattice" not in result:
+        result = {"status": "crash", "message": "ended without an answer"}
+    if result["status"] == "ok" and not detects and not where.output.is_file():
+        result = {"status": "crash", "message": "ended without an output"}
+    if not detects:
+        result = {**result, "side_by_side": job.side_by_side}
+        if result["status"] != "ok":
+            result = {**result, "phase": "synthesize"}
+    return where.write_result(result)
+
+
+def _checked(reply: Reply, request: Request) -> Reply:
+    """Return a reply in which a full disk is an error of the plugin; raise OSError if it is the disk of the run."""
     if reply.result["status"] != "storage":
         return reply
     if not _can_write(Path(request.folder)):
@@ -137,22 +127,21 @@ def _can_write(folder: Path) -> bool:
 
 
 def _score(job: Request, where: CellFolder, runner: RequestRunner) -> None:
-    """Score by every metric that has not scored the cell yet; record the failure of one that kills the child."""
+    """Score by every metric that has not scored the cell yet; record the failure of one that kills the child.
+
+    The metrics of nrbench share a process, and each third-party one has its own.
+    """
     missing = where.missing_scores(job.metrics)
-    own = [metric for metric in missing if plugins.find("metrics", metric).own]
+    own = [metric for metric in missing if plugins.lookup("metrics", metric).own]
     for group in (own, *([metric] for metric in missing if metric not in own)):
-        _score_group(job, where, runner, group)
-
-
-def _score_group(job: Request, where: CellFolder, runner: RequestRunner, metrics: list[str]) -> None:
-    """Score by metrics that share a process. The metrics of nrbench share one; each other one has its own."""
-    missing = metrics
-    while missing:
-        reply = _run(runner, dataclasses.replace(job, phase="score_cell", metrics=tuple(missing)))
-        missing = [metric for metric in missing if metric not in reply.scored]
-        if missing:
-            why = reply.result["message"] or "the metric sent nothing"
-            where.write_failed_score(missing.pop(0), f"failed: {reply.result['status']}: {why}")
+        left = group
+        while left:
+            request = dataclasses.replace(job, phase="score_cell", metrics=tuple(left), own=job.own and group is own)
+            reply = _checked(runner.run(request), request)
+            left = [metric for metric in left if metric not in reply.scored]
+            if left:
+                why = reply.result["message"] or "the metric sent nothing"
+                where.write_failed_score(left.pop(0), f"failed: {reply.result['status']}: {why}")
 
 
 class Closed(BaseException):
@@ -175,13 +164,12 @@ class Supervisor:
 
     def __init__(self, tell: Callable[[str], None] = print_notice, *, warm: bool = True, forks: bool = True) -> None:
         self._tell, self._warm, self._forks = tell, warm, forks
-        self._imports: dict[str, Any] = {}
+        self._imports: tuple[list[str], list[tuple[str, str]]] = ([], [])
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
         self._ended = False
         self._stack = contextlib.ExitStack()
-        self._folder = Path()
 
     def run(self, request: Request) -> Reply:
         """Run one request under its limits.
@@ -189,11 +177,10 @@ class Supervisor:
         The reply reports how the request ended, whatever the plugin does. Raises :class:`Closed` after :meth:`end`.
         """
         self._check_open()
-        if self._worker is not None and self._warm and self._imports != _known_imports():
+        if self._worker is not None and self._warm and self._imports != third_party():
             self.close()  # on a cluster a worker outlives a run, and the next one may bring other plugins
         if self._worker is None:
             self._start()
-        request = dataclasses.replace(request, temporary=str(self._folder / "tmp"))
         self._check_open()
         assert self._worker is not None and self._worker.stdin is not None
         try:
@@ -201,7 +188,9 @@ class Supervisor:
             self._worker.stdin.flush()
         except OSError:
             return self._crash("the worker process had ended")
-        line = self._line(request.seconds * max(2, len(request.metrics)) + 2 * GRACE)
+        line = None
+        with contextlib.suppress(queue.Empty):
+            line = self._lines.get(timeout=request.seconds * max(2, len(request.metrics)) + 2 * GRACE)
         self._check_open()
         return Reply.from_json(line or "") or self._crash("the worker process died")
 
@@ -215,33 +204,31 @@ class Supervisor:
             self.close()
             raise Closed
 
-    def _start(self, *, bare: bool = False) -> None:
-        """Start the worker, and wait until it is ready. If plugins of others keep it from that, start a bare one."""
-        self._imports = _known_imports()
-        self._folder = self._stack.enter_context(temporary_folder())
-        content = {"once": False, "warm": self._warm, "fresh": not self._forks, "folder": str(self._folder / "imports")}
-        content |= {"methods": plugins.loaded_methods(), **({"files": {}, "imports": []} if bare else self._imports)}
+    def _start(self) -> None:
+        """Start the worker, and wait until it is ready."""
+        self._imports = third_party()
+        folder = self._stack.enter_context(temporary_folder())
+        (files, named), known = self._imports, plugins.inventory("synthesizers")
+        methods = [("synthesizers", plugin.name) for plugin in known if plugin.own and plugin.is_loaded]
+        content: dict[str, Any] = {"once": False, "warm": self._warm, "fresh": not self._forks, "folder": str(folder)}
+        content |= {"files": files, "imports": [*named, *methods]}
         self._worker = start_worker(content, stderr=subprocess.DEVNULL, env=worker_environment())
         self._lines, self._reader = read_lines(self._worker)
-        first: Any = guard.parse_message(self._line(START) or "") or {}
+        first = self._read_first_message()
         if first.get("compiling"):
-            start, told = time.monotonic(), _compiling.acquire(blocking=False)  # one of several workers tells
-            if told:
+            start, tells = time.monotonic(), _compiling.acquire(blocking=False)  # one of several workers
+            if tells:
                 self._tell(COMPILING)
-            first = guard.parse_message(self._line(START) or "") or {}
-            if told:
+            first = self._read_first_message()
+            if tells:
                 self._tell(f"the kernels are compiled ({time.monotonic() - start:.0f} s)")
-        if not first.get("ready") and not bare and not self._ended:
-            how = "starts threads in" if first.get("threads") else "ends"
-            if any(self._imports.values()):
-                self._tell(f"a plugin {how} the process that imports it, so each cell imports its plugins anew")
-            self.close()
-            self._start(bare=True)
+        if first.get("threads"):
+            self._tell("a plugin starts threads when it is imported, so each cell imports its plugins anew")
 
-    def _line(self, seconds: float) -> str | None:
+    def _read_first_message(self) -> Mapping[str, Any]:
         with contextlib.suppress(queue.Empty):
-            return self._lines.get(timeout=seconds)
-        return None
+            return guard.parse_message(self._lines.get(timeout=START) or "") or {}
+        return {}
 
     def close(self) -> None:
         """Kill the worker and all that it started."""
@@ -274,9 +261,12 @@ class Supervisor:
         self.close()
 
 
-def _known_imports() -> dict[str, Any]:
-    """Return the plugins of others that a worker imports before it forks."""
-    return {"files": plugins.files(shared=True), "imports": plugins.shared_plugins()}
+def third_party() -> tuple[list[str], list[tuple[str, str]]]:
+    """Return the third-party plugins that a worker imports before it forks: files, and kind and name of the others."""
+    known = [plugin for kind in KINDS for plugin in plugins.inventory(kind) if plugin.is_loaded and not plugin.own]
+    apart = any(plugin.in_file and not plugin.shared for plugin in known)
+    named = [(plugin.kind, plugin.name) for plugin in known if plugin.shared and not (plugin.in_file and apart)]
+    return [] if apart else plugins.files(), named
 
 
 class InProcessRunner:
@@ -285,7 +275,7 @@ class InProcessRunner:
     def run(self, request: Request) -> Reply:
         """Run one request here."""
         messages: list[Message] = []
-        with np.errstate(), plugins.asking(None):  # so that no plugin changes it for the next one
+        with np.errstate():  # so that no plugin changes it for the next one
             perform(request, messages.append)
         return Reply.of(messages)
 
@@ -306,19 +296,6 @@ def own_supervisor(tell: Callable[[str], None] = print_notice) -> Supervisor:
         known = _own.supervisor = Supervisor(tell)
         _all.append(known)
     return known
-
-
-def run_job(job: Request, tell: Callable[[str], None] = print_notice) -> Result:
-    """Run one job by this thread's supervisor.
-
-    Parameters
-    ----------
-    job
-        The job.
-    tell
-        Called with a sentence that the user should read.
-    """
-    return perform_phases(job, own_supervisor(tell))
 
 
 def close_all() -> None:

@@ -1,8 +1,8 @@
 """The worker process: it imports the plugins of a run, loads their kernels, and then forks children that run phases.
 
-The worker computes nothing itself and has a single thread, so that forking is safe. Where it is not, the worker imports
-no plugin, and each child is a fresh interpreter. Each phase has a child of its own. The exception is scoring by the
-metrics of nrbench: one forked child, the scorer, scores many cells.
+The worker computes nothing itself and has a single thread, so that forking is safe. Where it is not, each child is a
+fresh interpreter. Each phase has a child of its own. The exception is scoring by the metrics of nrbench: one forked
+child, the scorer, scores many cells.
 """
 
 from __future__ import annotations
@@ -15,45 +15,31 @@ import json
 import os
 import queue
 import select
+import shutil
 import signal
-import stat
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-import uuid
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, NoReturn, cast
 
 from nrbench import plugins
-from nrbench.errors import BadInput
 from nrbench.jit import load_kernels
-from nrbench.plugins.parameters import prepare_conversion
-from nrbench.plugins.registry import count_threads
-from nrbench.running import guard, phases
+from nrbench.plugins.parameters import leave_user_folder, prepare_conversion
+from nrbench.running import guard
 from nrbench.running.guard import Message, Reply
-from nrbench.running.phases import Send
+from nrbench.running.phases import PREPARED, Request, Send, perform, send_error
 from nrbench.running.sample_surveys import KeptSurvey
-from nrbench.runs.store import FOLDERS, CellFolder
-from nrbench.storage import (
-    follow_no_link_below,
-    leave_user_folder,
-    open_regular,
-    read_json,
-    remove_folder,
-    working_folder,
-)
 from nrbench.suites.cell import Cell, Recipe, reader_of
 
 SCORER_ROOM = 256.0
 """MiB that the scorer may hold between two cells, beyond what the worker holds. Above it, a new one takes its place."""
 PATIENCE = 0.02
-"""Seconds that a worker waits for the next request before it tidies up after the last one."""
+"""Seconds that a worker waits for the next request before it ends the child of the last one."""
 LATE = 5.0
 """Seconds that the last messages of an ended interpreter may take to arrive, because a thread reads them."""
 GRACE = 10.0
@@ -71,141 +57,28 @@ DEFERRED = (
 """Modules that libraries import on first use. A worker imports them before it forks, not each of its children."""
 
 
-@dataclass(frozen=True)
-class Request:
-    """One phase of one cell, or all of them, to be run under limits.
-
-    Parameters
-    ----------
-    phase
-        What to do: the name of a function of :mod:`nrbench.running.phases`, or the whole path of another function. The
-        supervisor takes ``cell``, too: synthesize and score.
-    folder
-        The cell's folder, which holds ``cell.json`` and ``sample.png``.
-    seconds, mib
-        Limits of each phase, see :class:`~nrbench.running.guard.Limits`.
-    metrics
-        The metrics that score the cell.
-    plugins
-        Kind and name of the plugins of files, by the path of each file, which is read when one of them is needed.
-    imports
-        Kind and name of the installed plugins of others that a worker of a cluster imports before it forks.
-    side_by_side
-        1 if other cells run at the same time, else 0; it is recorded beside the costs.
-    group
-        Requests of one group, the cells of a texture, are best run by one worker, which learns their texture once.
-    user_folder
-        The folder in which the user started nrbench, which a worker of a cluster does not know: relative paths in
-        parameters start from there.
-    temporary
-        The folder of the phase's temporary files; the supervisor that runs the request fills it in. It does not lie in
-        the cell's folder: the path of a socket has 107 bytes at most, and that of a run may be longer.
-    """
-
-    phase: str
-    folder: str
-    seconds: float
-    mib: float
-    metrics: tuple[str, ...] = ()
-    plugins: Mapping[str, Sequence[Sequence[str]]] = dataclasses.field(default_factory=dict)
-    imports: tuple[tuple[str, str], ...] = ()
-    side_by_side: float = 0.0
-    group: str = ""
-    user_folder: str = dataclasses.field(default_factory=working_folder)
-    temporary: str = ""
-
-    def __post_init__(self) -> None:
-        cells = Path(self.folder).parent
-        if cells.name in FOLDERS:  # so it is in each process that has a part in a cell of a run
-            follow_no_link_below(cells.parent)
-
-    @property
-    def log(self) -> Path:
-        """The file of what the phase prints."""
-        return Path(self.folder) / "log.txt"
-
-    def settle(self) -> None:
-        """Give the calling process the temporary files, the plugins and the working directory of the phase."""
-        temporary = Path(self.temporary)
-        temporary.mkdir(mode=0o700, parents=True, exist_ok=True)  # a system may have cleaned its temporary files
-        os.environ["TMPDIR"] = tempfile.tempdir = self.temporary
-        for file, named in self.plugins.items():
-            plugins.add_file(file, named)
-        if self.phase != "describe":  # parameters that are paths start from the user's folder
-            leave_user_folder(Path(self.user_folder), temporary / "work")
-
-    def tidy(self) -> None:
-        """Remove what the phase left among its temporary files.
-
-        Folders in which it left nothing are kept for the next phase, because some disks take milliseconds to remove
-        one. All others get another name first, so that the next phase finds nothing of what cannot be removed.
-        """
-        temporary, work = Path(self.temporary), Path(self.temporary, "work")
-        with contextlib.suppress(OSError):
-            modes = {place.lstat().st_mode & ~stat.S_ISGID for place in (temporary, work)}  # that bit is inherited
-            if modes == {stat.S_IFDIR | 0o700} and [*temporary.iterdir(), *work.iterdir()] == [work]:
-                return
-        aside = temporary.with_name(uuid.uuid4().hex)
-        with contextlib.suppress(OSError):
-            temporary.rename(aside)
-        remove_folder(aside)
-
-    def to_json(self) -> str:
-        """Return the request as one line of JSON."""
-        return json.dumps(vars(self))
-
-    @classmethod
-    def from_json(cls, line: str) -> Request:
-        """Read a request from :meth:`to_json`."""
-        content: dict[str, Any] = json.loads(line)
-        tuples: dict[str, Any] = {name: tuple(value) for name, value in content.items() if isinstance(value, list)}
-        return cls(**{**content, **tuples})
-
-
-def perform(request: Request, send: Callable[[Message], None]) -> None:
-    """Run one phase in this process, sending messages; an error that ends it is the last one."""
-    before = guard.peak_bytes()
-
-    def send_with_memory(message: Message) -> None:
-        used = {}
-        if request.phase == "synthesize_cell":  # the method is sent with the peak of what it found done
-            mib = max(0, guard.peak_bytes() - before) / guard.MIB
-            used = {"peak_mib": max(mib, cast("Any", message).get("peak_mib", 0.0))}
-        send(cast("Message", {**message, **used}))
-
-    module, _, name = request.phase.rpartition(".")
-    phase = getattr(importlib.import_module(module or phases.__name__), name)
-    follow_no_link_below(Path(request.folder).parents[1])
-    try:
-        phase(Path(request.folder), send_with_memory, *request.metrics)
-    except phases.FAULTS as error:
-        phases.send_error(error, send_with_memory)
-
-
-def warm(compiling: Callable[[], None], imports: Iterable[tuple[str, str]] = (), methods: Collection[str] = ()) -> None:
+def warm(compiling: Callable[[], None], imports: Iterable[Sequence[str]] = ()) -> None:
     """Import plugins and all that they use, and load every compiled kernel, before children are forked.
 
-    The plugins are those of nrbench, those of files, and the given ones. Kernels of methods that no cell needs take
-    seconds to compile.
+    These are the datasets, detectors and metrics of nrbench, and the given plugins. Kernels of methods that no cell
+    needs take seconds to compile.
 
     Parameters
     ----------
     compiling
         Called if kernels have to be compiled, which takes minutes, before that begins.
     imports
-        Kind and name of installed plugins of others.
-    methods
-        The names of the synthesizers of nrbench; all if empty. A child imports any other one when it needs it.
+        Kind and name of plugins. If no synthesizer is among them, all those of nrbench are imported. A child imports
+        any other plugin when it needs it.
     """
     for name in DEFERRED:
         importlib.import_module(name)
-    for kind in ("datasets", "detectors", "metrics", *(() if methods else ("synthesizers",))):
-        for plugin in plugins.installed(kind):
-            prepare_conversion(plugin.cls)
-    for plugin in plugins.from_files("synthesizers"):
+    wanted = {plugins.find(kind, name) for kind, name in imports}
+    for kind in ("datasets", "detectors", "metrics", "synthesizers"):
+        if kind != "synthesizers" or all(plugin.kind != kind for plugin in wanted):
+            wanted.update(plugin for plugin in plugins.inventory(kind) if plugin.own)
+    for plugin in wanted:
         prepare_conversion(plugin.cls)
-    for kind, name in (*(("synthesizers", name) for name in methods), *imports):
-        prepare_conversion(plugins.find(kind, name).cls)
     for read in (Cell, Recipe, KeptSurvey):
         reader_of(read)
     load_kernels(compiling)
@@ -218,24 +91,24 @@ def may_fork() -> bool:
     """Return whether forking is safe here: a system that forks, and a single thread."""
     if not sys.platform.startswith("linux") or os.environ.get("NRBENCH_FORK") == "no":
         return False
-    return count_threads() == 1
+    return len(list(Path("/proc/self/task").iterdir())) == 1  # also threads that Python does not know
 
 
 class ForkedChild:
-    """A child of this process that calls a function, whose standard input is a pipe of requests, and leaves.
+    """A child of this process that runs the requests which arrive in its standard input, a pipe.
 
     Parameters
     ----------
-    run
-        The function.
+    many
+        Whether it runs many requests; otherwise it ends after one.
     """
 
-    def __init__(self, run: Callable[[], None]) -> None:
+    def __init__(self, many: bool) -> None:
         (self._messages, theirs), (requests, self._requests) = os.pipe(), os.pipe()
         try:
             self.pid = os.fork()
             if self.pid == 0:
-                _run_forked(run, requests, theirs)
+                _serve(requests, theirs, many)
         except OSError:
             os.close(self._messages)
             os.close(self._requests)
@@ -285,7 +158,7 @@ class FreshChild:
     """
 
     def __init__(self, log: Path, folder: str) -> None:
-        with open(open_regular(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND), "ab") as opened:  # noqa: PTH123
+        with log.open("ab") as opened:
             self._process = start_worker({"once": True}, stderr=opened, cwd=folder)
         self.pid = self._process.pid
         self._lines, _ = read_lines(self._process)
@@ -362,71 +235,71 @@ def read_lines(process: subprocess.Popen[str]) -> tuple[queue.Queue[str | None],
 class ChildServer:
     """Runs requests in children, one at a time, under their limits.
 
-    A child that runs code of others, or whose costs are measured, ends with its request. The metrics of nrbench keep
+    A child that runs third-party code, or whose costs are measured, ends with its request. The metrics of nrbench keep
     no state and start nothing, so one child, the scorer, scores many cells: a fork takes longer than many a score. It
     is replaced when it breaks a limit, dies, or has come to hold more than :data:`SCORER_ROOM`.
 
     A fork takes milliseconds, and so does the end of a process. Neither delays a reply: the child of the next request
-    is forked after a reply, and the last child ends while the scorer works, or before the next child begins.
+    is forked after a reply (:attr:`next_child`), and the last child ends while the scorer works, or before the next
+    child begins.
 
     Parameters
     ----------
     forks
         Whether children are forked.
-    folder
+    home
         The working directory at the start of children that are fresh interpreters.
+    folder
+        An empty folder, in which the working directories of children are made.
     """
 
-    def __init__(self, forks: bool, folder: str = "") -> None:
-        self._forks, self._folder = forks, folder
+    def __init__(self, forks: bool, home: str, folder: str) -> None:
+        self._forks, self._home, self._folder = forks, home, folder
+        self.next_child: ForkedChild | None = None
         self._scorer: ForkedChild | None = None
-        self._next: ForkedChild | None = None
-        self._last: tuple[ForkedChild | FreshChild, Request] | None = None
+        self._last: ForkedChild | FreshChild | None = None
+        self._work = ""
 
     def run(self, request: Request) -> Reply:
         """Run one request; return how it ended."""
-        shared = self._forks and _is_own(request)
+        shared = self._forks and request.own
         if not shared:
             self.recover()
+            self._work = self._work or tempfile.mkdtemp(dir=self._folder)
+        request = dataclasses.replace(request, temporary=self._folder if shared else self._work)
         child = self._take_child(request, shared)
-        limits = guard.Limits(request.seconds, request.mib, request.metrics or (phases.PREPARED,))
+        limits = guard.Limits(request.seconds, request.mib, request.metrics or (PREPARED,))
         if not self._forks:
             limits = dataclasses.replace(limits, start_seconds=GRACE, start_mib=512)
         base = guard.held_bytes(child.pid) if self._forks else 0
         child.send(request)
         if shared:
             self.recover({child.pid})
-        others = [each.pid for each in (self._scorer, self._next) if each is not None]
+        others = [each.pid for each in (self._scorer, self.next_child) if each is not None]
         watch = guard.Watch(child, limits, base, request.log, others)
         broken = watch.watch()
         if watch.finished and shared:
             self._scorer = cast("ForkedChild", child)
         elif watch.finished:
-            self._last = child, request
+            self._last = child
         code = 0 if watch.finished else child.end(kill=broken is not None)
         if not shared:
-            request.tidy()  # the disk of the run may be full of it
+            self._empty_work()  # the disk of the run may be full of it
         return watch.reply(broken, code)
 
     def _take_child(self, request: Request, shared: bool) -> ForkedChild | FreshChild:
         """Return a child that waits for a request."""
         if not self._forks:
-            return FreshChild(request.log, self._folder)
-        waiting = self._scorer if shared else self._next
+            return FreshChild(request.log, self._home)
+        waiting = self._scorer if shared else self.next_child
         if shared:
             self._scorer = None
         else:
-            self._next = None
+            self.next_child = None
         if waiting is not None and waiting.has_ended():  # something has killed it
             waiting.end(kill=False)
             waiting = None
-        return waiting or ForkedChild(_run_many if shared else _run_one)
-
-    def prepare(self) -> None:
-        """Fork the child of the next request, if there is none yet."""
-        if self._forks and self._next is None:
-            with contextlib.suppress(OSError):  # what the last request left running may take all that a fork needs
-                self._next = ForkedChild(_run_one)
+        return waiting or ForkedChild(many=shared)
 
     def recover(self, spared: Collection[int] = ()) -> None:
         """End the child of the last request, kill all that it started, and remove its files.
@@ -438,36 +311,32 @@ class ChildServer:
         """
         last, self._last = self._last, None
         if last is not None:
-            last[0].end(kill=True)
+            last.end(kill=True)
         scorer = self._scorer
         if scorer and guard.held_bytes(scorer.pid) > guard.held_bytes(os.getpid()) + SCORER_ROOM * guard.MIB:
             self._scorer = None
             scorer.end(kill=True)
-        kept = {child.pid for child in (self._scorer, self._next) if child is not None}
+        kept = {child.pid for child in (self._scorer, self.next_child) if child is not None}
         guard.kill_children(os.getpid(), kept.union(spared))
-        if last is not None:
-            last[1].tidy()
+        self._empty_work()
+
+    def _empty_work(self) -> None:
+        """Remove what a request left in its working directory. An empty one is used again, which saves time."""
+        if self._work and any(Path(self._work).iterdir()):
+            shutil.rmtree(self._work, ignore_errors=True)
+            self._work = ""
 
 
-def _is_own(request: Request) -> bool:
-    """Return whether a request scores a cell, and all metrics as well as the dataset of its texture belong to nrbench.
+def _serve(requests: int, messages: int, many: bool) -> NoReturn:
+    """Run the requests that arrive, one a line, in the calling process, a forked child; say when each is finished.
 
-    Such a request runs no code of others, and its costs are not measured. The dataset counts because scoring draws the
-    texture again. A plugin may have changed the file of the cell, so its content is checked.
+    Parameters
+    ----------
+    requests, messages
+        The file descriptors from which requests are read, and to which messages are written.
+    many
+        Whether it runs many requests.
     """
-    if request.phase != "score_cell":
-        return False
-    try:
-        recipe: Any = (read_json(CellFolder(Path(request.folder)).cell_file) or {}).get("recipe")
-    except OSError:  # it cannot be read
-        return False
-    dataset = recipe.get("dataset") if isinstance(recipe, dict) else None
-    named = [("datasets", dataset), *(("metrics", metric) for metric in request.metrics)]
-    return all(isinstance(name, str) and phases.is_own(kind, name) for kind, name in named)
-
-
-def _run_forked(run: Callable[[], None], requests: int, messages: int) -> None:
-    """Call a function in a forked child, and leave."""
     code = 70
     try:
         os.setsid()
@@ -477,55 +346,33 @@ def _run_forked(run: Callable[[], None], requests: int, messages: int) -> None:
         os.closerange(MESSAGES + 1, 1 << 16)
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        run()
+        with os.fdopen(os.dup(0), encoding="utf-8") as lines:
+            while line := lines.readline():
+                request = Request.from_json(line)
+                try:
+                    _redirect(request.log)
+                    request.set_up_process()
+                    with warnings.catch_warnings():  # so that a warning is in the log of each cell that it is about
+                        perform(request, _send)
+                except BaseException as error:
+                    send_error(error, _send)
+                _redirect(None)
+                with contextlib.suppress(OSError):  # a plugin may have closed the pipe; the end of the process will do
+                    _send({"finished": True})
+                if not many:
+                    break
         code = 0
     finally:
         os._exit(code)
 
 
-def _run_one() -> None:
-    """Run the request that arrives, a line, in the calling process; say when it is finished."""
-    with os.fdopen(os.dup(0), encoding="utf-8") as lines:
-        line = lines.readline()
-    if line:  # otherwise the worker has ended
-        request = Request.from_json(line)
-        _run_request(request, request.settle)
-        with contextlib.suppress(OSError):  # a plugin may have closed the pipe; the end of the process will do
-            _send({"finished": True})
-
-
-def _run_many() -> None:
-    """Score by the requests that arrive, one a line, in the calling process; say when each one is finished.
-
-    The metrics of nrbench write no files of their own. They work in the root directory, because the folder of a cell on
-    a network disk cannot be removed while somebody is in it.
-    """
-    with os.fdopen(os.dup(0), encoding="utf-8") as lines:
-        for line in lines:
-            request = Request.from_json(line)
-            with warnings.catch_warnings():  # so that a warning is in the log of each cell that it is about
-                _run_request(request, partial(leave_user_folder, Path(request.user_folder), Path("/")))
-            _redirect(None)
-            _send({"finished": True})
-
-
-def _run_request(request: Request, settle: Callable[[], None]) -> None:
-    """Run one request in the calling process, which is a child; raise nothing that could be sent as a message."""
-    try:
-        _redirect(request.log)
-        settle()
-        perform(request, _send)
-    except BaseException as error:
-        phases.send_error(error, _send)
-    finally:
-        with contextlib.suppress(Exception):
-            sys.stdout.flush()
-            sys.stderr.flush()
-
-
 def _redirect(log: Path | None) -> None:
+    """Let what this process prints go to a file, or nowhere."""
+    with contextlib.suppress(Exception):
+        sys.stdout.flush()
+        sys.stderr.flush()
     nothing = os.open(os.devnull, os.O_RDWR)
-    handle = os.dup(nothing) if log is None else open_regular(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    handle = os.dup(nothing) if log is None else os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for target, origin in ((0, nothing), (1, handle), (2, handle)):
         os.dup2(origin, target)
     os.close(handle)
@@ -550,12 +397,10 @@ def run_worker() -> None:
     - ``once``: whether a single request is run in this process.
     - ``fresh``: whether no child is forked.
     - ``warm``: whether it imports plugins and loads kernels before it forks.
-    - ``files``, ``imports``: the plugins that it imports then: those of files, by their paths, and kind and name of
-      installed plugins of others.
-    - ``methods``: the synthesizers of nrbench that it imports then; all if there are none.
-    - ``folder``: the working directory in which they are imported.
+    - ``files``, ``imports``: the plugins that it imports then: files, and kind and name of others.
+    - ``folder``: an empty folder for temporary files.
 
-    The first line of output is ``{"ready": true}``, or ``{"threads": true}`` if an import started a thread: then this
+    The first line of output is ``{"ready": true}``, with ``"threads": true`` if an import started a thread: then this
     process cannot fork. Where kernels have to be compiled, the line ``{"compiling": true}`` comes before it.
     """
     options: Mapping[str, Any] = json.loads(sys.argv[1])
@@ -567,50 +412,37 @@ def run_worker() -> None:
 
     if options["once"]:
         _run_fresh(cast("Send", write))
-    guard.go_on_in_child(sys.stdin.fileno())
-    home, forks = working_folder(), may_fork() and not options["fresh"]
+    guard.go_on_in_child(sys.stdin.fileno(), options["folder"])
+    home, forks = os.getcwd(), may_fork() and not options["fresh"]  # noqa: PTH109
     if forks and options["warm"]:
-        leave_user_folder(Path(home), Path(options["folder"]))
-        for file, named in options["files"].items():
-            plugins.add_file(file, named)
-        warm(lambda: write({"compiling": True}), options["imports"], options["methods"])
-        if not may_fork():
-            write({"threads": True})
-            return
-    server = ChildServer(forks, home)
-    write({"ready": True})
-    server.prepare()
-    for line in sys.stdin:
-        write(server.run(Request.from_json(line)).as_dict())
-        server.prepare()
-        if not forks or not select.select([sys.stdin], [], [], PATIENCE)[0]:
+        leave_user_folder(Path(home), Path(options["folder"], "imports"))
+        for file in options["files"]:
+            plugins.add_file(file)
+        warm(lambda: write({"compiling": True}), options["imports"])
+    threads = forks and not may_fork()
+    server = ChildServer(forks and not threads, home, options["folder"])
+    write({"ready": True, "threads": threads})
+    lines = iter(sys.stdin)
+    while True:
+        if forks and not threads and server.next_child is None:
+            with contextlib.suppress(OSError):  # what the last request left running may take all that a fork needs
+                server.next_child = ForkedChild(many=False)
+        if not forks or threads or not select.select([sys.stdin], [], [], PATIENCE)[0]:
             server.recover()
+        line = next(lines, None)
+        if line is None:
+            return
+        write(server.run(Request.from_json(line)).as_dict())
 
 
-def _run_fresh(send: Send) -> None:
+def _run_fresh(send: Send) -> NoReturn:
     """Run the request on standard input in this process, and leave."""
     request = Request.from_json(sys.stdin.readline())
     try:
-        request.settle()
-        _import_plugins(request)
+        request.set_up_process()
         send(cast("Message", {"held": guard.held_bytes(os.getpid())}))
         perform(request, send)
     except BaseException as error:
-        phases.send_error(error, send)
+        send_error(error, send)
     sys.stderr.flush()
     os._exit(0)
-
-
-def _import_plugins(request: Request) -> None:
-    """Import the plugins that a request names, so that its limits do not count that, as in a forked child."""
-    content: Any = read_json(CellFolder(Path(request.folder)).cell_file) or {}
-    recipe = content.get("recipe")
-    named = [("datasets", recipe.get("dataset") if isinstance(recipe, dict) else None)]
-    if request.phase == "score_cell":
-        named += [("metrics", metric) for metric in request.metrics]
-    else:
-        named += [("synthesizers", content.get("method")), ("detectors", content.get("detector"))]
-    for kind, name in named:
-        if isinstance(name, str):
-            with contextlib.suppress(BadInput):  # its phase says why it does not load
-                plugins.find(kind, name)

@@ -16,7 +16,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column, Value
 from nrbench.runs.store import RUN_FILE, CellFolder, Result, RunDirectory
-from nrbench.storage import NO_LINK, find_strange, read_json, write_bytes
+from nrbench.storage import read_json, write_bytes
 from nrbench.suites.cell import Cell, Recipe
 
 if TYPE_CHECKING:
@@ -28,10 +28,6 @@ HEAD = (
     *("reference", "status", "phase", "message", "note", "seconds", "peak_mib", "key"),
 )
 """The table's columns before the scores."""
-LONGEST_NAME = 2000
-"""Most characters of the name of a texture, of a method with its parameters, and of the source of a lattice."""
-
-
 _SHOWN = ("quality", "quality.regularity", "quality.integrity", "quality.randomness", "quality.appearance", "seconds")
 """The means that a notebook shows."""
 
@@ -379,21 +375,13 @@ def _read_cell(where: CellFolder, entry: Mapping[str, Any], known: dict[int, Rec
             place = id(entry["recipe"])
             recipe = known[place] = known.get(place) or Recipe.from_dict(entry["recipe"])
             lattices = {name: found.get(name) for name in ("lattice_given", "detected")}
-            cell = Cell.from_dict({**entry, "recipe": recipe, **lattices})
-            if max(map(len, (cell.label, cell.texture, cell.lattice_source))) <= LONGEST_NAME:
-                return cell
+            return Cell.from_dict({**entry, "recipe": recipe, **lattices})
     raise BadInput(f"{where.path.parents[1]}: {RUN_FILE} is damaged; run the same command again")
-
-
-def _missing_result(where: CellFolder) -> Result:
-    """Return the result of a cell that has none that can be used: empty, or the link that stands in its folder."""
-    strange = find_strange(where.path)
-    return Result(status="invalid", message=f"{strange}: {NO_LINK}") if strange else Result()
 
 
 def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str], recipes: dict[int, Recipe]) -> CellRecord:
     cell = _read_cell(where, entry, recipes)
-    result = where.result() or _missing_result(where)
+    result = where.result() or Result()
     scores = {metric: where.score(metric) for metric in metrics} if result.get("status") == "ok" else {}
     return CellRecord(
         cell,
@@ -413,7 +401,7 @@ def _record(where: CellFolder, entry: Mapping[str, Any], metrics: list[str], rec
 def _end(
     where: CellFolder, entry: Mapping[str, Any], keys: Mapping[str, str], recipes: dict[int, Recipe]
 ) -> CellRecord:
-    result = where.result() or _missing_result(where)
+    result = where.result() or Result()
     failed = {metric: where.failure(key) for metric, key in keys.items()} if result.get("status") == "ok" else {}
     reasons = {metric: why for metric, why in failed.items() if why}
     return CellRecord(_read_cell(where, entry, recipes), where.path, result, reasons=reasons)

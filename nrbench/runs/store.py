@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import hashlib
 import json
 import os
@@ -14,10 +13,9 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache, partial
+from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
-from shutil import copyfileobj
 from typing import TYPE_CHECKING, Annotated, Any, Required, cast
 
 import psutil
@@ -28,21 +26,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput, strip_control
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind
-from nrbench.storage import (
-    NO_LINK,
-    find_strange,
-    follow_no_link_below,
-    json_text,
-    make_folder,
-    open_file,
-    open_regular,
-    read_bytes,
-    read_json,
-    remove,
-    write_aside,
-    write_bytes,
-    write_json,
-)
+from nrbench.storage import json_text, read_json, remove, write_bytes, write_json
 from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.version import read_checkout
 
@@ -52,14 +36,10 @@ if TYPE_CHECKING:
 RUN_FILE = "run.json"
 TAIL = 1 << 16
 """Bytes at the end of a log that are read."""
-FOLDERS = ("cells", "lattices")
-"""The folders of a run that hold a folder for each cell, or each detection."""
 FAILED = ("error", "timeout", "memory", "crash", "invalid")
 """The statuses of a failed cell; the other statuses are ``ok`` and ``refused``."""
 
 
-LONGEST_FILE = 250
-"""Bytes of the longest name of a file that a message may hold."""
 LONGEST_TEXT = 4000
 """Characters of a message or note that are kept."""
 _Number = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
@@ -88,13 +68,6 @@ def _check_lattice(content: dict[str, Any] | None) -> dict[str, Any] | None:
     return content
 
 
-def _check_length(name: str) -> str:
-    """Return the name of a file if a disk can hold it; raise :class:`ValueError` if not."""
-    if len(name.encode()) > LONGEST_FILE:
-        raise ValueError(f"the name of a file has more than {LONGEST_FILE} bytes")
-    return name
-
-
 _LATTICE = TypeAdapter(_LatticeContent)
 _Lattice = Annotated[dict[str, Any] | None, AfterValidator(_check_lattice)]
 
@@ -121,7 +94,7 @@ class Result(TypedDict, total=False):
     status, message
         ``ok``, ``refused`` or one of :data:`FAILED`, and the reason (of a detection: why there is no lattice).
     phase
-        Where the cell failed or was refused: ``render``, ``given``, ``detect`` or ``synthesize``.
+        Where the cell failed or was refused: ``load``, ``render``, ``given``, ``detect`` or ``synthesize``.
     note
         A remark of the method on its run.
     seconds, cpu_seconds, detection_seconds
@@ -141,8 +114,6 @@ class Result(TypedDict, total=False):
         The size in bytes of each file that the method's outputs are in, by its path in the folder.
     texture
         What is known of a texture that was drawn.
-    written
-        The files of a report.
     wall
         Wall seconds of a whole cell. They are not on disk.
     lattice, confidence, reason
@@ -163,14 +134,13 @@ class Result(TypedDict, total=False):
     lattice_used: _Lattice
     output_hash: str
     made: dict[
-        Annotated[str, Field(pattern=r"^[^/\x00][^\x00]*$"), AfterValidator(_check_length)],
+        Annotated[str, Field(pattern=r"^[^/\x00][^\x00]*$")],
         Annotated[int, Field(ge=0, le=2**53)],
     ]
     lattice: _Lattice
     confidence: _Share | None
     reason: str
     texture: _TextureContent
-    written: list[str]
     wall: _Cost
 
 
@@ -194,7 +164,7 @@ class ScoreContent(TypedDict, total=False):
     values: Required[dict[str, bool | _Number | None]]
     reasons: Required[dict[str, str]]
     records: Required[dict[str, Any]]
-    pictures: Required[dict[str, Annotated[str, Field(pattern=r"^[^/\\]+$"), AfterValidator(_check_length)]]]
+    pictures: Required[dict[str, Annotated[str, Field(pattern=r"^[^/\\]+$")]]]
 
 
 _SCORE = TypeAdapter(ScoreContent)
@@ -244,12 +214,11 @@ class CellFolder:
     def result(self) -> Result | None:
         """Return how the synthesis ended, or None while it has not.
 
-        A damaged file counts as none, and so does any file beside which there is a link or no regular file: the cell is
-        then computed again.
+        A damaged file counts as none: the cell is then computed again.
         """
         content = read_json(self.result_file)
         whole = content is not None and {"status", "message"} <= set(content) and is_result_part(content)
-        return strip_control(cast("Result", content)) if whole and not find_strange(self.path) else None
+        return strip_control(cast("Result", content)) if whole else None
 
     def write_result(self, result: Result) -> Result:
         """Write how the synthesis ended, and return it."""
@@ -284,7 +253,7 @@ class CellFolder:
         The metric is not imported, and a score that did not fail is not parsed.
         """
         file = self.scores / f"{key}.json"
-        if b'"failed:' not in (read_bytes(file) if file.is_file() else b""):
+        if b'"failed:' not in (file.read_bytes() if file.is_file() else b""):
             return ""
         reasons = (read_json(file) or {}).get("reasons")
         texts = [strip_control(str(why)) for why in reasons.values()] if isinstance(reasons, dict) else []
@@ -305,17 +274,17 @@ class CellFolder:
         write_json(self.score_file(metric), {"metric": metric, **empty, "records": {}, "pictures": {}})
 
     def clear(self) -> None:
-        """Remove what an interrupted or failed attempt left, and a link or file in its place. No link is followed."""
+        """Remove what an interrupted or failed attempt left."""
         remove(self.path)
 
     def log_tail(self, lines: int = 12) -> str:
         """Return the log's last lines; of a long log only the end is read."""
         try:
-            with open(open_regular(self.log), "rb") as log:  # noqa: PTH123
+            with self.log.open("rb") as log:
                 log.seek(max(0, os.fstat(log.fileno()).st_size - TAIL))
                 text = strip_control(log.read(TAIL).decode("utf-8", "replace"))
                 return "\n".join(text.splitlines()[-lines:])
-        except (FileNotFoundError, BadInput):
+        except FileNotFoundError:
             return ""
 
 
@@ -352,14 +321,52 @@ def metric_key(metric: str) -> str:
     return f"{metric}-{hashlib.blake2b(content.encode(), digest_size=6).hexdigest()}"
 
 
-def _is_suite(content: Any) -> bool:
-    """Return whether the content of a suite has the shape that reports rely on."""
-    if not isinstance(content, dict):
-        return False
-    metrics, rows = content.get("metrics") or [], content.get("texture", [])
-    if not (isinstance(metrics, list) and isinstance(rows, list) and all(isinstance(name, str) for name in metrics)):
-        return False
-    return all(isinstance(row, dict) and isinstance(row.get("name"), str) for row in rows)
+class _Named(TypedDict):
+    name: str
+
+
+class _SuiteContent(TypedDict, total=False):
+    metrics: list[str] | None
+    texture: list[_Named]
+
+
+class _SuiteEntry(TypedDict, total=False):
+    content: _SuiteContent
+
+
+class _CellEntry(TypedDict):
+    key: Annotated[str, Field(pattern="^[0-9a-f]{8,64}$")]
+
+
+class _RunContent(TypedDict, total=False):
+    """What reports rely on in ``run.json``."""
+
+    __pydantic_config__ = ConfigDict(strict=True)  # type: ignore[misc]
+    suite: Required[_SuiteEntry]
+    cells: Required[list[_CellEntry]]
+    machine: dict[str, Any]
+    versions: dict[str, Any]
+    plugins: list[dict[str, Any]]
+
+
+_RUN = TypeAdapter(_RunContent)
+
+
+def find_strange(root: Path) -> Path | None:
+    """Return the first entry below a folder that is no file and no folder: a link, a pipe or a device; None if none is.
+
+    No link is followed. What methods have prepared for samples belongs to them, and is not looked at.
+    """
+    folders = [str(root)]
+    while folders:
+        folder = folders.pop()
+        with contextlib.suppress(FileNotFoundError), os.scandir(folder) as entries:  # a run may be removing it
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    folders += [] if folder == str(root / "prepared") else [entry.path]
+                elif not entry.is_file(follow_symlinks=False):
+                    return Path(entry.path)
+    return None
 
 
 @dataclass(frozen=True)
@@ -369,14 +376,13 @@ class RunDirectory:
     Parameters
     ----------
     root
-        Its path; links in it are followed. No link below it is, by this process, from now on.
+        Its path.
     """
 
     root: Path
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "root", self.root.resolve())
-        follow_no_link_below(self.root)
 
     @property
     def cells(self) -> Path:
@@ -402,9 +408,9 @@ class RunDirectory:
         Raises
         ------
         BadInput
-            When the directory is no run, or a file or folder that nrbench writes in it is a link.
+            When the directory is no run, is damaged, or holds a link, a pipe or a device.
         """
-        self.check_links()
+        self.check_files()
         content = read_json(self.root / RUN_FILE)
         if content is None or not (isinstance(content.get("suite"), dict) and isinstance(content.get("cells"), list)):
             if (self.root / RUN_FILE).is_file():
@@ -412,16 +418,11 @@ class RunDirectory:
             raise BadInput(
                 f"{self.root}: is no run (it has no {RUN_FILE}); pass the directory that `nrbench run` printed"
             )
-        keys = [cell.get("key") if isinstance(cell, dict) else None for cell in content["cells"]]
-        odd = next((key for key in keys if not (isinstance(key, str) and re.fullmatch("[0-9a-f]{8,64}", key))), "")
-        if odd != "":
-            raise BadInput(f"{self.root / RUN_FILE}: has a cell with the key {odd!r}, which is no hash; run it again")
-        wrong = [] if _is_suite(content["suite"].get("content", {})) else ["suite.content"]
-        wrong += [name for name in ("machine", "versions") if not isinstance(content.get(name, {}), dict)]
-        listed = content.get("plugins", [])
-        wrong += [] if isinstance(listed, list) and all(isinstance(each, dict) for each in listed) else ["plugins"]
-        if wrong:
-            raise BadInput(f"{self.root / RUN_FILE}: {wrong[0]} is damaged; run the same command again")
+        try:
+            _RUN.validate_python(content)
+        except ValidationError as error:
+            wrong = ".".join(map(str, error.errors()[0]["loc"]))
+            raise BadInput(f"{self.root / RUN_FILE}: {wrong} is damaged; run the same command again") from None
         cells = {cell["key"]: cell for cell in content["cells"]}  # each once
         return strip_control({**content, "cells": list(cells.values())})
 
@@ -430,13 +431,13 @@ class RunDirectory:
         suite = plan.suite
         shown = {"name": suite.name, "version": suite.version, "hash": suite.hash, "description": suite.description}
         file = self.root / RUN_FILE
-        known = read_bytes(file) if file.is_file() else b""
+        known = file.read_bytes() if file.is_file() else b""
         created = re.match(rb'\{\s*"created": "([-+:0-9TZ]{10,40})"', known)
         content = {
             "created": created[1].decode() if created else datetime.now(UTC).isoformat(timespec="seconds"),
             "suite": {**shown, "seed": suite.seed, "content": suite.model_dump(mode="json")},
             **_provenance(argv),
-            "plugin_files": list(plugins.files()),
+            "plugin_files": plugins.files(),
             "metrics": {metric: metric_key(metric) for metric in metrics},
         }
         # One cell a line, compared as text: indented or parsed, a run of many cells takes ten times the memory.
@@ -445,17 +446,11 @@ class RunDirectory:
         if known != text:
             write_bytes(file, text)
 
-    def check_links(self) -> None:
-        """Raise :class:`BadInput` if there is a link among the folders and files of a run, except in those of cells.
-
-        Cells check their own folders. The directory of the run itself may be a link.
-        """
-        named = [self.root / name for name in ("cells", "lattices", "prepared", RUN_FILE, ".lock")]
-        strange = next((path for path in named if path.is_symlink()), None)
-        for folder in ("tables", "report", "labels"):
-            strange = strange or find_strange(self.root / folder)
+    def check_files(self) -> None:
+        """Raise :class:`BadInput` if the directory holds a link, a named pipe, a socket or a device."""
+        strange = find_strange(self.root)
         if strange is not None:
-            raise BadInput(f"{strange}: {NO_LINK}")
+            raise BadInput(f"{strange}: is a link, a pipe or a device; remove it (a run holds files and folders only)")
 
     def claim(self) -> None:
         """Make the directory, unless it holds a run already.
@@ -463,81 +458,57 @@ class RunDirectory:
         Raises
         ------
         BadInput
-            When the path is a file, or a directory with something else in it or with links.
+            When the path is a file, or a directory with something else in it, or with a link, a pipe or a device.
         """
         if self.root.exists() and not self.root.is_dir():
             raise BadInput(f"{self.root}: is a file; pass another --out")
         occupied = self.root.is_dir() and any(self.root.iterdir()) and not (self.root / RUN_FILE).is_file()
         if occupied and not self.cells.is_dir():
             raise BadInput(f"{self.root}: holds something that is no run; pass an empty or new directory as --out")
-        self.check_links()
-        make_folder(self.cells)
-        follow_no_link_below(self.root)  # it is known only now, if it is new
+        self.check_files()
+        self.cells.mkdir(parents=True, exist_ok=True)
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
         """Keep other processes from running in this directory; the lock ends with the process, however it ends.
 
-        Where the file system has no locks, a file ``.running`` takes its place, which a killed process leaves behind.
+        Where the file system has no locks, a warning says so.
 
         Raises
         ------
         BadInput
-            When another process runs in the directory, or ``.lock`` is a link.
+            When another process runs in the directory.
         """
-        with contextlib.ExitStack() as stack:
-            lock = open_regular(self.root / ".lock", os.O_RDWR | os.O_CREAT)
-            stack.callback(os.close, lock)
+        with (self.root / ".lock").open("a") as lock:
             try:
                 import fcntl
 
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except ImportError:
-                stack.enter_context(self._mark_running())
-            except OSError as error:
-                if error.errno == errno.EWOULDBLOCK:
-                    why = f"{self.root}: another nrbench is running in it; wait, or pass another --out"
-                    raise BadInput(why) from None
-                warnings.warn(
-                    f"{self.root}: the file system has no locks ({error.strerror})", RuntimeWarning, stacklevel=3
-                )
-                stack.enter_context(self._mark_running())
+            except BlockingIOError:
+                why = f"{self.root}: another nrbench is running in it; wait, or pass another --out"
+                raise BadInput(why) from None
+            except (ImportError, OSError):
+                why = f"{self.root}: its file system has no locks; start no second run in it at the same time"
+                warnings.warn(why, RuntimeWarning, stacklevel=3)
             yield
-
-    @contextlib.contextmanager
-    def _mark_running(self) -> Iterator[None]:
-        """Hold the directory by a file that only one process can make."""
-        mark = self.root / ".running"
-        try:
-            os.close(os.open(mark, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644))
-        except FileExistsError:
-            raise BadInput(
-                f"{self.root}: another nrbench is running in it, or was killed; if none is, remove {mark}"
-            ) from None
-        try:
-            yield
-        finally:
-            mark.unlink(missing_ok=True)
 
     def copy_cells(self, other: RunDirectory, keys: Iterable[str]) -> None:
-        """Copy the finished cells of another run that have these keys and no result here; cells with links are not.
+        """Copy the finished cells of another run that have these keys and no result here.
 
-        The result comes last: without it, the cell has none. A file that another process removes meanwhile, or replaces
-        by a link, leaves its cell to be computed.
+        The result comes last: without it, the cell has none. If another process removes a file meanwhile, the cell is
+        left to be computed.
         """
         for key in keys:
             theirs, ours = other.cell(key), self.cell(key)
-            result = theirs.result()
-            if result is not None and ours.result() is None:
+            if theirs.result() is None or ours.result() is not None:
+                continue
+            ours.clear()
+            files = [file for file in theirs.path.rglob("*") if file.is_file() and file != theirs.result_file]
+            try:
+                for file in [*files, theirs.result_file]:
+                    write_bytes(ours.path / file.relative_to(theirs.path), file.read_bytes())
+            except FileNotFoundError:
                 ours.clear()
-                files = [theirs.cell_file, theirs.sample, theirs.again, theirs.log, *theirs.scores.glob("*.*")]
-                files += [theirs.path / name for name in _made(result)]
-                try:
-                    for file in [*filter(Path.is_file, files), theirs.result_file]:
-                        with open_file(file) as source:
-                            write_aside(ours.path / file.relative_to(theirs.path), partial(copyfileobj, source))
-                except (BadInput, FileNotFoundError, NotADirectoryError):
-                    ours.clear()
 
 
 def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
@@ -547,7 +518,11 @@ def _provenance(argv: Sequence[str]) -> Mapping[str, Any]:
         "argv": list(argv),
         "results_version": RESULTS_VERSION,
         "versions": {"python": platform.python_version(), **dict(sorted(installed.items()))},
-        "plugins": plugins.origins(),
+        "plugins": [
+            {"kind": kind, "name": each.name, "distribution": each.distribution, "version": each.release}
+            for kind in plugins.FORMS
+            for each in plugins.inventory(kind)
+        ],
         "machine": {
             "system": platform.platform(),
             "processor": _processor(),

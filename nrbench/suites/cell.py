@@ -72,7 +72,7 @@ class Recipe:
     @property
     def procedural(self) -> bool:
         """Whether the texture is drawn by a model and not read from a picture."""
-        return bool(getattr(plugins.find("datasets", self.dataset).cls, "procedural", True))
+        return bool(getattr(plugins.lookup("datasets", self.dataset).cls, "procedural", True))
 
     def render(self) -> Texture:
         """Draw the sample's texture."""
@@ -181,7 +181,7 @@ class Cell:
             "shape": list(self.shape),
             "seed": [self.seed, self.replicate],
             "recipe": self.recipe.as_dict() if self.procedural else self.again_hash,
-            "dataset": plugins.find("datasets", self.recipe.dataset).full_version,
+            "dataset": plugins.lookup("datasets", self.recipe.dataset).full_version,
         }
         if not self.sample_hash:  # without pixels, the file and the reason tell such cells apart
             decides["fault"] = [self.recipe.as_dict(), self.fault]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import fnmatch
 import re
@@ -59,6 +60,8 @@ class PlannedMethod:
         Whether it is refused if the detector of the lattice axis finds none.
     finder
         The detector by which it finds the lattice itself; None if it uses none.
+    fault
+        Why it does not load; empty if it does. Then all its cells fail.
     """
 
     name: str
@@ -69,13 +72,17 @@ class PlannedMethod:
     uses_lattice: bool
     needs_lattice: bool
     finder: DetectorIdentity | None
+    fault: str = ""
 
     @classmethod
     def parse(cls, spec: str) -> PlannedMethod:
         """Parse ``name:param=value,...``; raise BadInput for an unknown method or parameter, or a bad value."""
         name, given = parse_spec(spec)
-        instance = plugins.build("synthesizers", name, given)
-        plugin = plugins.find("synthesizers", name)
+        plugin = plugins.lookup("synthesizers", name)
+        try:
+            instance = plugins.build("synthesizers", name, given)
+        except plugins.DoesNotLoad as error:
+            return cls(name, plugin.version, given, spec, False, True, True, None, str(error))
         parameters = plugins.parameters_of(instance)
         finder, fingerprint = getattr(instance, "finder", ""), read_fingerprint(instance, f"method {name}")
         return cls(
@@ -115,11 +122,14 @@ class LatticeSource:
         Name, version and parameters of a detector.
     lattice
         A lattice that the user gives.
+    fault
+        Why the detector does not load; empty if it does. Then all cells of this source fail.
     """
 
     name: str
     detector: DetectorIdentity | None = None
     lattice: Lattice | None = None
+    fault: str = ""
 
     @classmethod
     def parse(cls, text: str) -> LatticeSource:
@@ -141,7 +151,10 @@ class LatticeSource:
         if parse_spec(text)[0] not in plugins.names("detectors"):
             known = ", ".join(["given", "own", "x1,y1,x2,y2[,x,y] (px)", *plugins.names("detectors")])
             raise BadInput(f"--lattice {text!r} is not known; use one of: {known}")
-        name, version, parameters = identify_detector(text)
+        try:
+            name, version, parameters = identify_detector(text)
+        except plugins.DoesNotLoad as error:
+            return cls(text, fault=str(error))
         return cls(
             write_label(name, parameters, _defaults(plugins.find("detectors", name).cls)), (name, version, parameters)
         )
@@ -153,9 +166,10 @@ def _find_recipe(suite: Suite, row: TextureRow, draw: Draw | None) -> Recipe:
     If the row of a picture has the recipe of a model, the texture is drawn by this recipe, provided that it gives the
     pixels of the picture and its lattice in ``truth.csv``.
     """
-    plugin = plugins.build("datasets", row.dataset, row.parameters)
-    shape = row.sample or suite.sample
-    own = Recipe(row.dataset, plugins.parameters_of(plugin), suite.seed, row.name, 0, shape)
+    shape, parameters = row.sample or suite.sample, dict(row.parameters)
+    with contextlib.suppress(plugins.DoesNotLoad):  # its textures then cannot be drawn
+        parameters = plugins.parameters_of(plugins.build("datasets", row.dataset, row.parameters))
+    own = Recipe(row.dataset, parameters, suite.seed, row.name, 0, shape)
     if row.recipe is None:
         return own
     try:
@@ -241,7 +255,7 @@ class PlannedSample:
     def of(cls, sample: Sample) -> PlannedSample:
         """Return a sample without what can be drawn again."""
         image = sample.texture.image if sample.texture else None
-        redrawn = sample.recipe.procedural and plugins.find("datasets", sample.recipe.dataset).own
+        redrawn = sample.recipe.procedural and plugins.lookup("datasets", sample.recipe.dataset).own
         pixels = [None if redrawn or each is None else to_bytes(each) for each in (image, sample.region)]
         size = image.shape[:2] if image is not None else None
         return cls(sample.recipe, sample.shape, size, sample.log, (pixels[0], pixels[1]))
@@ -404,7 +418,7 @@ def _draw(row: TextureRow, recipe: Recipe, shape: Shape, draw: Draw) -> Sample:
 
 def _chosen(draw: Draw | None, recipe: Recipe) -> Draw:
     """Return the function that draws a recipe's texture: ``draw`` for a dataset that is not part of nrbench."""
-    own = plugins.find("datasets", recipe.dataset).own
+    own = plugins.lookup("datasets", recipe.dataset).own
     return draw_texture if own or draw is None else draw
 
 
@@ -496,6 +510,8 @@ def _make_cell(suite: Suite, sample: Sample, method: PlannedMethod, source: Latt
     )
     if texture is None:
         return dataclasses.replace(cell, fault=sample.fault, fault_status="error")
+    if method.fault or source.fault:
+        return dataclasses.replace(cell, fault=method.fault or source.fault, fault_status="error")
     if source.name != "given":
         return dataclasses.replace(cell, lattice_given=source.lattice)
     if texture.lattice is None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
-import os
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from nrbench.storage import open_regular, read_arrays, read_bytes, write_bytes
+from nrbench.storage import read_arrays, write_bytes
 
 from ..plots.marks import find_marks, read_pixels, worst_place
 
@@ -106,7 +105,7 @@ class PictureStore:
         height, width = pixels.shape[:2]
         if self.single_file or width <= 64:
             return PagePicture(_webp(pixels, 30, lossless=True), width, height)
-        return PagePicture(_webp(pixels, _QUALITY, effort=2), width, height, self._keep(read_bytes(path), ".png"))
+        return PagePicture(_webp(pixels, _QUALITY, effort=2), width, height, self._keep(path.read_bytes(), ".png"))
 
     @_once
     def overlay(self, output: Path, layer: Path) -> PagePicture | None:
@@ -119,7 +118,6 @@ class PictureStore:
     @_once
     def source_map(self, source: Path) -> PagePicture | None:
         """Return the map of the sample's places that the pixels of an output come from, by color."""
-        os.close(open_regular(source))
         colors = _place_colors(np.asarray(read_arrays(source)["source"][..., :2], np.float32))
         return PagePicture(_webp(colors, _MAP_QUALITY), colors.shape[1], colors.shape[0])
 

@@ -19,10 +19,9 @@ from ..statistics.expectations import ClaimResult
 from ..statistics.format import format_value
 from ..statistics.levels import BROKEN, LevelPanel
 from ..statistics.method_comparison import Comparison, ComparisonRow
-from ..statistics.summaries import Method, MethodSummary
+from ..statistics.summaries import Method, MethodSummary, PerilsPoint
 from ..statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, RANKING, SHARES_LEGEND
 from .figure_file import COLORS, FAINT, GRAY, INK, SIGNS, SMALL, add_axes, make_figure, open_frame, returns_file
-from .perils_points import PerilsPoint
 
 Floats = NDArray[np.float64]
 _SIZE = 6.4
@@ -296,7 +295,7 @@ def plot_levels(panels: Sequence[LevelPanel], width: float = 5.5) -> Figure:
     """
     columns = min(len(panels), max(1, int(width / _NARROWEST + 0.15)))
     rows = -(-len(panels) // columns)
-    methods = [series.method for series in panels[0].series]
+    methods = [series.method for series in panels[0].series if series.method]
     styles = method_styles(methods)
     across = max(1, int(width / 1.7))
     figure = make_figure(width, 130 * rows + 11 * -(-len(methods) // across) + 24, layout="constrained")

@@ -1,19 +1,18 @@
 """Compare scores with what papers say: the claims of a suite, and the published verdicts of the report of 2004.
 
-A claim is a sentence of a paper, tested on the scores of a run. The published verdicts are tables 2 and 3 of the
-report. The textures of a run are analogues of its figures: they were drawn from the descriptions. Rates over many
-figures can be compared. A single figure cannot, so the agreement by figure is shown beside the agreement that chance
-reaches.
+Both are expectations: a measured number minus an expected one, and whether its interval lies where the paper puts it. A
+claim is a sentence of a paper, tested on the scores of a run. The published verdicts are tables 2 and 3 of the report.
+The textures of a run are analogues of its figures: they were drawn from the descriptions. Rates over many figures can
+be compared. A single figure cannot, so the agreement by figure is shown beside the agreement that chance reaches.
 """
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import pandas as pd
@@ -39,6 +38,7 @@ from .estimates import (
     success_rate,
 )
 from .format import format_interval, format_number
+from .levels import LevelSeries
 from .method_comparison import Comparison
 from .summaries import Method
 from .verdicts import MARKS, PRESERVED, QUALITY, RANKING, tabulate_cells
@@ -62,32 +62,48 @@ _SHUFFLES = 2000
 
 
 @dataclass(frozen=True)
-class ClaimSeries:
-    """The means of one series of a claim, one for each level."""
-
-    name: str
-    levels: Sequence[float]
-    methods: Sequence[str]
-    estimates: Sequence[Estimate]
-
-
-@dataclass(frozen=True)
 class ExpectationResult:
     """What the scores show of one expectation.
 
     Parameters
     ----------
     words
-        The expectation as a sentence.
+        A claim's expectation as a sentence; for the report of 2004 a key of :data:`GROUPS`.
     difference
-        The first number minus the second, with a 95 % interval over textures.
-    outcome
-        ``held``, ``failed`` or ``undecided``.
+        The measured number minus the expected one, with a 95 % interval over textures.
+    relation, margin
+        What the difference is if the expectation holds: ``less`` or ``greater`` than 0, or ``equal`` to it within a
+        margin.
+    method
+        The method that the report of 2004 rated.
+    published
+        Its published success rate over all figures of the group, with Wilson's interval.
+    expected, measured
+        The published and the measured rate over the figures with a measured verdict, with Wilson's intervals. A figure
+        counts as measured preserved if half of its replicates are.
     """
 
     words: str
     difference: Estimate
-    outcome: str
+    relation: str = "equal"
+    margin: float = 0.0
+    method: Method | None = None
+    published: Estimate = NO_ESTIMATE
+    expected: Estimate = NO_ESTIMATE
+    measured: Estimate = NO_ESTIMATE
+
+    @property
+    def outcome(self) -> str:
+        """``held`` if the interval lies as expected, ``failed`` if elsewhere, ``undecided`` if on both sides."""
+        if self.difference.ends is None:
+            return "undecided"
+        low, high = self.difference.ends
+        held, failed = {
+            "less": (high < 0, low > 0),
+            "greater": (low > 0, high < 0),
+            "equal": (-self.margin <= low and high <= self.margin, low > self.margin or high < -self.margin),
+        }[self.relation]
+        return "held" if held else "failed" if failed else "undecided"
 
 
 @dataclass(frozen=True)
@@ -105,7 +121,7 @@ class ClaimResult:
     """
 
     claim: Claim
-    series: Sequence[ClaimSeries]
+    series: Sequence[LevelSeries]
     expectations: Sequence[ExpectationResult]
     column: Column | None = None
 
@@ -148,10 +164,9 @@ def _evaluate(claim: Claim, cells: pd.DataFrame, column: Column | None) -> Claim
         values = values.mask(cells["verdict"].isin(["failed", "refused"]), 0.0)
     cells = cells.assign(value=values)
     series = [
-        ClaimSeries(
+        LevelSeries(
             line.name,
             line.levels,
-            [line.method_at(level) for level in line.levels],
             [_estimate(claim, _select(claim, line, level, cells)) for level in line.levels],
         )
         for line in claim.series
@@ -189,7 +204,7 @@ def _test(claim: Claim, expected: Expectation, cells: pd.DataFrame) -> Expectati
         words += f"{name} at {level:g}"
     if expected.relation == "equal":
         words += f", within {expected.margin:g}"
-    return ExpectationResult(words, difference, _outcome(expected, difference))
+    return ExpectationResult(words, difference, expected.relation, expected.margin)
 
 
 def _subtract(mean: Estimate, value: float) -> Estimate:
@@ -206,117 +221,46 @@ def _difference(first: pd.DataFrame, second: pd.DataFrame) -> Estimate:
     return paired_differences(first, second, ["value"])["value"]
 
 
-def _outcome(expected: Expectation, difference: Estimate) -> str:
-    """Return whether the interval of a difference lies where the expectation puts it, elsewhere, or on both sides."""
-    if difference.ends is None:
-        return "undecided"
-    low, high = difference.ends
-    if expected.relation == "equal":
-        margin = expected.margin
-        held, failed = -margin <= low and high <= margin, low > margin or high < -margin
-    else:
-        held, failed = (high < 0, low > 0) if expected.relation == "less" else (low > 0, high < 0)
-    return "held" if held else "failed" if failed else "undecided"
-
-
-@dataclass(frozen=True)
-class PublishedFigure:
-    """One figure of the report (tables 2 and 3).
-
-    Parameters
-    ----------
-    number, description
-        As printed.
-    kind
-        Class of the texture: brick, woven, tiles, motif or damaged. The class is ours, made from the description.
-    verdicts
-        ``preserved`` or ``lost`` by method; a method that the report did not run on this figure is absent.
-    """
-
-    number: int
-    description: str
-    kind: str
-    verdicts: Mapping[str, str]
-
-
 @cache
-def read_published() -> tuple[PublishedFigure, ...]:
-    """Return the verdicts of the report's tables 2 and 3, in the order of the figures."""
-    text = files(__package__).joinpath("published_verdicts.csv").read_text("utf-8")
-    return tuple(
-        PublishedFigure(
-            int(row.pop("figure")),
-            row.pop("description"),
-            row.pop("class"),
-            {method: word for method, word in row.items() if word},
-        )
-        for row in csv.DictReader(text.splitlines())
-    )
+def read_published() -> pd.DataFrame:
+    """Return the verdicts of the report's tables 2 and 3, in the order of the figures.
 
-
-@dataclass(frozen=True)
-class FigureRow:
-    """One figure: the published verdict and the measured share of each method.
-
-    Parameters
-    ----------
-    figure
-        The figure.
-    texture
-        Name of the analogue.
-    measured
-        Share of the replicates that preserve the lattice, for each method of the comparison; None without a verdict.
+    Returns
+    -------
+    pandas.DataFrame
+        One row a ``figure``: its ``description`` as printed, the ``class`` of the texture (brick, woven, tiles, motif
+        or damaged), which is ours, made from the description, and for each method ``preserved`` or ``lost``, or None
+        where the report did not run it.
     """
-
-    figure: PublishedFigure
-    texture: str
-    measured: Sequence[float | None]
+    text = files(__package__).joinpath("published_verdicts.csv")
+    with text.open(encoding="utf-8") as file:
+        table = pd.read_csv(file)
+    return table.astype(object).where(table.notna(), None)
 
 
 @dataclass(frozen=True)
-class RateRow:
-    """The published and the measured success rate of a method over the same figures.
+class PublishedEntry:
+    """The published and the measured verdict of a method on a figure.
 
     Parameters
     ----------
-    group
-        A key of :data:`GROUPS`.
-    method
-        The method as measured.
     published
-        The published rate over all figures of the group, with Wilson's interval.
-    same, measured
-        The published and the measured rate over the figures with a measured verdict, with Wilson's intervals. A figure
-        counts as measured preserved if half of its replicates are.
-    difference
-        Measured minus published over these figures, with a bootstrap interval over figures.
+        ``preserved`` or ``lost``; None if the report did not run the method.
+    measured
+        Share of the replicates that preserve the lattice, in [0, 1]; None without a verdict.
     """
 
-    group: str
-    method: Method
-    published: Estimate
-    same: Estimate
-    measured: Estimate
-    difference: Estimate
+    published: str | None
+    measured: float | None
 
+    kind: ClassVar[str] = "published"
 
-@dataclass(frozen=True)
-class ClassRow:
-    """The agreement of measured with published verdicts on one class of textures.
-
-    Parameters
-    ----------
-    kind
-        The class; "all" for all figures.
-    pairs
-        Number of published verdicts with a measured one.
-    agreement
-        Mean over figures of the share of agreeing verdicts, with a bootstrap interval over figures.
-    """
-
-    kind: str
-    pairs: int
-    agreement: Estimate
+    @property
+    def text(self) -> str:
+        """The published mark, then the measured one, or the measured share where replicates disagree."""
+        known: dict[float | None, str] = {None: "?", 0: MARKS["lost"], 1: MARKS["preserved"]}
+        measured = known.get(self.measured, f"{self.measured or 0:.0%}")
+        return f"{MARKS[self.published or 'refused']} {measured}"
 
 
 @dataclass(frozen=True)
@@ -327,12 +271,13 @@ class PublishedComparison:
     ----------
     methods
         The methods that the report ran and the run has.
-    figures
-        The figures whose analogues the run has cells of.
     verdicts
         One row a figure and method: the published verdict and the measured share of preserved replicates.
-    rates, classes
-        Rates over groups of figures, and the agreement by class of texture.
+    rates
+        The published and the measured success rates over groups of figures.
+    classes
+        One row a class of textures, and "all": the number of published ``pairs`` with a measured verdict, and the
+        ``agreement``, the mean over figures of the share of agreeing verdicts, with a bootstrap interval over figures.
     types
         For textures of type II (irregular geometry, regular colors) and III (both irregular), which are analogues of no
         figure: for each method the number that preserve the lattice, and the number with a verdict.
@@ -345,10 +290,9 @@ class PublishedComparison:
     """
 
     methods: Sequence[Method]
-    figures: Sequence[FigureRow]
     verdicts: pd.DataFrame
-    rates: Sequence[RateRow]
-    classes: Sequence[ClassRow]
+    rates: Sequence[ExpectationResult]
+    classes: pd.DataFrame
     types: Mapping[str, Sequence[tuple[float, int]]]
     kappa: Estimate
     chance: tuple[float, float] | None
@@ -357,6 +301,9 @@ class PublishedComparison:
         "The textures are analogues, not the report's images: they were drawn from the descriptions of its figures. "
         "They are a fixed list and no sample of a population of textures."
     )
+    titles: ClassVar[Mapping[bool, str]] = {
+        True: "Table 2: regular textures", False: "Table 3: near-regular textures"
+    }  # fmt: skip
 
     @property
     def agreement(self) -> str:
@@ -371,13 +318,17 @@ class PublishedComparison:
             "pairings."
         )
 
-    titles: ClassVar[Mapping[bool, str]] = {
-        True: "Table 2: regular textures", False: "Table 3: near-regular textures"
-    }  # fmt: skip
+    def table(self, regular: bool) -> list[tuple[int, str, str, list[PublishedEntry]]]:
+        """Return the rows of table 2 (regular textures, figures 3 to 7) or of table 3 (figures 8 to 45).
 
-    def table(self, regular: bool) -> list[FigureRow]:
-        """Return the rows of table 2 (regular textures, figures 3 to 7) or of table 3 (figures 8 to 45)."""
-        return [row for row in self.figures if (row.figure.number <= 7) == regular]
+        A row is the number of the figure, its description, its class and an entry for each method.
+        """
+        found: dict[tuple[int, str, str], list[PublishedEntry]] = {}
+        for row in self.verdicts[self.verdicts["figure"].le(7) == regular].to_dict("records"):
+            figure = (row["figure"], row["description"], row["class"])
+            entry = PublishedEntry(*_known((row["published"], row["measured_share"])))
+            found.setdefault(figure, []).append(entry)
+        return [(*figure, entries) for figure, entries in found.items()]
 
     def footers(self, regular: bool) -> dict[str, list[tuple[str, str]]]:
         """Return the bottom rows of table 2 or 3 by their names: for each method the published and the measured rate.
@@ -386,36 +337,20 @@ class PublishedComparison:
 
         A figure without a verdict does not count. The share of a figure's replicates counts as so much of a figure.
         """
-        rows = self.table(regular)
         pairs = []
-        for i, method in enumerate(self.methods):
-            words = [word for row in rows if (word := row.figure.verdicts.get(method.base))]
-            shares = [share for row in rows if (share := row.measured[i]) is not None]
-            published = _rate_text(words.count("preserved"), len(words))
-            pairs.append((published, _rate_text(sum(shares), len(shares))))
+        for column in zip(*(entries for *_, entries in self.table(regular)), strict=True):
+            words = [one.published for one in column if one.published]
+            shares = [one.measured for one in column if one.measured is not None]
+            pairs.append((_rate_text(words.count("preserved"), len(words)), _rate_text(sum(shares), len(shares))))
         others = {} if regular else self.types
         return {
-            "success rate": pairs,
+            "success rate": pairs or [("–", "–")] * len(self.methods),
             **{f"type {kind}": [("–", _rate_text(*rate)) for rate in rates] for kind, rates in others.items()},
         }
 
-    def lines(self, regular: bool) -> list[list[str]]:
-        """Return table 2 or 3 as text: the heads, a line for each figure, and the success rates.
 
-        In each place the published mark stands before the measured one.
-        """
-        lines = [["figure", "description", *(method.label for method in self.methods)]]
-        for row in self.table(regular):
-            words = [MARKS[row.figure.verdicts.get(method.base, "refused")] for method in self.methods]
-            shares = [
-                "?" if one is None else MARKS["preserved"] if one == 1 else MARKS["lost"] if one == 0 else f"{one:.0%}"
-                for one in row.measured
-            ]
-            marks = [f"{word} {share}" for word, share in zip(words, shares, strict=True)]
-            lines.append([str(row.figure.number), row.figure.description, *marks])
-        for name, pairs in self.footers(regular).items():
-            lines.append([name, "preserved/total", *(f"{published}, {measured}" for published, measured in pairs)])
-        return lines
+def _known(values: Iterable[Any]) -> list[Any]:
+    return [None if pd.isna(value) else value for value in values]
 
 
 def _rate_text(preserved: float, total: int) -> str:
@@ -435,23 +370,32 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
     rows = run.info.get("suite", {}).get("content", {}).get("texture", [])
     textures = {record.cell.texture for record in run.cells}
     names = {row["figure"]: row["name"] for row in rows if row.get("figure") and row["name"] in textures}
-    ran = dict.fromkeys(method for figure in read_published() for method in figure.verdicts)
-    methods = [found for name in ran if (found := _find_method(name, comparison.methods)) is not None]
-    known = [figure for figure in read_published() if figure.number in names]
-    if not known or not methods:
+    published = read_published()
+    methods = [found for name in published.columns[3:] if (found := _find_method(name, comparison.methods)) is not None]
+    known = published[published["figure"].isin(list(names))]
+    if known.empty or not methods:
         return None
     cells = tabulate_cells(run)
-    shares = [_measured_shares(cells[cells["label"] == method.label]) for method in methods]
-    figures = [
-        FigureRow(figure, names[figure.number], [own.get(names[figure.number]) for own in shares]) for figure in known
-    ]
-    verdicts = _tabulate_verdicts(figures, methods)
+    shares = _measured_shares(cells)
+    verdicts = pd.DataFrame(
+        {
+            **{"figure": row["figure"], "description": row["description"], "class": row["class"]},
+            **{"texture": names[row["figure"]], "method": method.name, "lattice_source": method.lattice_source},
+            **{"published": row[method.base], "measured_share": shares.get((method.label, names[row["figure"]]))},
+        }
+        for row in known.to_dict("records")
+        for method in methods
+    )
+    verdicts["measured_share"] = (
+        verdicts["measured_share"].astype(object).where(verdicts["measured_share"].notna(), None)
+    )
     pairs = verdicts.dropna(subset="published").astype({"measured_share": float})
     pairs["published"] = pairs["published"].eq("preserved").astype(float)
     observed, chance = _compare_cells(pairs)
+    kinds = [*dict.fromkeys(known["class"]), "all"]
+    others = cells[~cells["texture"].isin(list(names.values()))]
     return PublishedComparison(
         methods=methods,
-        figures=figures,
         verdicts=verdicts,
         rates=[
             _compare_rates(group, method, part)
@@ -460,23 +404,23 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
             if method.base in names_of_group
             and not (part := pairs[pairs["figure"].between(first, last) & pairs["method"].eq(method.name)]).empty
         ],
-        classes=[
-            _class_agreement(kind, figures, pairs) for kind in [*dict.fromkeys(figure.kind for figure in known), "all"]
-        ],
-        types=_count_types(run, cells[~cells["texture"].isin(list(names.values()))], methods),
+        classes=pd.DataFrame([_class_agreement(kind, known, pairs) for kind in kinds]),
+        types=_count_types(run, others, shares, methods),
         kappa=observed,
         chance=chance,
     )
 
 
-def _count_types(run: Run, cells: pd.DataFrame, methods: Sequence[Method]) -> dict[str, list[tuple[float, int]]]:
+def _count_types(
+    run: Run, cells: pd.DataFrame, shares: Mapping[tuple[str, str], float], methods: Sequence[Method]
+) -> dict[str, list[tuple[float, int]]]:
     """Return for each of the types II and III how many textures each method preserves, and how many have a verdict."""
     found = {}
     for kind in ("II", "III"):
-        own = cells[cells["texture"].isin([record.texture for record in run.cells if record.cell.kind == kind])]
-        shares = [_measured_shares(own[own["label"] == method.label]) for method in methods]
-        if any(shares):
-            found[kind] = [(sum(one.values()), len(one)) for one in shares]
+        names = sorted(set(cells["texture"]) & {record.texture for record in run.cells if record.cell.kind == kind})
+        known = [[shares[one.label, name] for name in names if (one.label, name) in shares] for one in methods]
+        if any(known):
+            found[kind] = [(sum(one), len(one)) for one in known]
     return found
 
 
@@ -491,44 +435,30 @@ def _find_method(name: str, methods: Sequence[Method]) -> Method | None:
     return min((method for method in methods if method.base == name), key=preference, default=None)
 
 
-def _measured_shares(cells: pd.DataFrame) -> dict[str, float]:
-    """Return the share of preserved replicates by texture; failures and refusals count as lost."""
+def _measured_shares(cells: pd.DataFrame) -> dict[tuple[str, str], float]:
+    """Return the share of preserved replicates by method and texture; failures and refusals count as lost."""
     decided = cells[cells["verdict"].isin(["preserved", "lost", "failed", "refused"])]
-    shares = decided["verdict"].eq("preserved").groupby(decided["texture"]).mean()
-    return {str(texture): float(share) for texture, share in shares.items()}
+    shares = decided["verdict"].eq("preserved").groupby([decided["label"], decided["texture"]]).mean()
+    return cast(dict[tuple[str, str], float], shares.to_dict())
 
 
-def _tabulate_verdicts(figures: Sequence[FigureRow], methods: Sequence[Method]) -> pd.DataFrame:
-    """Return one row a figure and method: the published verdict and the measured share of preserved replicates."""
-    rows = [
-        {
-            **{"figure": row.figure.number, "description": row.figure.description, "class": row.figure.kind},
-            **{"texture": row.texture, "method": method.name, "lattice_source": method.lattice_source},
-            **{"published": row.figure.verdicts.get(method.base), "measured_share": share},
-        }
-        for row in figures
-        for method, share in zip(methods, row.measured, strict=True)
-    ]
-    return pd.DataFrame(rows)
-
-
-def _compare_rates(group: str, method: Method, pairs: pd.DataFrame) -> RateRow:
+def _compare_rates(group: str, method: Method, pairs: pd.DataFrame) -> ExpectationResult:
     same, of = pairs.dropna(), len(pairs)
-    return RateRow(
-        group=group,
+    return ExpectationResult(
+        words=group,
         method=method,
         published=estimate_proportion(pairs["published"], of),
-        same=estimate_proportion(same["published"], of),
+        expected=estimate_proportion(same["published"], of),
         measured=estimate_proportion(same["measured_share"] >= 0.5, of),
         difference=estimate_mean(same["measured_share"] - same["published"], of),
     )
 
 
-def _class_agreement(kind: str, figures: Sequence[FigureRow], pairs: pd.DataFrame) -> ClassRow:
+def _class_agreement(kind: str, figures: pd.DataFrame, pairs: pd.DataFrame) -> dict[str, object]:
     known = pairs[pairs["class"].eq(kind) | (kind == "all")].dropna()
     means = (1 - (known["published"] - known["measured_share"]).abs()).groupby(known["figure"]).mean()
-    of = sum(kind in (row.figure.kind, "all") for row in figures)
-    return ClassRow(kind, len(known), estimate_mean(means, of))
+    of = int((figures["class"].eq(kind) | (kind == "all")).sum())
+    return {"class": kind, "pairs": len(known), "agreement": estimate_mean(means, of)}
 
 
 def _compare_cells(pairs: pd.DataFrame) -> tuple[Estimate, tuple[float, float] | None]:

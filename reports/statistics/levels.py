@@ -21,21 +21,24 @@ _REFERENCES = ("oracle", "copier")
 
 @dataclass(frozen=True)
 class LevelSeries:
-    """One method at each level of a departure.
+    """A score at several levels: of a method at each level of a departure, or of a line of a claim's panel.
 
     Parameters
     ----------
-    method
-        The method.
+    name
+        The label of the method, or the name of the line.
     levels
-        The levels, from the easiest to the hardest.
+        The levels; those of a departure from the easiest to the hardest.
     estimates
-        Mean quality over the textures of each level; a failed or refused cell counts 0.
+        Mean score over the textures of each level. In a quality, a failed or refused cell counts 0.
+    method
+        The method; None for the line of a claim, which may have a method for each level.
     """
 
-    method: Method
+    name: str
     levels: Sequence[float]
     estimates: Sequence[Estimate]
+    method: Method | None = None
 
     @property
     def scored(self) -> list[tuple[int, float]]:
@@ -110,4 +113,5 @@ def compare_levels(run: Run, comparison: Comparison) -> list[LevelPanel]:
 def _level_series(method: Method, names: dict[float, list[str]], cells: pd.DataFrame) -> LevelSeries:
     own = cells[cells["label"] == method.label]
     parts = (own[own["texture"].isin(textures)] for textures in names.values())
-    return LevelSeries(method, list(names), [estimate_means(stack_draws(part, [RANKING]))[0] for part in parts])
+    means = [estimate_means(stack_draws(part, [RANKING]))[0] for part in parts]
+    return LevelSeries(method.label, list(names), means, method)

@@ -10,13 +10,16 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cached_property
+from typing import ClassVar, TypeVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
-from nrbench.plugins.parameters import nearest
+from nrbench.plugins.parameters import append_parameters, nearest
 from nrbench.runs.records import CellRecord, Run
 
 from .estimates import FEWEST, FEWEST_DIFFERENT, FEWEST_DRAWS, Estimate, estimate_means, mean_of_known, stack_draws
@@ -49,6 +52,7 @@ from .verdicts import (
     verdict,
 )
 
+T = TypeVar("T")
 Floats = NDArray[np.float64]
 _LEADING = (
     "leading group: the method of the highest mean quality, and the methods that are not significantly worse (sign "
@@ -102,6 +106,8 @@ class Entry:
     baseline_valid: bool | None = None
     upper_bound: bool | None = None
 
+    kind: ClassVar[str] = "entry"
+
     @property
     def mark(self) -> str:
         """The mark of the verdict."""
@@ -144,58 +150,109 @@ class Comparison:
 
     Parameters
     ----------
-    title
-        One line: the suite, its hash, and how many cells ended with each status.
-    score
-        Name of the score beside the marks: ``quality.score`` if the run has it, else ``regularity.score``.
-    scored
-        Whether the run has verdicts or qualities.
-    methods
-        Its columns: methods from the highest mean quality to the lowest, then reference methods.
-    rows, summary_rows
-        The textures, and the numbers that summarize each method.
-    notes
-        The notes of methods on their cells; number 1 is the first.
+    run
+        The run.
     summaries
-        Each method in numbers.
+        Each method in numbers: its methods from the highest mean quality to the lowest, then reference methods.
+    rows
+        The textures.
     differences
         Paired differences between methods.
-    counts
-        Cells by status.
+    tests
+        Which of the ranked methods differ in quality; None without a ranking, with fewer than
+        :data:`~nrbench.reports.statistics.estimates.FEWEST` textures, and without tests.
     baseline
         The method with which :attr:`against` compares the others; None without a ranking or without tests.
-    against
-        The difference of each other method to it in quality.
-    ranked
-        The ranked methods, best first.
-    tests
-        Which of them differ in quality; None without a ranking, with fewer than
-        :data:`~nrbench.reports.statistics.estimates.FEWEST` textures, and without tests.
-    tested
-        Whether tests and a leading group were wanted.
-    leading_legend
-        What the sign of the leading group means in this table, or why there is none.
-    estimand
-        What the means estimate, and what their intervals say, in two sentences.
+    options
+        How the methods are compared.
     """
 
-    title: str
-    score: str
-    scored: bool
-    methods: Sequence[Method]
-    rows: Sequence[ComparisonRow]
-    summary_rows: Sequence[SummaryRow]
-    notes: Sequence[str]
+    run: Run
     summaries: Sequence[MethodSummary]
+    rows: Sequence[ComparisonRow]
     differences: Sequence[PairedDifference]
-    counts: Mapping[str, int]
-    baseline: Method | None = None
-    against: Sequence[PairedDifference] = ()
-    ranked: Sequence[Method] = ()
-    tests: PairTests | None = None
-    tested: bool = True
-    leading_legend: str = ""
-    estimand: str = ""
+    tests: PairTests | None
+    baseline: Method | None
+    options: ComparisonOptions
+
+    @cached_property
+    def methods(self) -> list[Method]:
+        """The methods, in the order of the summaries."""
+        return [one.method for one in self.summaries]
+
+    @property
+    def ranked(self) -> list[Method]:
+        """The ranked methods, best first."""
+        return [one.method for one in self.summaries if one.rank]
+
+    @property
+    def against(self) -> list[PairedDifference]:
+        """The difference of each other method to the baseline in quality."""
+        return compare_with(self.differences, self.baseline) if self.baseline else []
+
+    @cached_property
+    def score(self) -> str:
+        """The score beside the marks: ``quality.score`` if the run has it, else ``regularity.score``."""
+        return QUALITY if has_quality(self.run) else SCORE
+
+    @property
+    def scored(self) -> bool:
+        """Whether the run has verdicts or qualities."""
+        return PRESERVED in self.run.columns or self.score == QUALITY
+
+    @cached_property
+    def summary_rows(self) -> list[SummaryRow]:
+        """The numbers that summarize each method."""
+        return summary_rows(self.run, self.summaries)
+
+    @cached_property
+    def notes(self) -> list[str]:
+        """The notes of methods on their cells; number 1 is the first."""
+        return _list_notes(self.run)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Cells by status, the most frequent first."""
+        return dict(Counter(record.status for record in self.run.cells).most_common())
+
+    @property
+    def textures(self) -> int:
+        """Number of textures of the run."""
+        return len({record.texture for record in self.run.cells})
+
+    @property
+    def title(self) -> str:
+        """One line: the suite, its hash, and how many cells ended with each status."""
+        suite = self.run.info.get("suite", {})
+        name = f"{suite.get('name', 'run')} {suite.get('version', '')}".rstrip()
+        sizes = f"{pluralize(self.textures, 'texture')}, {pluralize(len(self.run.cells), 'cell')}"
+        ended = ", ".join(f"{count} {status}" for status, count in self.counts.items())
+        seed = self.run.seed_text
+        fresh = f", {seed}" if seed.startswith("fresh") else ""  # the hash implies any other seed
+        return f"{name} ({suite.get('hash', 'no hash')}{fresh}): {sizes}" + (f": {ended}" if ended else "")
+
+    @property
+    def estimand(self) -> str:
+        """What the means estimate, and what their intervals say, in two sentences."""
+        textures = self.textures
+        mean, interval = f"this fixed list of {pluralize(textures, 'texture')}, over draws", "Intervals: 95 %, "
+        if self.options.population:
+            mean = f"a population of textures, of which these {textures} are a sample"
+            interval += (
+                f"by a hierarchical bootstrap over textures and draws, where {FEWEST_DIFFERENT} textures or more differ"
+            )
+        elif not any(record.replicate for record in self.run.cells):
+            interval = "One draw of each carries no interval of a mean"
+        else:
+            interval += f"over draws, where there are {FEWEST_DRAWS} of them and {FEWEST} textures scatter"
+        return f"Estimated: the mean over {mean}. {interval}."
+
+    @property
+    def leading_legend(self) -> str:
+        """What the sign of the leading group means in this table, or why there is none; empty without tests."""
+        if not (self.options.tests and self.has_ranking) or self.summaries[0].at_most:
+            return ""
+        return _LEADING if self.tests else _TOO_FEW
 
     @property
     def legend(self) -> list[tuple[str, str]]:
@@ -232,6 +289,34 @@ class Comparison:
         return any(one.validity.n for one in self.summaries)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ComparisonOptions:
+    """How the methods of a run are compared. The reports that show the comparison share these parameters.
+
+    Parameters
+    ----------
+    tests
+        Whether to test which methods differ. Without tests there is no leading group.
+    baseline
+        The method with which the others are compared, by its name or label; by default the best ranked one.
+    population
+        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
+    """
+
+    tests: bool = True
+    baseline: str = ""
+    population: bool = False
+
+    def __init_subclass__(cls) -> None:
+        """Append the parameters to the docstring of a report."""
+        super().__init_subclass__()
+        append_parameters(cls, ComparisonOptions)
+
+    def compare(self, run: Run) -> Comparison:
+        """Return the comparison of a run, as :func:`compare_methods`."""
+        return compare_methods(run, self.tests, self.baseline, self.population)
+
+
 def compare_methods(run: Run, tests: bool = True, baseline: str = "", population: bool = False) -> Comparison:
     """Build the comparison of a run, or return the one that was built before; without rows if the run has no cells.
 
@@ -239,76 +324,42 @@ def compare_methods(run: Run, tests: bool = True, baseline: str = "", population
     ----------
     run
         The run.
-    tests
-        Whether to test which methods differ. Without tests there is no leading group.
-    baseline
-        The name, or the label with its lattice source, of the method with which the others are compared; by default
-        the best ranked one.
-    population
-        Whether intervals are over a population of textures, of which the suite is a sample, else over draws of its own.
+    tests, baseline, population
+        As in :class:`ComparisonOptions`.
 
     Raises
     ------
     BadInput
         If the run has no such method, or the name stands for several.
     """
-    return run.shared(_build_comparison, tests, baseline, population)
+    return run.shared(_build_comparison, ComparisonOptions(tests=tests, baseline=baseline, population=population))
 
 
-def _build_comparison(run: Run, tests: bool, baseline: str, population: bool) -> Comparison:
+def _build_comparison(run: Run, options: ComparisonOptions) -> Comparison:
     cells = keep_listed_textures(tabulate_cells(run))
-    summaries = summarize_methods(run, cells, population)
-    other = _find_method([one.method for one in summaries], baseline)
+    summaries = summarize_methods(run, cells, options.population)
+    baseline = _find_method([one.method for one in summaries], options.baseline)
     ranked, found = rank_by_quality(cells, summaries)
-    fit = [one.method for one in ranked if one.rank]
-    enough = any(one.leading for one in ranked) or (found is not None and np.isfinite(found.p).any())
-    legend, against = "", []
-    if tests and fit:
-        legend = "" if ranked[0].at_most else _LEADING if enough else _TOO_FEW
-        other = other or fit[0]
-    else:
+    fit = [one.method for one in ranked if one.rank] if options.tests else []
+    if not fit:
         ranked = [replace(one, leading=False) for one in ranked]
+    tested = found is not None and (any(one.leading for one in ranked) or bool(np.isfinite(found.p).any()))
     methods = [one.method for one in ranked]
-    differences = list_differences(run, methods, cells, fit if tests else (), population)
-    if tests and other is not None and fit:
-        against = compare_with(differences, other)
-    score = QUALITY if has_quality(run) else SCORE
-    notes = list(dict.fromkeys(record.note for record in run.cells if record.note))
-    rows = _texture_rows(run, methods, score, {note: number for number, note in enumerate(notes, 1)})
-    counts = dict(Counter(record.status for record in run.cells).most_common())
+    differences = list_differences(run, methods, cells, fit, options.population)
+    baseline = (baseline or fit[0]) if fit else None
     return Comparison(
-        title=_title(run, len(rows), counts),
-        score=score,
-        scored=PRESERVED in run.columns or score == QUALITY,
-        methods=methods,
-        rows=rows,
-        summary_rows=summary_rows(run, ranked),
-        notes=notes,
+        run=run,
         summaries=ranked,
+        rows=_texture_rows(run, methods, QUALITY if has_quality(run) else SCORE),
         differences=differences,
-        counts=counts,
-        baseline=other if against else None,
-        against=against,
-        ranked=fit,
-        tests=found if tests and enough else None,
-        tested=tests,
-        leading_legend=legend,
-        estimand=_describe_estimand(len(rows), 1 + max((one.replicate for one in run.cells), default=0), population),
+        tests=found if fit and tested else None,
+        baseline=baseline if baseline and compare_with(differences, baseline) else None,
+        options=options,
     )
 
 
-def _describe_estimand(textures: int, draws: int, population: bool) -> str:
-    mean, interval = f"this fixed list of {pluralize(textures, 'texture')}, over draws", "Intervals: 95 %, "
-    if population:
-        mean = f"a population of textures, of which these {textures} are a sample"
-        interval += (
-            f"by a hierarchical bootstrap over textures and draws, where {FEWEST_DIFFERENT} textures or more differ"
-        )
-    elif draws == 1:
-        interval = "One draw of each carries no interval of a mean"
-    else:
-        interval += f"over draws, where there are {FEWEST_DRAWS} of them and {FEWEST} textures scatter"
-    return f"Estimated: the mean over {mean}. {interval}."
+def _list_notes(run: Run) -> list[str]:
+    return list(dict.fromkeys(record.note for record in run.cells if record.note))
 
 
 def rank_by_quality(
@@ -384,16 +435,8 @@ def _find_method(methods: Sequence[Method], name: str) -> Method | None:
     raise BadInput(f"baseline {name!r} {what}; give one of: {labels}")
 
 
-def _title(run: Run, textures: int, counts: Mapping[str, int]) -> str:
-    suite = run.info.get("suite", {})
-    name = f"{suite.get('name', 'run')} {suite.get('version', '')}".rstrip()
-    sizes = f"{pluralize(textures, 'texture')}, {pluralize(len(run.cells), 'cell')}"
-    ended = ", ".join(f"{count} {status}" for status, count in counts.items())
-    fresh = f", {run.seed_text}" if run.seed_text.startswith("fresh") else ""  # the hash implies any other seed
-    return f"{name} ({suite.get('hash', 'no hash')}{fresh}): {sizes}" + (f": {ended}" if ended else "")
-
-
-def _texture_rows(run: Run, methods: Sequence[Method], score: str, notes: Mapping[str, int]) -> list[ComparisonRow]:
+def _texture_rows(run: Run, methods: Sequence[Method], score: str) -> list[ComparisonRow]:
+    notes = {note: number for number, note in enumerate(_list_notes(run), 1)}
     by_texture: dict[str, list[CellRecord]] = {}
     for record in run.cells:
         by_texture.setdefault(record.texture, []).append(record)
@@ -455,6 +498,62 @@ def choose_rows(run: Run, comparison: Comparison, names: Sequence[str]) -> Seque
     if unknown := [name for name in names if name not in rows]:
         raise BadInput(f"column {unknown[0]!r}: no method of this run has such a score{nearest(unknown[0], rows)}")
     return [rows[name] for name in names]
+
+
+def match_names(kind: str, patterns: Sequence[str], items: Sequence[tuple[tuple[str, ...], T]]) -> list[T]:
+    """Return the items one of whose names is a pattern or matches it, each once, in the order of the patterns.
+
+    Parameters
+    ----------
+    kind
+        What the items are, for the error.
+    patterns
+        Names, or patterns such as ``brick-*``.
+    items
+        Each with its names.
+
+    Raises
+    ------
+    BadInput
+        If a pattern names no item.
+    """
+    found: list[T] = []
+    for pattern in patterns:
+        known = [item for names, item in items if pattern in names or any(fnmatchcase(n, pattern) for n in names)]
+        if not known:
+            listed = ", ".join(names[0] for names, _ in items)
+            raise BadInput(f"no {kind} {pattern!r} in this run; give some of: {listed}")
+        found += [item for item in known if item not in found]
+    return found
+
+
+def restrict_comparison(comparison: Comparison, methods: Sequence[str], textures: Sequence[str]) -> Comparison:
+    """Return the methods and textures of a comparison that patterns name, in the order of the comparison.
+
+    Ranks, means and tests remain those of all methods on all textures.
+
+    Parameters
+    ----------
+    comparison
+        The comparison.
+    methods, textures
+        Names or patterns; empty for all. A method has its name, and its name with the source of the lattice in
+        parentheses.
+
+    Raises
+    ------
+    BadInput
+        If a pattern names nothing.
+    """
+    of_methods = [((one.label, one.name), i) for i, one in enumerate(comparison.methods)]
+    of_rows = [((row.texture,), row) for row in comparison.rows]
+    columns = sorted(match_names("method", methods or "*", of_methods))
+    rows = match_names("texture", textures or "*", of_rows)
+    return replace(
+        comparison,
+        summaries=[comparison.summaries[i] for i in columns],
+        rows=[replace(row, entries=[row.entries[i] for i in columns]) for row in comparison.rows if row in rows],
+    )
 
 
 def compare_with(differences: Sequence[PairedDifference], other: Method) -> list[PairedDifference]:

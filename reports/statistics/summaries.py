@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import pandas as pd
 
@@ -19,6 +19,7 @@ from .format import (
     describe_column,
     format_count,
     format_interval,
+    format_number,
     format_successes,
     format_value,
     round_small,
@@ -30,6 +31,7 @@ from .verdicts import (
     PERILS,
     PRESERVED,
     QUALITY,
+    RANDOMNESS,
     RANKING,
     SCORE,
     STRUCTURE,
@@ -52,6 +54,7 @@ LATTICES: Mapping[str, tuple[str, str]] = {
     "lattice_of_output": ("regularity.lattice_", "the lattice of the output, fitted to its windows that are in place"),
 }
 """The lattices that are compared with the true one: the beginnings of the names of their columns, and their meaning."""
+_RATES = ("preserved", "preserved_refusals_left_out", *(f"{name}_exact" for name in LATTICES))
 RATE = Column("Share of outputs whose lattice is preserved.", better="higher")
 RATE_MEANING = (
     "With Wilson's 95 % interval over outputs. Failures and refusals count as not preserved. Undecided cells are left "
@@ -79,6 +82,8 @@ class Method:
     reference: bool
     parameters: Mapping[str, Any]
 
+    kind: ClassVar[str] = "plain method"
+
     @property
     def base(self) -> str:
         """The name without parameters."""
@@ -88,6 +93,11 @@ class Method:
     def label(self) -> str:
         """The name, with the lattice source in parentheses."""
         return method_label(self.name, self.lattice_source)
+
+    @property
+    def text(self) -> str:
+        """The label, as a cell of a table."""
+        return self.label
 
 
 @dataclass(frozen=True)
@@ -126,6 +136,13 @@ class MethodSummary:
     rank: int | None = None
     leading: bool = False
 
+    kind: ClassVar[str] = "method"
+
+    @property
+    def label(self) -> str:
+        """The label of the method."""
+        return self.method.label
+
     @property
     def at_most(self) -> bool:
         """Whether the mean quality is an upper bound."""
@@ -139,6 +156,57 @@ class MethodSummary:
 
 
 @dataclass(frozen=True)
+class Number:
+    """One number of a method, as tables print it.
+
+    Parameters
+    ----------
+    estimate
+        The estimate; None if there is none.
+    rate
+        Whether it is a success rate.
+    share
+        Whether its range is [0, 1]: then values below 0.001 are printed as 0.
+    blank
+        The text where there is no number: a dash, or N/A for a method that refused every cell.
+    """
+
+    estimate: Estimate | None
+    rate: bool = False
+    share: bool = False
+    blank: str = "–"
+
+    kind: ClassVar[str] = "number"
+
+    @property
+    def shown(self) -> Estimate:
+        """The estimate with small values rounded."""
+        one = self.estimate or NO_ESTIMATE
+        return round_small(one) if self.share else one
+
+    @property
+    def text(self) -> str:
+        """The value."""
+        return format_value(self.shown, self.rate) if self.estimate else self.blank
+
+    @property
+    def interval(self) -> str:
+        """The interval as ``[low, high]``; empty if there is none."""
+        return format_interval(self.shown, self.rate)
+
+    @property
+    def count(self) -> str:
+        """How many textures succeed for a rate; how many are counted for another number."""
+        text = format_successes if self.rate else format_count
+        return text(self.estimate) if self.estimate else ""
+
+    @property
+    def partial(self) -> bool:
+        """Whether the count belongs beside the number: for a rate, and where textures are left out."""
+        return self.shown.value is not None and (self.rate or self.shown.n < self.shown.of)
+
+
+@dataclass(frozen=True)
 class SummaryRow:
     """One number for each method.
 
@@ -148,23 +216,22 @@ class SummaryRow:
         Its name, and the column that describes it.
     note
         How it is computed from the cells.
-    estimates
-        One for each method; None if there is none.
+    numbers
+        One for each method, by its label.
     rate
         Whether it is a success rate.
     variant
         Whether it is the number of the row before, computed without some of the cells.
-    blanks
-        For each method the text where there is no number: a dash, or N/A if it refused every cell.
     """
 
     name: str
     column: Column
     note: str
-    estimates: Sequence[Estimate | None]
+    numbers: Mapping[str, Number]
     rate: bool = False
     variant: bool = False
-    blanks: Sequence[str] = ()
+
+    kind: ClassVar[str] = "score"
 
     @property
     def title(self) -> str:
@@ -177,29 +244,59 @@ class SummaryRow:
         """The description of the column, and how the number is computed."""
         return f"{describe_column(self.column)}\n{self.note}"
 
-    @property
-    def values(self) -> list[str]:
-        """The values as text."""
-        blanks = self.blanks or ["–"] * len(self.shown)
-        pairs = zip(self.shown, blanks, strict=True)
-        return [format_value(estimate, self.rate) if estimate else blank for estimate, blank in pairs]
+
+@dataclass(frozen=True)
+class PerilsPoint:
+    """One method with its lattice source in the perils plane.
+
+    Parameters
+    ----------
+    method
+        The method.
+    structure
+        Mean over textures of the smallest of ``quality.regularity``, ``quality.integrity`` and
+        ``quality.appearance``: the horizontal coordinate.
+    randomness
+        Mean of ``quality.randomness`` over textures: the vertical coordinate. It rests only on the textures on which
+        randomness is scored. It is not scored where the lattice is lost.
+    validity
+        On how many of the textures with a quality a baseline is valid.
+    """
+
+    method: Method
+    structure: Estimate
+    randomness: Estimate
+    validity: BaselineValidity
 
     @property
-    def intervals(self) -> list[str]:
-        """The intervals as text; empty if there is none."""
-        return [format_interval(estimate, self.rate) if estimate else "" for estimate in self.shown]
+    def has_height(self) -> bool:
+        """Whether the randomness is scored on any texture."""
+        return self.randomness.value is not None
 
     @property
-    def shown(self) -> list[Estimate | None]:
-        """The estimates as tables show them."""
-        share = self.column.range == (0.0, 1.0)
-        return [round_small(one) if one and share else one for one in self.estimates]
+    def rests_on(self) -> str:
+        """``" [k of n]"`` if randomness is scored on k of the n textures with a quality; empty if on all."""
+        fewer = self.has_height and self.randomness.n < self.structure.n
+        return f" [{self.randomness.n} of {self.structure.n}]" if fewer else ""
 
     @property
-    def counts(self) -> list[str]:
-        """How many textures succeed for a rate; how many are counted for other rows."""
-        text = format_successes if self.rate else format_count
-        return [text(estimate) if estimate else "" for estimate in self.estimates]
+    def words(self) -> str:
+        """The point in one sentence."""
+        randomness = f"{format_number(self.randomness.value)} {format_interval(self.randomness)}"
+        height = f"{randomness} (on {self.randomness.n} of {self.structure.n})" if self.has_height else "not scored"
+        across = f"{format_number(self.structure.value)} {format_interval(self.structure)}"
+        valid = f"; {self.validity.words}" if self.validity.n else ""
+        return f"{self.method.label}: in place, whole and alike {across}, randomness {height}{valid}"
+
+
+def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
+    """Return the point of every method that has a quality, in the order of the summaries."""
+    points = [
+        PerilsPoint(one.method, one.means[STRUCTURE], one.means[RANDOMNESS], one.validity_scored)
+        for one in summaries
+        if STRUCTURE in one.means
+    ]
+    return [point for point in points if point.structure.value is not None]
 
 
 def list_methods(run: Run) -> list[Method]:
@@ -271,41 +368,33 @@ def summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRo
     if not summaries:
         return []
     refused = any(one.counts["refused"] for one in summaries)
-    rates = [SummaryRow("preserved", RATE, RATE_MEANING, _known(one.success for one in summaries), rate=True)]
+    rates = [_row("preserved", RATE, RATE_MEANING, summaries)]
     if refused:
         note = RATE_MEANING.replace("Failures and refusals count", "Refusals are left out. Failures count")
-        estimates = _known(one.success_answered for one in summaries)
-        rates.append(SummaryRow("preserved (without refusals)", RATE, note, estimates, rate=True, variant=True))
+        answered = _row("preserved_refusals_left_out", RATE, note, summaries)
+        rates.append(replace(answered, name="preserved (without refusals)", variant=True))
     columns = headline_columns(run)
     means = []
     for name, column in columns.items():
         undecided = " Undecided cells are left out." if name in (SCORE, *HEADLINES) else ""
-        means.append(SummaryRow(name, column, MEAN_MEANING + undecided, _known(one.means[name] for one in summaries)))
+        means.append(_row(name, column, MEAN_MEANING + undecided, summaries))
         if name == RANKING and (refused or any(one.counts["failed"] for one in summaries)):
-            estimates = _known(one.means[QUALITY] for one in summaries)
             note = f"{MEAN_MEANING} Failures, refusals and undecided cells are left out."
-            means.append(SummaryRow("quality (without failures)", run.columns[QUALITY], note, estimates, variant=True))
-    seconds = len(means) - 1 if RANKING in columns else 0
-    rates += _lattice_rows(summaries)
-    blanks = [MARKS["refused"] if one.counts["refused"] == one.counts["cells"] else "–" for one in summaries]
-    return [replace(row, blanks=blanks) for row in (*means[:seconds], *rates, *means[seconds:])]
-
-
-def _lattice_rows(summaries: Sequence[MethodSummary]) -> list[SummaryRow]:
-    """Return the rows of the errors of lattices that any method has."""
-    rows = []
+            answered = _row(QUALITY, run.columns[QUALITY], note, summaries)
+            means.append(replace(answered, name="quality (without failures)", variant=True))
     for name, (_, lattice) in LATTICES.items():
-        for unit in ("px", "s"):
-            part = Column(f"Error of {lattice}: its worst generating vector.", unit, (0.0, math.inf), "lower")
-            rows.append(_lattice_row(f"{name}_{unit}", part, "Median over outputs.", summaries))
+        error = Column(f"Error of {lattice}: its worst generating vector.", "", (0.0, math.inf), "lower")
         share = Column(f"Share of outputs on which {lattice}, is the true one to 1 px.", better="higher")
-        rows.append(_lattice_row(f"{name}_exact", share, "With Wilson's 95 % interval over outputs.", summaries))
-    return [row for row in rows if any(row.estimates)]
-
-
-def _lattice_row(name: str, column: Column, note: str, summaries: Sequence[MethodSummary]) -> SummaryRow:
-    estimates = _known(one.lattices.get(name, NO_ESTIMATE) for one in summaries)
-    return SummaryRow(name, column, note, estimates, rate=name.endswith("exact"))
+        lines = [
+            *(
+                _row(f"{name}_{unit}", replace(error, unit=unit), "Median over outputs.", summaries)
+                for unit in ("px", "s")
+            ),
+            _row(f"{name}_exact", share, "With Wilson's 95 % interval over outputs.", summaries),
+        ]
+        rates += [row for row in lines if any(number.estimate for number in row.numbers.values())]
+    seconds = len(means) - 1 if RANKING in columns else 0
+    return [*means[:seconds], *rates, *means[seconds:]]
 
 
 def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRow]:
@@ -315,17 +404,27 @@ def other_score_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[Summa
     """
     shown = {*headline_columns(run), PRESERVED, QUALITY, STRUCTURE, *(f"cost.{name}" for name in COSTS)}
     columns = describe_scores(run)
-    rows = [
-        SummaryRow(name, columns[name], MEAN_MEANING, _known(one.means[name] for one in summaries))
-        for name in sort_headlines_first(columns)
-        if name not in shown
-    ]
-    return [row for row in rows if any(row.estimates)]
+    names = [name for name in sort_headlines_first(columns) if name not in shown]
+    rows = [_row(name, columns[name], MEAN_MEANING, summaries, with_refusals=False) for name in names]
+    return [row for row in rows if any(number.estimate for number in row.numbers.values())]
 
 
-def _known(estimates: Iterable[Estimate]) -> list[Estimate | None]:
-    """Return None for each estimate that counts no texture."""
-    return [estimate if estimate.n else None for estimate in estimates]
+def _row(
+    name: str, column: Column, note: str, summaries: Sequence[MethodSummary], with_refusals: bool = True
+) -> SummaryRow:
+    """Return a number of all methods, by the name that it has in :attr:`MethodSummary.all_means`.
+
+    A number that counts no texture is left out. In its place stands N/A, ``with_refusals``, for a method that refused
+    every cell, and else a dash.
+    """
+    rate = name in _RATES
+    numbers = {}
+    for one in summaries:
+        estimate = one.all_means.get(name, NO_ESTIMATE)
+        refused = with_refusals and one.counts["refused"] == one.counts["cells"]
+        blank = MARKS["refused"] if refused else "–"
+        numbers[one.label] = Number(estimate if estimate.n else None, rate, column.range == (0.0, 1.0), blank)
+    return SummaryRow(name, column, note, numbers, rate)
 
 
 def describe_scores(run: Run) -> dict[str, Column]:

@@ -1,1 +1,1 @@
-"""Parts of `rsgf` and `scatter`: blocks, the canvas that joins them, and matching of patches with borders."""
+"""Parts of `rsgf` and `scatter`: the blocks of an output, their patches, and the matching of patches with borders."""

@@ -19,9 +19,9 @@ from nrbench.imaging.boxes import box_sums_from, integral_image
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.lattice.geometry import Points
 
+from ..canvas.canvas import Box
 from ..sampling.equal_places import search_shape
 from ..sampling.fourier_products import FourierProducts, Spectra
-from .block_canvas import Box
 from .matching_kernels import correlate_at
 
 Match = Literal["ncc", "color"]

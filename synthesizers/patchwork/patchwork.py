@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from nrbench.imaging.boxes import Table, box_sums, box_sums_from, integral_image
 from nrbench.imaging.convert import Image
 
+from ..canvas.seam_kernels import cut_links
 from ..sampling.fourier_products import FourierProducts, Spectra
 from ..sampling.patches import Source
-from ..seams.seam_kernels import cut_links
 from .patchwork_kernels import UNIT, feather_seams, link_choices, show_patch
 
 Mask = NDArray[np.bool_]

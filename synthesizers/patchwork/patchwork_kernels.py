@@ -6,7 +6,7 @@ import numpy as np
 
 from nrbench.jit import Boolx2, Float32x3, Float64x2, Float64x4, Int32x3, Int64x1, Int64x3, kernel
 
-from ..seams.seam_kernels import FIRST, SECOND, STAY
+from ..canvas.seam_kernels import FIRST, SECOND, STAY
 
 UNIT = 16.0
 """Costs are integers, in units of 1 / UNIT gray levels, so that flows are exact."""

@@ -1,4 +1,4 @@
-"""The compiled steps that choose a tile, and stitch it to what is filled under it.
+"""The compiled steps that choose a tile, and join it to what is known under it.
 
 Small tiles are laid by the thousand, so that each step is one call. Pixels are 8-bit whole numbers and all sums are
 exact: equal tiles tie, and results do not depend on the machine.
@@ -11,85 +11,93 @@ import math
 import numpy as np
 
 from nrbench.jit import (
+    BoolView2,
+    Boolx2,
+    Float32View3,
     Float32x2,
-    Float32x3,
     Float64x1,
     Float64x2,
     Float64x3,
     Int64x1,
     Int64x2,
     Int64x3,
+    UInt8View3,
     UInt8x1,
     UInt8x2,
-    UInt8x3,
     kernel,
 )
 
-from ..seams.seam_kernels import cut_overlap, link_costs, record_seams
+from ..canvas.seam_kernels import cut_overlap, link_costs, record_seams
 
-_KEPT, _EMPTY, _FREE = 0, 1, 2
-"""States of a pixel of the tile's box: kept, because it is outside the tile or filled under its outermost pixels; not
-filled; free to choose."""
+KEPT, EMPTY, FREE = 0, 1, 2
+"""States of a pixel of a tile's box: it stays, because it is outside the tile or known under its outermost pixels;
+nothing is known there, so the tile must be shown; the cut decides."""
 FEATHER = 3.0
 """px; width of the ramp where the two seams of dynamic programming conflict (the paper gives no width)."""
+Overlap = tuple[UInt8x1, Int64x2]
+"""The known pixels under a tile: their values, flat, and ``(r, 3)``: the contiguous runs of them, each with its first
+value, its length, and the offset of its first value from that of the tile's middle in a flat image."""
+Images = tuple[UInt8x2, int, int, int, int]
+"""The shifted images of a sample, ``(n, height * width * channels)``, their height, width and channels, and the parts
+of a pixel by which they are shifted."""
+Under = tuple[UInt8View3, BoolView2, Float32View3]
+"""What lies under the box of a tile: the pixels ``(h, w, C)``, which of them are known ``(h, w)``, and the costs of the
+seams to the right and downward ``(2, h, w)``."""
 
 
 @kernel
-def gather(
-    canvas: UInt8x3, filled: UInt8x2, pixels: Int64x2, left: int, top: int, values: UInt8x2, runs: Int64x2
-) -> tuple[int, int]:
-    """Write the filled pixels under a tile, and return the number of pixels and of runs.
+def gather(image: UInt8View3, covered: Boolx2, offsets: Int64x2) -> Overlap:
+    """Return the covered pixels of a window as an :data:`Overlap`.
 
     Parameters
     ----------
-    canvas, filled, pixels, left, top
-        As in :func:`paste`.
-    values
-        ``(n, C)``, written: the filled pixels.
-    runs
-        ``(n, 3)``, written: see :class:`~nrbench.synthesizers.tile_laying.tile_canvas.CoveredPixels`.
+    image
+        ``(h, w, C)``: the window.
+    covered
+        ``(h, w)``: which pixels count.
+    offsets
+        ``(h, w)``: the offset of each pixel's first value from that of the tile's middle in a flat image.
     """
-    channels = canvas.shape[2]
+    height, width, channels = image.shape
+    values, runs = np.empty(height * width * channels, np.uint8), np.empty((height * width, 3), np.int64)
     count, number, following = 0, 0, np.int64(0)
-    for k in range(pixels.shape[0]):
-        x, y, step = left + pixels[k, 0], top + pixels[k, 1], pixels[k, 2]
-        if filled[y, x] == 0:
-            continue
-        if number == 0 or step != following:
-            runs[number, 0], runs[number, 1], runs[number, 2] = count * channels, 0, step
-            number += 1
-        runs[number - 1, 1] += channels
-        following = step + channels
-        for c in range(channels):
-            values[count, c] = canvas[y, x, c]
-        count += 1
-    return count, number
+    for y in range(height):
+        for x in range(width):
+            if not covered[y, x]:
+                continue
+            if number == 0 or offsets[y, x] != following:  # the last run ended before this pixel
+                runs[number, 0], runs[number, 1], runs[number, 2] = count, 0, offsets[y, x]
+                number += 1
+            runs[number - 1, 1] += channels
+            following = offsets[y, x] + channels
+            for c in range(channels):
+                values[count] = image[y, x, c]
+                count += 1
+    return values[:count], runs[:number]
 
 
 @kernel
-def absolute_differences(values: UInt8x1, runs: Int64x2, sources: UInt8x2, places: Int64x2) -> Int64x1:
-    """Compute, for each place of a source, the sum of absolute differences between its values and those of an overlap.
+def absolute_differences(overlap: Overlap, images: UInt8x2, places: Int64x2) -> Int64x1:
+    """Compute, for each place of an image, the sum of absolute differences between its values and those of an overlap.
 
     Parameters
     ----------
-    values
-        ``(m,)``: the values of the overlap.
-    runs
-        ``(r, 3)``: contiguous parts of the overlap: first value, length, and offset of the source's first value from
-        a place.
-    sources
-        ``(k, n)``: the sources' values, flat.
+    overlap
+        See :data:`Overlap`.
+    images
+        ``(n, m)``: the images, flat.
     places
-        ``(p, 2)``: source and position.
+        ``(p, 2)``: image, and position in it.
 
     Returns
     -------
     NDArray
         ``(p,)``.
     """
+    values, runs = overlap
     sums = np.zeros(places.shape[0], np.int64)
     for p in range(places.shape[0]):
-        source, first = sources[places[p, 0]], places[p, 1]
+        source, first = images[places[p, 0]], places[p, 1]
         total = np.int64(0)
         for r in range(runs.shape[0]):
             here = values[runs[r, 0] : runs[r, 0] + runs[r, 1]]
@@ -103,14 +111,15 @@ def absolute_differences(values: UInt8x1, runs: Int64x2, sources: UInt8x2, place
 
 
 @kernel
-def product_sums(values: UInt8x1, runs: Int64x2, sources: UInt8x2, places: Int64x2, channels: int) -> Int64x3:
-    """Compute, for each place of a source, the sums of its values, their squares, and their products with an overlap.
+def product_sums(overlap: Overlap, images: UInt8x2, places: Int64x2, channels: int) -> Int64x3:
+    """Compute, for each place of an image, the sums of its values, their squares, and their products with an overlap.
 
     Parameters as in :func:`absolute_differences`, each run of whole pixels; the result is ``(p, channels, 3)``.
     """
+    values, runs = overlap
     sums = np.zeros((places.shape[0], channels, 3), np.int64)
     for p in range(places.shape[0]):
-        source, first = sources[places[p, 0]], places[p, 1]
+        source, first = images[places[p, 0]], places[p, 1]
         for r in range(runs.shape[0]):
             for i in range(runs[r, 1]):
                 value = np.int64(source[first + runs[r, 2] + i])
@@ -122,19 +131,17 @@ def product_sums(values: UInt8x1, runs: Int64x2, sources: UInt8x2, places: Int64
 
 
 @kernel
-def nearest_places(places: Float64x2, parts: int, box: Int64x2, height: int, width: int) -> Int64x2:
+def nearest_places(places: Float64x2, images: Images, box: Int64x2) -> Int64x2:
     """Return the nearest places that shifted images have, and whether a tile around them lies inside the sample.
 
     Parameters
     ----------
     places
         ``(p, 2)``: (x, y).
-    parts
-        Parts of a pixel at which tiles are placed.
+    images
+        See :data:`Images`.
     box
-        ``(2, 2)``: the least and the greatest (x, y) of a tile's pixels.
-    height, width
-        Shape of the sample.
+        ``(2, 2)``: the least and the greatest (x, y) of a tile's pixels, from its middle.
 
     Returns
     -------
@@ -142,8 +149,10 @@ def nearest_places(places: Float64x2, parts: int, box: Int64x2, height: int, wid
         ``(p, 4)``: the shifted image, pixel (x, y), and 1 if the tile and the pixels that it is
         interpolated from lie inside, else 0.
     """
+    _, height, width, _, parts = images
     nearest = np.empty((places.shape[0], 4), np.int64)
     for p in range(places.shape[0]):
+        # The place in parts of a pixel; what is left beyond whole pixels is the number of the image.
         u = np.int64(math.floor(places[p, 0] * parts + 0.5))
         v = np.int64(math.floor(places[p, 1] * parts + 0.5))
         x, y = u // parts, v // parts
@@ -156,29 +165,40 @@ def nearest_places(places: Float64x2, parts: int, box: Int64x2, height: int, wid
 
 
 @kernel
-def best_move(
-    values: UInt8x1,
-    runs: Int64x2,
-    sources: UInt8x2,
-    height: int,
-    width: int,
-    channels: int,
-    parts: int,
-    here: Float64x1,
-    middle: Float64x1,
-    radius: float,
-    box: Int64x2,
-) -> Int64x1:
-    """Return the place at which a tile correlates best with what is filled there.
+def list_moves(start: Float64x1, radius: float, parts: int) -> Float64x2:
+    """Return the places to which a tile may move, ``(n, 2)``: its own, and those of a square around it.
 
     Parameters
     ----------
-    values, runs, sources
-        As in :func:`absolute_differences`.
-    height, width, channels, parts, box
-        The sample's shape, and ``parts`` and ``box`` as in :func:`nearest_places`.
-    here, middle
-        ``(2,)``: the place of the tile, and its real middle, (x, y).
+    start
+        (x, y) px: the place of the tile.
+    radius
+        Half the side of the square, px.
+    parts
+        Places are 1 / ``parts`` px apart.
+    """
+    reach = np.int64(radius * parts + 0.5)
+    side = 2 * reach + 1
+    moves = np.empty((side * side + 1, 2))
+    moves[0] = start
+    for m in range(side * side):
+        moves[m + 1, 0] = start[0] + (m % side - reach) / parts
+        moves[m + 1, 1] = start[1] + (m // side - reach) / parts
+    return moves
+
+
+@kernel
+def best_move(
+    overlap: Overlap, images: Images, box: Int64x2, start: Float64x1, middle: Float64x1, radius: float
+) -> Int64x1:
+    """Return the place at which a tile correlates best with what is known there.
+
+    Parameters
+    ----------
+    overlap, images, box
+        See :data:`Overlap`, :data:`Images` and :func:`nearest_places`.
+    start, middle
+        ``(2,)``: the place of the tile in the sample, and its real middle, (x, y).
     radius
         Largest distance from the middle, px.
 
@@ -186,16 +206,22 @@ def best_move(
     -------
     NDArray
         ``(3,)``: shifted image and pixel (x, y). Ties go to no move, then to the place nearest to the real middle.
+
+    Notes
+    -----
+    Liu, Tsin and Lin 2005, section 3.1, stage 2, register tiles "by correlation". For the n values v of a tile and o of
+    the overlap in each channel, the place with the largest ::
+
+        sum over channels of (n sum(v o) - sum(v) sum(o)) / sqrt(sum over channels of (n sum(v v) - sum(v)^2))
+
+    is taken: the normalized correlation without the overlap's own norm, which is the same everywhere. All sums are
+    whole numbers.
     """
-    reach = np.int64(radius * parts + 0.5)
-    side = 2 * reach + 1
-    moves = np.empty((side * side + 1, 2))
-    for m in range(side * side):
-        moves[m + 1, 0], moves[m + 1, 1] = (here[0] + (m % side - reach) / parts, here[1] + (m // side - reach) / parts)
-    moves[0] = here
-    nearest = nearest_places(moves, parts, box, height, width)
-    places = np.empty((moves.shape[0], 2), np.int64)
-    away = np.empty(moves.shape[0])
+    sources, _, width, channels, parts = images
+    moves = list_moves(start, radius, parts)
+    nearest = nearest_places(moves, images, box)
+    places, away = np.empty((moves.shape[0], 2), np.int64), np.empty(moves.shape[0])
+    # Keep the places within the radius at which the tile lies inside the sample; no move is always one of them.
     count = 0
     for m in range(moves.shape[0]):
         distance = math.hypot(moves[m, 0] - middle[0], moves[m, 1] - middle[1])
@@ -205,11 +231,14 @@ def best_move(
             places[count, 0] = nearest[m, 0]
             places[count, 1] = (nearest[m, 2] * width + nearest[m, 1]) * channels
             count += 1
-    sums = product_sums(values, runs, sources, places[:count], channels)
+    # The sums of the tile at each place, and of the overlap.
+    sums = product_sums(overlap, sources, places[:count], channels)
+    values = overlap[0]
     total = np.zeros(channels, np.int64)
     for i in range(values.size):
         total[i % channels] += np.int64(values[i])
     size = values.size // channels
+    # The correlations, and the largest of them.
     best, highest = 0, -math.inf
     for m in range(count):
         covariance, variance = np.int64(0), np.int64(0)
@@ -219,240 +248,199 @@ def best_move(
         correlation = covariance / math.sqrt(variance if variance > 1 else 1)
         if correlation > highest or (correlation == highest and away[m] < away[best]):
             best, highest = m, correlation
-    return np.array([nearest[best, 0], nearest[best, 1], nearest[best, 2]])
+    return nearest[best, :3].copy()
 
 
 @kernel
 def error_surface(
-    canvas: UInt8x3,
-    filled: UInt8x2,
-    source: UInt8x1,
-    first: int,
-    cells: Int64x3,
-    left: int,
-    top: int,
-    surface: Float64x2,
-) -> None:
-    """Write the squared color difference of canvas and tile at each cell of the tile's grid, or -1 if it is not filled.
+    image: UInt8View3, known: BoolView2, patch: UInt8View3, cells: Int64x3
+) -> tuple[Float64x2, tuple[int, int]]:
+    """Return the squared color difference of picture and tile at each cell of the tile's grid, and what is known there.
 
     Parameters
     ----------
-    canvas, filled
-        ``(H, W, C)`` and ``(H, W)``, 1 where the canvas is filled.
-    source, first
-        The flattened source, and the position of the tile's middle in it.
+    image, known
+        ``(h, w, C)`` and ``(h, w)``: the picture under the tile's box, and where it is known.
+    patch
+        ``(h, w, C)``: the tile.
     cells
-        ``(rows, columns, 3)``: each cell's (x, y) from the tile's middle, and its offset in the source.
-    left, top
-        The tile's middle in the canvas.
+        ``(rows, columns, 2)``: each cell's (x, y) in the box.
+
+    Returns
+    -------
     surface
-        ``(rows, columns)``, written.
+        ``(rows, columns)``; 0 where nothing is known.
+    bands
+        How far what is known reaches from the left in rows that are not completely known, and from the top in columns
+        that are not; the largest numbers of cells.
     """
-    channels = canvas.shape[2]
-    for i in range(cells.shape[0]):
-        for j in range(cells.shape[1]):
-            x, y, at = left + cells[i, j, 0], top + cells[i, j, 1], first + cells[i, j, 2]
-            if filled[y, x] == 0:
-                surface[i, j] = -1
+    rows, columns = cells.shape[:2]
+    surface, first = np.zeros((rows, columns)), np.full(columns, -1, np.int64)
+    beside = above = 0
+    for i in range(rows):
+        is_first = True
+        for j in range(columns):
+            x, y = cells[i, j, 0], cells[i, j, 1]
+            if not known[y, x]:
+                if is_first:
+                    beside, is_first = max(beside, j), False
+                if first[j] < 0:
+                    first[j], above = i, max(above, i)
                 continue
             total = np.int64(0)
-            for c in range(channels):
-                difference = np.int64(canvas[y, x, c]) - np.int64(source[at + c])
+            for c in range(image.shape[2]):
+                difference = np.int64(image[y, x, c]) - np.int64(patch[y, x, c])
                 total += difference * difference
             surface[i, j] = total
+    return surface, (beside, above)
 
 
 @kernel
 def blend_weights(
-    filled: UInt8x2,
-    pixels: Int64x2,
-    left: int,
-    top: int,
-    across: Int64x1,
-    down: Int64x1,
-    bands: Int64x1,
-) -> Float64x1:
-    """Return the weight of each of a tile's pixels over what is filled, given its two seams.
-
-    Where nothing is filled the weight is 1; before the corner at which the seams meet it is 0. Where only one seam
-    applies, it cuts. Where both apply, the tile fades in with the depth beyond the nearer seam, from half of
-    :data:`FEATHER` before it to half of it behind. Where the canvas is filled and no seam applies, the tile fades in
-    from its border.
+    known: BoolView2, cells: Int64x3, across: Int64x1, down: Int64x1, meeting: tuple[int, int], bands: tuple[int, int]
+) -> Float64x2:
+    """Return the weight of each of a tile's pixels over what is known, given its two seams.
 
     Parameters
     ----------
-    filled, pixels, left, top
-        As in :func:`paste`.
-    across, down, bands
-        See :func:`~nrbench.synthesizers.tile_laying.tile_canvas.find_seams`.
+    known
+        ``(h, w)``: where the picture under the tile's box is known.
+    cells
+        See :attr:`~nrbench.synthesizers.tile_laying.tile_shape.TileShape.pixel_cells`.
+    across, down, meeting
+        The seams in the tile's grid, and the (row, column) at which they meet: see
+        :class:`~nrbench.synthesizers.canvas.canvas.SeamPaths`.
+    bands
+        See :func:`error_surface`.
+
+    Returns
+    -------
+    NDArray
+        ``(h, w)``; 0 outside the tile.
+
+    Notes
+    -----
+    In the order of the branches: where nothing is known the weight is 1; before the corner at which the seams meet it
+    is 0. Where only one seam applies, it cuts. Where both apply, the tile fades in with the depth beyond the nearer
+    seam, from half of :data:`FEATHER` before it to half of it behind. Where the picture is known and no seam applies,
+    the tile fades in from its border.
     """
-    weights = np.ones(pixels.shape[0])
-    for k in range(pixels.shape[0]):
-        if filled[top + pixels[k, 1], left + pixels[k, 0]] == 0:
-            continue
-        row, column = pixels[k, 3], pixels[k, 4]
-        if row < bands[2] and column < bands[3]:
-            weights[k] = 0.0
-            continue
-        beside, above = column < bands[0] and row >= bands[2], row < bands[1] and column >= bands[3]
-        if beside or above:
-            depth = 1e9
-            if beside:
-                depth = min(depth, column - across[row] + 0.5)
-            if above:
-                depth = min(depth, row - down[column] + 0.5)
-            soft = beside and above
-        else:
-            depth, soft = pixels[k, 5] + 0.5 - FEATHER / 2, True
-        weights[k] = min(max(depth / FEATHER + 0.5, 0.0), 1.0) if soft else (1.0 if depth > 0 else 0.0)
+    weights = np.zeros(known.shape)
+    for y in range(known.shape[0]):
+        for x in range(known.shape[1]):
+            row, column, border = cells[y, x, 0], cells[y, x, 1], cells[y, x, 2]
+            if border < 0:
+                continue
+            if not known[y, x]:
+                weights[y, x] = 1.0
+                continue
+            if row < meeting[0] and column < meeting[1]:
+                continue
+            beside, above = column < bands[0] and row >= meeting[0], row < bands[1] and column >= meeting[1]
+            if beside or above:
+                depth = 1e9
+                if beside:
+                    depth = min(depth, column - across[row] + 0.5)
+                if above:
+                    depth = min(depth, row - down[column] + 0.5)
+                soft = beside and above
+            else:
+                depth, soft = border + 0.5 - FEATHER / 2, True
+            weights[y, x] = min(max(depth / FEATHER + 0.5, 0.0), 1.0) if soft else (1.0 if depth > 0 else 0.0)
     return weights
 
 
 @kernel
-def paste(
-    canvas: UInt8x3,
-    filled: UInt8x2,
-    origins: Float32x3,
-    source: UInt8x1,
-    first: int,
-    pixels: Int64x2,
-    left: int,
-    top: int,
-    weights: Float64x1,
-    place: Float64x1,
-) -> None:
-    """Blend a tile into the canvas, and record where its pixels come from.
-
-    Parameters
-    ----------
-    canvas, filled, origins
-        ``(H, W, C)``, ``(H, W)``, and ``(H, W, 3)``: the canvas, 1 where it is filled, and its source map; all written.
-    source, first
-        The flattened source, and the position of the tile's middle in it.
-    pixels
-        ``(n, 6)``: for each pixel (x, y) from the tile's middle, its offset in the source, its row and column in the
-        tile's grid, and its distance in px from the tile's border.
-    left, top
-        The tile's middle in the canvas.
-    weights
-        ``(n,)``: weight of each of the tile's pixels; 0 leaves the canvas as it is.
-    place
-        ``(x, y, weight)``: the pixel of the sample nearest to the tile's middle, and its weight.
-    """
-    for k in range(pixels.shape[0]):
-        weight = weights[k]
-        if weight <= 0:
-            continue
-        x, y, at = left + pixels[k, 0], top + pixels[k, 1], first + pixels[k, 2]
-        for c in range(canvas.shape[2]):
-            mixed = weight * source[at + c] + (1 - weight) * canvas[y, x, c]
-            canvas[y, x, c] = np.uint8(mixed + 0.5)
-        new, old = weight * place[2], (1 - weight) * origins[y, x, 2]
-        if filled[y, x] == 0 or new >= old:
-            origins[y, x, 0], origins[y, x, 1] = place[0] + pixels[k, 0], place[1] + pixels[k, 1]
-            origins[y, x, 2] = new
-        else:
-            origins[y, x, 2] = old
-        filled[y, x] = 1
-
-
-@kernel
 def cut_tile(
-    canvas: UInt8x3,
-    filled: UInt8x2,
-    seams: Float32x3,
-    weights: tuple[Float32x2, Float64x2],
-    source: UInt8x1,
-    first: int,
-    pixels: Int64x2,
-    box: Int64x2,
-    left: int,
-    top: int,
-) -> Float64x1:
-    """Return the weight of each of a tile's pixels: 1 where nothing is filled and beyond the best seam, else 0.
+    under: Under, patch: UInt8View3, border: Int64x2, weights: tuple[Float32x2, Float64x2], corner: tuple[int, int]
+) -> Boolx2:
+    """Return which of a tile's pixels are shown: those where nothing is known, and those beyond the best seam.
 
     Parameters
     ----------
-    canvas, filled, source, first, pixels, left, top
-        As in :func:`paste`. The tile's outermost pixels are not shown where the canvas is filled.
-    seams
-        ``(2, H, W)``: costs of the canvas's seams between each pixel and the next to its right, and below; changed to
-        those with the tile. They count for pixels that stay, so that it pays to cover them.
+    under
+        See :data:`Under`. The seams count for pixels that stay, so that it pays to cover them; they are changed to
+        those with the tile.
+    patch
+        ``(h, w, C)``: the tile.
+    border
+        ``(h, w)``: the number of cells between each pixel and the tile's border, negative outside the tile. The tile's
+        outermost pixels are not shown where the picture is known.
     weights
-        Table and numbers of :class:`~nrbench.synthesizers.tile_laying.tile_shape.ElementWeights`, for the canvas.
-    box
-        ``(2, 2)``: the least and the greatest (x, y) of the tile's pixels.
+        Table and numbers of :class:`~nrbench.synthesizers.tile_laying.tile_shape.ElementWeights`.
+    corner
+        (x, y) of the first pixel, in the coordinates of these numbers.
 
     Notes
     -----
-    A seam along the border of the filled region has nothing to be compared with. Its cost is the double of what the
-    known side contributes, for this tile and for those that follow. If it were free, cuts would follow it straight
-    through elements.
+    Kwatra et al. 2003, sections 3 and 5::
+
+        state = EMPTY, FREE or KEPT for each pixel
+        costs = |old(s) - new(s)| + |old(t) - new(t)| over the gradients, times how much elements vary at s and t
+        minimum cut: EMPTY pixels become new, KEPT pixels stay, old seams count where both their pixels stay
+        record the seams along the cut
+
+    A seam along the border of what is known has nothing to be compared with. Its cost is the double of what the known
+    side contributes, for this tile and for those that follow. If it were free, cuts would follow it straight through
+    elements.
     """
-    height, width = box[1, 1] - box[0, 1] + 1, box[1, 0] - box[0, 0] + 1
-    x0, y0, channels = left + box[0, 0], top + box[0, 1], canvas.shape[2]
-    state = np.zeros((height, width), np.uint8)
+    image, known, seams = under
+    height, width, channels = image.shape
+    state = np.full((height, width), KEPT, np.uint8)
     old = np.empty((height, width, channels), np.float32)
+    new = np.empty((height, width, channels), np.float32)
+    # Both pictures over the box. Each shows the other one where it has no pixel of its own.
+    differs = False
     for y in range(height):
         for x in range(width):
+            if border[y, x] >= 0:
+                state[y, x] = EMPTY if not known[y, x] else FREE if border[y, x] > 0 else KEPT
             for c in range(channels):
-                old[y, x, c] = canvas[y0 + y, x0 + x, c] / np.float32(255)
-    new = old.copy()
-    differs = False
-    for k in range(pixels.shape[0]):
-        x, y, at = pixels[k, 0] - box[0, 0], pixels[k, 1] - box[0, 1], first + pixels[k, 2]
-        is_filled = filled[y0 + y, x0 + x] != 0
-        state[y, x] = (_FREE if pixels[k, 5] > 0 else _KEPT) if is_filled else _EMPTY
-        for c in range(channels):
-            new[y, x, c] = source[at + c] / np.float32(255)
-            if not is_filled:
-                old[y, x, c] = new[y, x, c]
-            elif old[y, x, c] != new[y, x, c]:
-                differs = True
-    shown = np.zeros(pixels.shape[0])
-    if not differs:
-        for k in range(pixels.shape[0]):
-            shown[k] = state[pixels[k, 1] - box[0, 1], pixels[k, 0] - box[0, 0]] == _EMPTY
-        return shown
+                old[y, x, c] = new[y, x, c] = image[y, x, c] / np.float32(255)
+                if border[y, x] >= 0:
+                    new[y, x, c] = patch[y, x, c] / np.float32(255)
+                    if not known[y, x]:
+                        old[y, x, c] = new[y, x, c]
+                    elif old[y, x, c] != new[y, x, c]:
+                        differs = True
+    must: Boolx2 = state == EMPTY
+    if not differs:  # no seam is needed
+        return must
     costs = link_costs(old, new, False)
-    weigh_links(state, weights[0], weights[1], x0, y0, costs)
-    seams_inside, filled_inside = seams[:, y0 : y0 + height, x0 : x0 + width], filled[y0 : y0 + height, x0 : x0 + width]
-    mask = cut_overlap(costs, seams_inside, state == _KEPT, state == _EMPTY)
-    for k in range(pixels.shape[0]):
-        shown[k] = mask[pixels[k, 1] - box[0, 1], pixels[k, 0] - box[0, 0]]
-    record_seams(seams_inside, filled_inside, mask, costs)
+    weigh_links(state, weights, corner, costs)
+    shown = cut_overlap(costs, seams, state == KEPT, must)
+    record_seams(seams, known, shown, costs)
     return shown
 
 
 @kernel
-def weigh_links(state: UInt8x2, table: Float32x2, to_cell: Float64x2, x0: int, y0: int, costs: Float64x3) -> None:
+def weigh_links(state: UInt8x2, table: tuple[Float32x2, Float64x2], corner: tuple[int, int], costs: Float64x3) -> None:
     """Multiply the costs of links by the mean weight of their two pixels, read from a table over the cell.
 
-    Costs of links to where nothing is filled are doubled: the unknown half counts as much as the known one.
+    Costs of links to where nothing is known are doubled: the unknown half counts as much as the known one.
 
     Parameters
     ----------
     state
         ``(h, w)``: the state of each pixel of the box.
-    table, to_cell
-        As ``weights`` in :func:`cut_tile`.
-    x0, y0
-        The first pixel of the box in the canvas.
+    table, corner
+        As ``weights`` and ``corner`` in :func:`cut_tile`.
     costs
         ``(2, h, w)``: costs of the links to the right and downward; changed.
     """
+    (values, to_cell), (x0, y0) = table, corner
     height, width = state.shape
-    rows, columns = table.shape
+    rows, columns = values.shape
     weights = np.empty((height, width))
     for y in range(height):
         for x in range(width):
             u = to_cell[0, 0] * (x0 + x) + to_cell[0, 1] * (y0 + y) + to_cell[0, 2]
             v = to_cell[1, 0] * (x0 + x) + to_cell[1, 1] * (y0 + y) + to_cell[1, 2]
             column, row = int((u - np.floor(u)) * columns + 0.5), int((v - np.floor(v)) * rows + 0.5)
-            weights[y, x] = table[row % rows, column % columns]
+            weights[y, x] = values[row % rows, column % columns]
     for axis in range(2):
         for y in range(height - axis):
             for x in range(width - 1 + axis):
                 costs[axis, y, x] *= (weights[y, x] + weights[y + axis, x + 1 - axis]) / 2
-                if (state[y, x] == _EMPTY) != (state[y + axis, x + 1 - axis] == _EMPTY):
+                if (state[y, x] == EMPTY) != (state[y + axis, x + 1 - axis] == EMPTY):
                     costs[axis, y, x] *= 2

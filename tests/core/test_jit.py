@@ -1,5 +1,4 @@
 import queue
-import sys
 import threading
 from pathlib import Path
 from typing import NamedTuple
@@ -63,15 +62,6 @@ def test_load_kernels_loads_every_declared_kernel() -> None:
     jit.load_kernels()
     assert kernel.load() is kernel.load()
     assert kernel.load() is not double
-
-
-@pytest.mark.usefixtures("undeclared")
-def test_without_numba_a_kernel_runs_as_python_and_warns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where numba is absent the kernel runs uncompiled, and a warning says how to mend it."""
-    monkeypatch.setitem(sys.modules, "numba", None)
-    kernel = jit.kernel(double)
-    with pytest.warns(RuntimeWarning, match="pip install numba"):
-        assert kernel(3.0) == 6.0
 
 
 @pytest.mark.usefixtures("undeclared")

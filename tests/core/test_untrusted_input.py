@@ -27,20 +27,17 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from nrbench import plugins, run
-from nrbench.cli.main import main
 from nrbench.datasets_procedural.images import read_rendered, read_truth
 from nrbench.errors import BadInput
 from nrbench.labelling.labels import make_page, read_labelers, write_key
 from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import MOST_PIXELS, read_image, read_shape
-from nrbench.plugins.forms import Refused, Task
 from nrbench.plugins.parameters import parse_size, parse_spec
 from nrbench.reports.page.pictures import PictureStore
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 from nrbench.suites.plan import LatticeSource, PlannedMethod
 from nrbench.suites.suite import directory_suite, load_suite, validated_suite
-from nrbench.synthesizers.precomputed import Precomputed
 
 INPUTS = int(os.environ.get("NRBENCH_FUZZ", "60"))
 fuzz = settings(
@@ -225,18 +222,6 @@ def test_damaged_truth(table: bytes, rendered: bytes) -> None:
                 assert str(folder) in str(error) or "truth" in str(error)
 
 
-@fuzz
-@given(mutated(st.just(b"sample,output\na.png,b.png\nb.png,a.png\n")))
-def test_a_damaged_index(table: bytes) -> None:
-    """A table of outputs that was changed gives an output, a refusal, or bad input."""
-    with files(index_csv=table) as folder:
-        task = Task(read_image(folder / "a.png"), (12, 17), None, np.random.default_rng(0))
-        try:
-            Precomputed(str(folder)).synthesize(task)
-        except (BadInput, Refused) as error:
-            assert str(error)
-
-
 NUMBERS = (
     st.floats() | st.integers(-(10**400), 10**400) | st.sampled_from(("nan", "inf", "1e-320", "1_0", "\u0663", ""))
 )
@@ -271,10 +256,11 @@ def test_size_arguments(text: str) -> None:
 
 
 NAMED = [
-    (kind, name, field)
+    (kind, plugin.name, field)
     for kind in ("synthesizers", "detectors", "datasets", "reports")
-    for name in plugins.names(kind)
-    for field in plugins.find(kind, name).cls.__dataclass_fields__  # type: ignore[union-attr]
+    for plugin in plugins.inventory(kind)
+    if plugin.own
+    for field in plugin.cls.__dataclass_fields__  # type: ignore[union-attr]
 ]
 
 
@@ -360,58 +346,3 @@ def test_damaged_files_of_a_cell(data: st.DataObject) -> None:
         assert str(root) in str(error)
     finally:
         path.write_bytes(whole)
-
-
-def ended(words: list[str]) -> tuple[Any, str]:
-    """Run a command line; return its exit code and what it writes to standard error."""
-    errors, output = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(output), pytest.raises(SystemExit) as left:
-        main(words)
-    return left.value.code, errors.getvalue()
-
-
-DAMAGED = [
-    ("suite", "content"),
-    ("suite", "content", "texture"),
-    ("suite", "content", "texture", 0, "name"),
-    ("suite", "content", "metrics"),
-    ("cells", 0, "label"),
-    ("cells", 0, "parameters"),
-    ("cells", 0, "region"),
-    ("cells", 0, "recipe", "parameters"),
-    ("cells", 0, "shape", 0),
-    ("cells", 0, "replicate"),
-]
-
-
-@pytest.mark.parametrize("place", DAMAGED)
-@pytest.mark.parametrize("value", [7.5, [[]]])
-def test_a_run_with_a_wrong_type(place: tuple[str | int, ...], value: Any, tmp_path: Path) -> None:
-    """A run.json whose parts have wrong types is bad input, and no error of the code that reads them."""
-    content = json.loads(run_file())
-    part = content
-    for step in place[:-1]:
-        part = part[step]
-    part[place[-1]] = value
-    (tmp_path / "run.json").write_text(json.dumps(content))
-    code, said = ended(["report", str(tmp_path), "--format", "text"])
-    assert code == 2 and "damaged" in said and str(tmp_path) in said
-
-
-WORDS = st.sampled_from(
-    ("list", "show", "synth", "lattice", "score", "render", "plan", "report", "status", "label", "check", "new", "rsgf")
-) | st.sampled_from(
-    ("-m", "-t", "-o", "--size", "--sample", "--lattice", "--seed", "--json", "--format", "-d", "--kind", "-h", "a.png")
-)
-
-
-@fuzz
-@given(st.lists(WORDS | st.text(max_size=6), min_size=1, max_size=5).filter(lambda words: "core" not in words))
-@example(["synth", "\0"])
-def test_words_of_a_command_line(words: list[str]) -> None:
-    """Any words end with code 0 or 2, never with an internal error."""
-    if words[0] in ("render", "plan", "check", "new", "run", "label"):
-        words = [words[0], "--no-such-option", *words[1:]]  # these do real work
-    code, said = ended(words)
-    assert code in (0, 2), said
-    assert "internal error" not in said and "Traceback" not in said

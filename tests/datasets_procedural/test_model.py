@@ -109,7 +109,7 @@ def test_intensity_is_common_to_the_channels(model: type[Model]) -> None:
         assert (elements[name] == elements[name][:, :1]).all() and elements[name].std() > 0.1
 
 
-DATASETS = [plugin for plugin in plugins.inventory("datasets") if plugin.name != "images"]
+DATASETS = [plugin for plugin in plugins.inventory("datasets") if plugin.own and plugin.name != "images"]
 BAD: dict[type, tuple[Any, ...]] = {float: (0.0, -3.0, math.nan, math.inf, 1e9), int: (-1, 1000), str: ("nonsense",)}
 
 

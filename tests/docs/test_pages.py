@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shlex
@@ -77,6 +78,37 @@ def test_links_lead_somewhere(page: Path) -> None:
     """Every link of a page to a file leads to one."""
     for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
         assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", ["structure.md", "maintainer.md"])
+def test_files_that_a_page_names_are_there(page: str) -> None:
+    """Each file and folder of the tree that a page names exists, and has the functions and classes that it names."""
+    folders = "|".join(path.name for path in ROOT.iterdir() if path.is_dir() and path.name.isidentifier())
+    named = 0
+    for line in (DOCS / page).read_text("utf-8").splitlines():
+        files = [ROOT / name for name in re.findall(rf"`((?:{folders})/[\w./]*)`", line)]
+        assert all(file.exists() for file in files), line
+        text = "".join(file.read_text("utf-8") for file in files if file.is_file())
+        for name in re.findall(r"(?:function|class|property) `(?:\w+\.)?(\w+)`", line) if files else ():
+            assert re.search(rf"\b{name}\b", text), line
+        named += len(files)
+    assert named >= 10
+
+
+def test_the_page_of_the_structure_has_all_floors() -> None:
+    """The table and the picture of docs/structure.md have the floors that the tests of the structure check."""
+    tree = ast.parse((ROOT / "tests" / "core" / "test_structure.py").read_text("utf-8"))
+    (floors,) = (
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "FLOORS"
+    )
+    names = [[name.removeprefix("nrbench.") for name in floor] for floor in floors]
+    page, picture = ((DOCS / file).read_text("utf-8") for file in ("structure.md", "structure.svg"))
+    rows = re.findall(r"^\| \d+ \| (.*?) \|", page, re.MULTILINE)
+    assert [re.findall(r"`(\w+)`", row) for row in rows] == names
+    drawn = re.findall(r'class="name">(\w+)<', picture)
+    assert drawn == [name for floor in names for name in floor if name != "__main__"]
 
 
 def test_scripts_are_valid() -> None:

@@ -24,7 +24,6 @@ import numpy as np
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Column, Detection, Observation, Refused, Score, Synthesis, Task, Texture
-from nrbench.runs.records import Run
 
 
 @dataclass(frozen=True)
@@ -178,7 +177,6 @@ DEEDS: dict[str, Callable[[], object]] = {
     "refuse": lambda: fail(Refused("planted refusal")),
     "full": lambda: fail(OSError(errno.ENOSPC, "No space left on device")),
     "mute": lambda: fail(Mute()),
-    "interrupt": lambda: fail(KeyboardInterrupt()),
     "stubborn": lambda: loop(0.01),
     "busy": lambda: loop(0),
     "segfault": lambda: os.kill(os.getpid(), signal.SIGSEGV),
@@ -330,25 +328,6 @@ class Picture:
     def again(self, texture: Texture, shape: tuple[int, int], rng: np.random.Generator) -> Texture | None:
         """Draw another one."""
         return self.render(shape, rng)
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """A report that writes one file, or misbehaves as ``how`` says."""
-
-    how: str = "fine"
-    folder: ClassVar[str] = "sheets"
-
-    def write(self, run: Run, directory: Path) -> list[Path]:
-        """Misbehave."""
-        misbehave(self.how)
-        directory.mkdir(exist_ok=True)
-        (directory / "sheet.txt").write_text(str(len(run.cells)))
-        return [directory / "sheet.txt"]
-
-    def render(self, run: Run) -> str:
-        """Return the text, as a report for the terminal does; this makes no dataset of the class."""
-        return str(len(run.cells))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -12,19 +13,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import call as shell
 
 import nrbench
-from nrbench import api, plugins
+from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Observation
 from nrbench.plugins.overview import summaries
-from nrbench.plugins.parameters import nearest, parse_spec, validated
-from nrbench.storage import user_path
+from nrbench.plugins.parameters import nearest, parse_spec, user_path, validated
 
 
 @pytest.mark.parametrize(
     ("kind", "call"),
-    [("datasets", api.texture), ("detectors", api.detect_lattice), ("synthesizers", api.synthesize)],
+    [("datasets", nrbench.texture), ("detectors", nrbench.detect_lattice), ("synthesizers", nrbench.synthesize)],
 )
 def test_names_taken_by_the_call_are_those_of_its_arguments(kind: str, call: Callable[..., Any]) -> None:
     """No parameter can be called like an argument of the call that takes it; ``tileable`` of a method sets both."""
@@ -97,6 +98,65 @@ def test_text_becomes_the_declared_type() -> None:
     assert made == Thing(7, None, True, (3.0, 4.5))
 
 
+BROKEN = """name = "s"
+sample = "48x48"
+size = "64x64"
+lattice = ["given", "blind"]
+methods = ["fine", "broken:level=3"]
+metrics = ["cost"]
+texture = [{ name = "wall", dataset = "brick" }, { name = "lost", dataset = "gone", parameters = { depth = 2 } }]
+"""
+FINE = """
+from dataclasses import dataclass
+from nrbench import Synthesis
+
+@dataclass(frozen=True)
+class P:
+    'A page.'
+    def synthesize(self, task):
+        return Synthesis(task.sample.repeat(2, 0).repeat(2, 1)[:64, :64])
+"""
+CAUSES = {
+    "lost": "dataset 'gone' of stranger does not load: ModuleNotFoundError: No module named 'nothing'",
+    "broken:level=3": "method 'broken' of stranger does not load: SystemExit: no GPU",
+    "blind": "detector 'blind' of stranger does not load: ZeroDivisionError: division by zero",
+}
+
+
+def test_a_plugin_that_does_not_import_costs_only_its_own_cells(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Its cells fail with a line that names kind, name, distribution and cause; all others run. `list` shows it."""
+    info = tmp_path / "site" / "stranger-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
+    modules = {"fine": FINE, "broken": "raise SystemExit('no GPU')", "gone": "import nothing", "blind": "1 / 0"}
+    kinds = {"gone": "datasets", "blind": "detectors"}
+    points = [f"[nrbench.{kinds.get(name, 'synthesizers')}]\n{name} = stranger_{name}:P\n" for name in modules]
+    (info / "entry_points.txt").write_text("".join(points))
+    for name, text in modules.items():
+        (tmp_path / "site" / f"stranger_{name}.py").write_text(f"print('imported')\n{text}\n")
+    (tmp_path / "s.toml").write_text(BROKEN)
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+    plugins.registry._installed.cache_clear()
+    try:
+        assert shell("run s.toml --jobs 1 --no-report --out run --json") == 1
+        told = capfd.readouterr()
+        cells = json.loads(told.out)["cells"]
+        ends = {(cell["texture"], cell["method"], cell["lattice_source"]): cell for cell in cells}
+        for where, cell in ends.items():
+            cause = next((CAUSES[part] for part in where if part in CAUSES), "")
+            assert (cell["status"], cell["message"]) == ("error" if cause else "ok", cause), where
+        assert len(ends) == 8 and "Traceback" not in told.err
+        assert shell("list synthesizers --json") == 0
+        listed = {each["name"]: each for each in json.loads(capfd.readouterr().out)["synthesizers"]}
+        assert "no GPU" in listed["broken"]["error"] and listed["fine"]["about"] == "A page."
+        assert plugins.lookup("synthesizers", "fine").release == "1.0"
+    finally:
+        plugins.registry._installed.cache_clear()
+
+
 def test_a_broken_and_a_duplicate_entry_point_are_isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plugin that does not import and one whose name is taken are listed with the reason; the rest works."""
     real = plugins.registry.entry_points
@@ -107,7 +167,7 @@ def test_a_broken_and_a_duplicate_entry_point_are_isolated(monkeypatch: pytest.M
         return [*real(group=group), *([broken, double] if group == "nrbench.synthesizers" else [])]
 
     monkeypatch.setattr(plugins.registry, "entry_points", with_strangers)
-    plugins.registry.entry_points_of.cache_clear()
+    plugins.registry._installed.cache_clear()
     try:
         listed = plugins.inventory("synthesizers")
         assert "No module named" in next(p.error for p in listed if p.name == "broken")
@@ -117,7 +177,7 @@ def test_a_broken_and_a_duplicate_entry_point_are_isolated(monkeypatch: pytest.M
             plugins.find("synthesizers", "broken")
     finally:
         monkeypatch.undo()
-        plugins.registry.entry_points_of.cache_clear()
+        plugins.registry._installed.cache_clear()
 
 
 HEAD = "from dataclasses import dataclass\n"
@@ -176,7 +236,7 @@ def test_paths_start_from_the_folder_of_the_user(
     folder: Path | None, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Once a process has left the user's folder, every parameter that is a path is absolute; texts are unchanged."""
-    monkeypatch.setattr("nrbench.storage._user_folder", folder)
+    monkeypatch.setattr("nrbench.plugins.parameters._user_folder", folder)
     given = {"one": "a.txt", "maybe": "a.txt", "several": "a.txt,/b", "listed": ["a.txt"], "text": "a.txt"}
     found = validated(Places, given, "method places")
     assert found == Places(file, file, (file, Path("/b")), [file], "a.txt")
@@ -230,7 +290,6 @@ def test_the_overview_agrees_with_the_classes(kind: str) -> None:
 @pytest.mark.parametrize("kind", plugins.FORMS)
 def test_the_plugins_of_nrbench_keep_their_forms(kind: str) -> None:
     """The plugins of nrbench load and have no fault. They are not checked again when they are loaded."""
-    assert plugins.inventory(kind)
-    for plugin in plugins.inventory(kind):
+    for plugin in [plugin for plugin in plugins.inventory(kind) if plugin.own]:
         assert not plugin.error, plugin.name
         assert plugins.fault(kind, plugin.cls) == "", plugin.name

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from commands import call
 
-from nrbench import api, plugins
+import nrbench
+from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins import registry
 from nrbench.suites.plan import LatticeSource, PlannedMethod, make_plan
@@ -70,10 +71,10 @@ def test_a_preset_fills_in_parameters_and_given_ones_take_precedence() -> None:
 def test_the_python_functions_take_presets() -> None:
     """``preset`` is a parameter of ``synthesize`` and ``detect_lattice``."""
     sample = np.random.default_rng(0).random((16, 16))
-    assert np.ptp(api.synthesize("grays", sample, (8, 8), preset="paper").image) == 0
-    assert abs(float(api.synthesize("grays", sample, (8, 8), preset="paper").image[0, 0]) - 0.5) < 0.01
-    assert api.detect_lattice(sample, "fixed", preset="paper").lattice.t1 == (12.0, 0.0)
-    assert api.detect_lattice(sample, "fixed", preset="paper", period=9).lattice.t1 == (9.0, 0.0)
+    assert np.ptp(nrbench.synthesize("grays", sample, (8, 8), preset="paper").image) == 0
+    assert abs(float(nrbench.synthesize("grays", sample, (8, 8), preset="paper").image[0, 0]) - 0.5) < 0.01
+    assert nrbench.detect_lattice(sample, "fixed", preset="paper").lattice.t1 == (12.0, 0.0)
+    assert nrbench.detect_lattice(sample, "fixed", preset="paper", period=9).lattice.t1 == (9.0, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -14,15 +14,14 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
-from nrbench.reports.csv import CsvTables, breaking_points_table, levels_table
+from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.json import JsonSummary
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
-from nrbench.reports.page.method_terms import list_patch_terms
 from nrbench.reports.plots.method_plots import caption_text
-from nrbench.reports.plots.perils_points import perils_points
 from nrbench.reports.statistics import verdicts
+from nrbench.reports.statistics.frames import breaking_points_table, levels_table, print_patches
 from nrbench.reports.statistics.levels import (
     LevelPanel,
     LevelSeries,
@@ -31,7 +30,9 @@ from nrbench.reports.statistics.levels import (
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.reports.statistics.summaries import (
     COSTS,
+    SummaryRow,
     other_score_rows,
+    perils_points,
     sort_headlines_first,
 )
 from nrbench.reports.statistics.verdicts import (
@@ -58,7 +59,7 @@ def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run
     cells = [make_cell(texture, method) for texture in "ab" for method in methods]
     cells += [make_cell("a", "tile-set:stitch=dynamic", parameters={"stitch": "dynamic"})]
     run = make_run(cells)
-    terms = list_patch_terms(run)
+    terms = print_patches(run).rows
     assert [row[0] for row in terms] == ["tile-set", "rsgf", "tile-set:stitch=dynamic"]
     shape = "tile shape/size from translational symmetry analysis"
     assert terms[0][1:] == (shape, TileSet.patch_placement, "seams, stitch=graphcut")
@@ -88,6 +89,11 @@ def test_the_leading_group_is_not_significantly_worse(ranked: Run, make_cell: Ma
     assert [star for _, star, _ in found.values()] == [True, True, False]
 
 
+def _numbers(row: SummaryRow) -> list[tuple[str, str]]:
+    """Return the value and the count of each method as text."""
+    return [(number.text, number.count) for number in row.numbers.values()]
+
+
 def test_failures_count_zero_or_not_at_all(make_cell: Make, make_run: Make) -> None:
     """Failures and refusals have quality 0 in one mean and are left out of the other; undecided cells of both."""
     why = {"regularity.preserved": "undecided: too little power"}
@@ -95,8 +101,8 @@ def test_failures_count_zero_or_not_at_all(make_cell: Make, make_run: Make) -> N
     cells += [make_cell("d", preserved=None, reasons=why, perils={}), make_cell("e", perils=0.8)]
     run = make_run(cells)
     counted, answered = compare_methods(run).summary_rows[:2]
-    assert (counted.title, counted.values, counted.counts) == ("quality", ["0.40"], ["4 of 5"])
-    assert (answered.values, answered.counts) == (["0.80"], ["2 of 5"])
+    assert (counted.title, _numbers(counted)) == ("quality", [("0.40", "4 of 5")])
+    assert _numbers(answered) == [("0.80", "2 of 5")]
 
 
 def test_the_errors_of_both_lattices_stand_in_the_table(make_cell: Make, make_run: Make) -> None:
@@ -110,7 +116,7 @@ def test_the_errors_of_both_lattices_stand_in_the_table(make_cell: Make, make_ru
         run.columns.update(dict.fromkeys(values, Column("An error.", "px", (0.0, math.inf), "lower")))
         run.cells.append(make_cell(f"t{number}", "m", values=values))
     rows = compare_methods(run).summary_rows
-    assert {row.title: row.values[0] for row in rows if row.name.startswith("lattice")} == {
+    assert {row.title: _numbers(row)[0][0] for row in rows if row.name.startswith("lattice")} == {
         "lattice used px": "0.40", "lattice used s": "0.040", "lattice used exact": "67 %",
         "lattice of output px": "1.00", "lattice of output s": "0.10", "lattice of output exact": "33 %",
     }  # fmt: skip
@@ -148,7 +154,7 @@ def test_a_refused_reference_is_not_zero(make_cell: Make, make_run: Make) -> Non
     """A reference that refuses is N/A, not 0.00; a peril that nobody measured is a dash."""
     cells = [make_cell("a", "tiling", "none", reference=True, status="refused")]
     cells += [make_cell("a", "m", perils={"regularity": 0.9, "integrity": None, "randomness": 0.8, "appearance": 1.0})]
-    rows = {row.title: row.values for row in compare_methods(make_run(cells)).summary_rows}
+    rows = {row.title: [text for text, _ in _numbers(row)] for row in compare_methods(make_run(cells)).summary_rows}
     assert rows["quality"] == [f"{BOUND_SIGN}0.80", "N/A"] and rows["integrity"] == ["–", "N/A"]
     assert rows["preserved"] == ["100 %", "N/A"]
 
@@ -175,8 +181,8 @@ def _rank(
             make_cell(f"t{i}", name, perils=dict.fromkeys(PERILS, value) | unknown) for i, value in enumerate(values)
         ]
     comparison = compare_methods(make_run(cells))
-    rows = zip(comparison.summaries, comparison.summary_rows[0].values, strict=True)
-    return {one.method.name: (one.rank, one.leading, value) for one, value in rows}
+    rows = zip(comparison.summaries, _numbers(comparison.summary_rows[0]), strict=True)
+    return {one.method.name: (one.rank, one.leading, value) for one, (value, _) in rows}
 
 
 @pytest.mark.parametrize("textures", [8, 12])
@@ -288,7 +294,7 @@ def test_other_scores_have_their_own_rows(
     run = make_run([make_cell(values={"cost.note": 3.0, "randomness.variation": 0.5})])
     comparison = compare_methods(run)
     lines = {line.name: line for line in other_score_rows(run, comparison.summaries)}
-    assert lines["cost.note"].values == ["3.00"]
+    assert _numbers(lines["cost.note"]) == [("3.00", "1 of 1")]
     assert not lines.keys() & {line.name for line in comparison.summary_rows}
     assert "cost.note" not in {line.name for line in other_score_rows(every_ending, every_comparison.summaries)}
 
@@ -309,7 +315,7 @@ def test_undecided_scores_enter_no_mean(make_cell: Make, make_run: Make) -> None
     comparison = compare_methods(make_run(cells))
     mean = comparison.summaries[0].means[SCORE]
     assert (mean.value, mean.n, mean.of) == (0.5, 1, 2)
-    assert next(line for line in comparison.summary_rows if line.name == SCORE).counts[0] == "1 of 2"
+    assert _numbers(next(line for line in comparison.summary_rows if line.name == SCORE))[0][1] == "1 of 2"
 
 
 def test_metrics_of_the_headlines_come_first() -> None:
@@ -369,13 +375,13 @@ def panel(ranked: Run) -> LevelPanel:
 
 
 def _series(panel: LevelPanel, method: str) -> LevelSeries:
-    return next(one for one in panel.series if one.method.name == method)
+    return next(one for one in panel.series if one.method and one.method.name == method)
 
 
 def test_a_panel_has_the_methods_the_oracle_and_the_copier(panel: LevelPanel) -> None:
     """Ranked methods come first, then the oracle and the copier; other references have no line."""
     assert (panel.departure, list(panel.levels)) == ("bend", [1.0, 2.0, 4.0])
-    names = [one.method.name for one in panel.series]
+    names = [one.method.name for one in panel.series if one.method]
     assert names == ["close", "good", "refuser", "shaky", "drifter", "oracle", "copier"]
 
 

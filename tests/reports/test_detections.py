@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Column, FoundLattice
-from nrbench.reports.csv import CsvTables, detectors_table
+from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.statistics.detections import calibrate, compare_detectors, tabulate_answers
 from nrbench.reports.statistics.estimates import estimate_proportion
+from nrbench.reports.statistics.frames import detectors_table
 from nrbench.reports.text import TextTable
 from nrbench.runs.records import CellRecord, Run
 

@@ -23,6 +23,7 @@ from nrbench.reports.statistics.expectations import (
     evaluate_claims,
     read_published,
 )
+from nrbench.reports.statistics.frames import print_published
 from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.reports.text import TextTable
 from nrbench.runs.records import Run
@@ -182,7 +183,8 @@ METHODS = ("graph-cuts", "tile-set", "regularized-patch", "patch-based", "quilti
 
 
 def _published_rate(method: str, first: int, last: int) -> float:
-    words = [one.verdicts[method] for one in read_published() if first <= one.number <= last and method in one.verdicts]
+    table = read_published()
+    words = table.loc[table["figure"].between(first, last), method].dropna().tolist()
     return words.count("preserved") / len(words)
 
 
@@ -191,10 +193,10 @@ def make_report(make_cell: Make, make_run: Make) -> Make:
     """Return a maker of runs of all figures: ``verdict(figure, method)`` is the measured verdict of a cell."""
 
     def make(verdict: Callable[[Any, str], bool | None], methods: tuple[str, ...] = METHODS) -> Run:
-        figures = read_published()
-        rows = [{"name": f"f{one.number}", "figure": one.number} for one in figures]
+        figures = read_published().to_dict("records")
+        rows = [{"name": f"f{one['figure']}", "figure": one["figure"]} for one in figures]
         cells = [
-            make_cell(f"f{one.number}", method, lattice_source="none", preserved=verdict(one, method))
+            make_cell(f"f{one['figure']}", method, lattice_source="none", preserved=verdict(one, method))
             for one in figures
             for method in methods
         ]
@@ -222,33 +224,33 @@ def test_the_published_rates_are_those_that_the_report_prints() -> None:
 def test_every_published_figure_has_an_analogue() -> None:
     """The suite report2004 has one texture for each figure of the tables."""
     figures = {row.figure for row in load_suite("report2004").texture if row.figure}
-    assert figures == {one.number for one in read_published()}
+    assert figures == set(read_published()["figure"])
 
 
 def test_a_run_that_repeats_the_report_agrees_with_it(make_report: Make) -> None:
     """If each cell has the published verdict, all differences are 0, agreement is 1 and kappa is 1."""
-    published = compare(make_report(lambda figure, method: figure.verdicts.get(method, "lost") == "preserved"))
+    published = compare(make_report(lambda figure, method: figure[method] == "preserved"))
     assert [one.difference.value for one in published.rates] == [0] * len(published.rates)
-    assert {one.agreement.value for one in published.classes} == {1}
+    assert {one.value for one in published.classes["agreement"]} == {1}
     assert (published.kappa.value, *published.kappa.ends) == pytest.approx((1, 1, 1))
     assert published.chance is not None and published.chance[0] < 0.9
-    assert [one.kind for one in published.classes] == ["motif", "tiles", "brick", "woven", "damaged", "all"]
+    assert published.classes["class"].tolist() == ["motif", "tiles", "brick", "woven", "damaged", "all"]
 
 
 def test_rates_rest_on_the_same_figures(make_report: Make) -> None:
     """A figure without a measured verdict is left out of both rates, and the published rate of all figures is kept."""
-    published = compare(make_report(lambda figure, _: None if figure.number < 20 else True))
-    (rate,) = [one for one in published.rates if one.group == "figures 8-29" and one.method.name == "patch-based"]
-    assert (rate.published.n, rate.same.n, rate.measured.n) == (22, 10, 10)
+    published = compare(make_report(lambda figure, _: None if figure["figure"] < 20 else True))
+    (rate,) = [one for one in published.rates if one.words == "figures 8-29" and one.method.name == "patch-based"]
+    assert (rate.published.n, rate.expected.n, rate.measured.n) == (22, 10, 10)
     assert rate.measured.value == 1
-    assert rate.same.value == pytest.approx(3 / 10)
+    assert rate.expected.value == pytest.approx(3 / 10)
     assert rate.difference.value == pytest.approx(7 / 10)
 
 
 def test_each_group_has_the_methods_of_the_report(make_report: Make) -> None:
     """Methods are compared only over figures on which the report ran all methods of the group."""
     published = compare(make_report(lambda *_: True))
-    found = {(one.group, one.method.name): one.published.n for one in published.rates}
+    found = {(one.words, one.method.name): one.published.n for one in published.rates}
     assert found == {
         **{("figures 3-7", name): 5 for name in METHODS[:4]},
         **{("figures 8-29", name): 22 for name in METHODS[:4]},
@@ -270,7 +272,7 @@ def test_the_lattice_comes_from_where_the_report_took_it(make_cell: Make, make_r
 
 def test_kappa_has_an_interval_over_figures(make_report: Make, tmp_path: Path) -> None:
     """Verdicts that agree on two of three figures have a kappa between 0 and 1, inside its interval, in all reports."""
-    run = make_report(lambda figure, method: (figure.verdicts.get(method) == "preserved") ^ (figure.number % 3 == 0))
+    run = make_report(lambda figure, method: (figure[method] == "preserved") ^ (figure["figure"] % 3 == 0))
     published = compare(run)
     low, high = published.kappa.ends or (1.0, 0.0)
     assert published.kappa.value is not None and 0 < low < published.kappa.value < high < 1
@@ -284,10 +286,8 @@ def test_kappa_has_an_interval_over_figures(make_report: Make, tmp_path: Path) -
 
 def test_random_pairing_keeps_what_descriptions_explain(make_report: Make) -> None:
     """If measured verdicts depend on the description alone, random pairing within descriptions reaches all of kappa."""
-    first = {one.description: one.verdicts for one in reversed(read_published())}
-    published = compare(
-        make_report(lambda figure, method: first[figure.description].get(method, "lost") == "preserved")
-    )
+    first = {one["description"]: one for one in reversed(read_published().to_dict("records"))}
+    published = compare(make_report(lambda figure, method: first[figure["description"]][method] == "preserved"))
     assert published.chance is not None
     assert published.kappa.value == pytest.approx(published.chance[0], abs=1e-9)
 
@@ -311,7 +311,7 @@ def test_types_two_and_three_stand_below_type_one(make_report: Make, make_cell: 
     run = make_report(lambda *_: True, methods=("quilting", "patch-based"))
     for number, kind in enumerate(("II", "II", "III")):
         run.cells.append(make_cell(f"t{number}", "quilting", lattice_source="none", preserved=number > 0, kind=kind))
-    rows = {line[0]: line[2:] for line in compare(run).lines(False)[-2:]}
+    rows = {line[0]: line[2:] for line in print_published(compare(run))[1].frame().to_numpy().tolist()[-2:]}
     assert rows == {"type II": ["–, –", "–, 50% (1/2)"], "type III": ["–, –", "–, 100% (1/1)"]}
     assert list(compare(run).footers(True)) == ["success rate"]
 
@@ -321,13 +321,14 @@ def test_only_figures_that_ran_are_shown(make_report: Make) -> None:
     run = make_report(lambda *_: True)
     run.cells[:] = [record for record in run.cells if record.cell.texture in ("f4", "f9", "f10")]
     published = compare(run)
-    assert [line[0] for line in published.lines(False)] == ["figure", "9", "10", "success rate"]
-    assert published.lines(True)[-1][2:] == ["100% (1/1), 100% (1/1)"] * 4 + ["–, 100% (1/1)"]
+    regular, near = (table.frame() for table in print_published(published))
+    assert near["figure"].tolist() == ["9", "10", "success rate"]
+    assert regular.iloc[-1, 2:].tolist() == ["100% (1/1), 100% (1/1)"] * 4 + ["–, 100% (1/1)"]
 
 
 def test_every_report_shows_the_comparison(make_report: Make, tmp_path: Path) -> None:
     """The page, the CSV tables and the LaTeX tables hold it, with the sentence that the textures are analogues."""
-    run = make_report(lambda figure, _: figure.number % 2 == 0)
+    run = make_report(lambda figure, _: figure["figure"] % 2 == 0)
     page = HtmlReport().render(run, tmp_path)
     assert PublishedComparison.sentence.partition(":")[2] in page
     assert "Table 3: near-regular textures" in page

@@ -12,8 +12,8 @@ import pytest
 from nrbench.labelling.labels import LabelPage, labels_table, make_page, write_key
 from nrbench.labelling.questions import ANSWERS, QUESTIONS
 from nrbench.plugins.forms import Column
-from nrbench.reports.csv import agreement_table
 from nrbench.reports.html import HtmlReport
+from nrbench.reports.statistics.frames import agreement_table
 from nrbench.reports.statistics.labelers import (
     SUBSETS,
     QuestionComparison,

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
-from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures
-from nrbench.reports.page.forest_plot import forest_axes
+from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures, plot_pictures
+from nrbench.reports.html import forest_axes
 from nrbench.reports.page.pictures import PictureStore
 from nrbench.reports.perils import PerilsPlane
 from nrbench.reports.plots.marks import find_marks, worst_place
@@ -33,10 +33,8 @@ from nrbench.reports.plots.method_plots import (
     spread,
     timed_methods,
 )
-from nrbench.reports.plots.perils_points import PerilsPoint, perils_points
-from nrbench.reports.plots.picture_grid import plot_pictures
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
-from nrbench.reports.statistics.summaries import Method
+from nrbench.reports.statistics.summaries import Method, PerilsPoint, perils_points
 from nrbench.runs.records import Run
 
 Make = Callable[..., Any]
@@ -312,7 +310,11 @@ def test_a_share_uses_the_whole_axis(make_cell: Make, make_run: Make) -> None:
     """A score from 0 to 1 is drawn from 0 to 1, so that 0.9 lies at 90."""
     run = make_run([make_cell("a"), make_cell("b")])
     score = forest_axes(compare_methods(run).summary_rows)[1]
-    assert (score.row.title, score.ends, score.points[0][0]) == ("regularity.score", ("0.00", "1.00"), 90)
+    assert (score.row.title, score.ends, next(iter(score.points.values()))[0]) == (
+        "regularity.score",
+        ("0.00", "1.00"),
+        90,
+    )
 
 
 def test_a_two_sided_score_marks_one(make_cell: Make, make_run: Make) -> None:
@@ -321,7 +323,7 @@ def test_a_two_sided_score_marks_one(make_cell: Make, make_run: Make) -> None:
     axis = next(p for p in forest_axes(compare_methods(run).summary_rows) if p.row.title == "randomness.variation")
     assert axis.better == "best at 1"
     assert axis.one is not None
-    assert axis.points[0][0] == pytest.approx(axis.one / 10, abs=0.01)
+    assert next(iter(axis.points.values()))[0] == pytest.approx(axis.one / 10, abs=0.01)
 
 
 def test_seconds_are_drawn_by_decades(make_cell: Make, make_run: Make) -> None:
@@ -329,4 +331,4 @@ def test_seconds_are_drawn_by_decades(make_cell: Make, make_run: Make) -> None:
     run = make_run([make_cell(method="a", seconds=0.01), make_cell(method="b", seconds=1.0)])
     axis = forest_axes(compare_methods(run).summary_rows)[-1]
     assert axis.ends == ("0.010", "1.00")
-    assert [value for value, _, _ in axis.points] == [0, 100]
+    assert [value for value, _, _ in axis.points.values()] == [0, 100]

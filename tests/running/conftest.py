@@ -15,8 +15,8 @@ from faults import registered_faults
 
 from nrbench.running import executors, runner
 from nrbench.running.executors import Executor
-from nrbench.running.supervisor import Supervisor, perform_phases
-from nrbench.running.worker import Request
+from nrbench.running.phases import Request
+from nrbench.running.supervisor import Supervisor, run_job
 from nrbench.runs.store import Result
 
 MakeExecutor = Callable[..., AbstractContextManager[Executor]]
@@ -41,10 +41,10 @@ def warm_executor(supervisors: list[Supervisor]) -> MakeExecutor:
     for one in supervisors:
         idle.put(one)
 
-    def run_job(job: Request) -> Result:
+    def run_idle(job: Request) -> Result:
         supervisor = idle.get()
         try:
-            return perform_phases(job, supervisor)
+            return run_job(job, supervisor)
         finally:
             idle.put(supervisor)
 
@@ -55,7 +55,7 @@ def warm_executor(supervisors: list[Supervisor]) -> MakeExecutor:
                 yield chosen
         else:
             with ThreadPoolExecutor(jobs) as pool:
-                yield Executor(partial(pool.submit, run_job), lambda: jobs)
+                yield Executor(partial(pool.submit, run_idle), lambda: jobs)
 
     return executor
 

@@ -20,9 +20,9 @@ from suites import wall_suite
 from nrbench import plugins, run
 from nrbench.errors import BadInput
 from nrbench.running import guard, runner
+from nrbench.running.phases import Request
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
-from nrbench.running.worker import Request
 from nrbench.runs.records import CellRecord, Run
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits as Linux enforces them")
@@ -185,7 +185,7 @@ def test_metrics(way: Any, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("faulty")
 def test_datasets(supervisors: list[Supervisor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A texture whose dataset fails is a failed cell with its cause and log; one whose dataset litters is drawn."""
-    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda **_: nullcontext(supervisors[0]))
+    monkeypatch.setattr("nrbench.running.runner.Supervisor", lambda **_: nullcontext(supervisors[0]))
     fine = ("flood", "seed", "folder", "fine")  # the textures are drawn again for the scores, in this process
     rows = [{"name": how, "dataset": "picture", "parameters": {"how": how}} for how in (*DATASETS, *fine)]
     options = Options(jobs=0, timeout=SECONDS, memory=300)
@@ -229,7 +229,7 @@ def test_limits_are_kept_within_a_tenth(supervisors: list[Supervisor], tmp_path:
     """
     suite = wall_suite([f"faulty:how={how}" for how in ("busy", "hog", "creep", "fill", "share")])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("nrbench.running.runner._Runner.run", lambda self, cells, progress: prepare(self, cells))
+        patch.setattr("nrbench.running.runner._Runner.run_jobs", lambda self, jobs: list(jobs)[:0])  # none runs
         found = run(suite, out=tmp_path / "run", options=Options(jobs=0))
     busy, *growing, share = (Path(record.folder) for record in found.cells)
     supervisors[0].run(Request("synthesize_cell", str(busy), 0.1, 300))  # the worker is warm
@@ -247,12 +247,6 @@ def test_limits_are_kept_within_a_tenth(supervisors: list[Supervisor], tmp_path:
             held.append(int(re.findall(r"holds (\d+) MiB", (folder / "log.txt").read_text())[-1]))
         assert 240 <= min(held) <= 330, folder
     assert supervisors[0].run(Request("synthesize_cell", str(share), 20, 300)).result["status"] == "ok"
-
-
-def prepare(one: Any, cells: Any) -> None:
-    """Write the folders of cells, and run none."""
-    for cell, sample in cells:
-        one._cell_job(cell, sample)
 
 
 BROKEN = {
@@ -276,7 +270,7 @@ def test_a_plugin_that_does_not_load(how: str, tmp_path: Path, capsys: pytest.Ca
 def test_a_slow_import_takes_no_ones_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A plugin that takes long to import is imported once by each process, outside of every limit.
 
-    A file that it writes meanwhile is not in the user's folder.
+    Worker processes import it outside of the user's folder.
     """
     monkeypatch.setattr(plugins.registry, "_files", {})
     slowly = "import os, time\ntime.sleep(1.5)\nopen(f'imported by {os.getpid()}', 'w').close()\n"
@@ -287,25 +281,9 @@ def test_a_slow_import_takes_no_ones_time(tmp_path: Path, monkeypatch: pytest.Mo
     suite = wall_suite(["faulty:how=fine", "faulty:how=seed", "faulty:how=flood"], "judge-fine")
     found = run(suite, out=tmp_path / "run", options=Options(jobs=1, timeout=1.0))
     assert [record.status for record in found.cells] == ["ok"] * 3
-    # This process may have threads; then it imports in its working directory.
-    assert {path.name for path in Path.cwd().glob("imported by *")} <= {f"imported by {os.getpid()}"}
+    # This process imports in its working directory.
+    assert {path.name for path in Path.cwd().glob("imported by *")} == {f"imported by {os.getpid()}"}
     assert not list(found.root.rglob("imported by *"))
-
-
-@pytest.mark.usefixtures("faulty")
-def test_a_worker_that_ends_when_it_imports_a_plugin(tmp_path: Path) -> None:
-    """Where a plugin ends every process that imports all plugins, cells run in fresh interpreters."""
-    text = "import os, sys\nif '\"once\": false' in sys.argv[-1]:\n    os._exit(0)\n"
-    (tmp_path / "fatal.py").write_text(
-        f"{text}from dataclasses import dataclass\n@dataclass(frozen=True)\nclass Fatal:\n    'A method.'\n"
-        "    def synthesize(self, task): ...\n"
-    )
-    plugins.add_file(tmp_path / "fatal.py")
-    try:
-        found = run(wall_suite(["fine"], "cost"), out=tmp_path / "run", options=Options(timeout=30))
-    finally:
-        plugins.registry._files.pop((tmp_path / "fatal.py").resolve())
-    assert [record.status for record in found.cells] == ["ok"]
 
 
 def test_parameters_that_json_cannot_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,14 +8,14 @@ import io
 import os
 import re
 import shutil
-import subprocess
 from contextlib import redirect_stderr
 from pathlib import Path
 
 import pytest
 from commands import call
 
-from nrbench import api, texture
+import nrbench
+from nrbench import texture
 from nrbench.pictures.files import write_image
 from nrbench.pictures.truth import table_text
 from nrbench.running.runner import Options
@@ -83,7 +83,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     try:
         command = "command:run=false {sample} {output},label=<script>alert('nrmark')"
         with redirect_stderr(io.StringIO()):
-            api.run(
+            nrbench.run(
                 folder,
                 methods=["tiling", command],
                 lattice=["given"],
@@ -113,13 +113,6 @@ def test_every_picture_has_its_rows(run: Path) -> None:
     assert {path.name for path in (run / "cells").iterdir()} == {cell.key for cell in cells}
 
 
-def test_unreadable_pictures_keep_their_own_reasons(run: Path) -> None:
-    """Three pictures that cannot be read have keys and messages of their own, which name the file."""
-    cells = [cell for cell in Run(run).cells if cell.texture in ("unread <i>", "empty", "second")]
-    assert len({cell.key for cell in cells}) == 6
-    assert all(f"{cell.texture}.png" in cell.message for cell in cells)
-
-
 def test_pages_run_nothing(run: Path) -> None:
     """No name becomes an element, a handler or a script of a page."""
     pages = [path for path in run.rglob("*.htm*") if path.is_file()]
@@ -145,28 +138,3 @@ def test_tables_hold_names_as_text(run: Path) -> None:
         assert "\\input{nrmark" not in text and "\\write18" not in text and "$x$" not in text
     for path in run.rglob("*.svg"):
         assert "<script" not in path.read_text("utf-8")
-
-
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
-def test_latex_compiles(run: Path, tmp_path: Path) -> None:
-    """The tables compile whatever the textures are called, and nothing in a name is run.
-
-    Letters that pdflatex has no glyphs for are the only errors, and they are left out of the page.
-    """
-    tables = sorted(path for path in run.rglob("*.tex"))
-    assert tables
-    packages = "\\usepackage[T1]{fontenc}\\usepackage{booktabs}"
-    body = "\n\n".join(f"\\input{{{path}}}" for path in tables)
-    document = f"\\documentclass{{article}}{packages}\\begin{{document}}{body}\\end{{document}}"
-    (tmp_path / "all.tex").write_text(document, "utf-8")
-    done = subprocess.run(
-        ["pdflatex", "-interaction=nonstopmode", "all.tex"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        errors="replace",
-    )
-    errors = [line for line in done.stdout.splitlines() if line.startswith("!")]
-    assert [line for line in errors if not line.startswith("! LaTeX Error: Unicode character")] == []
-    assert (tmp_path / "all.pdf").is_file()
-    assert not list(tmp_path.glob("nrmark*"))

@@ -30,10 +30,10 @@ from nrbench.errors import BadInput
 from nrbench.running import executors
 from nrbench.running.executors import Executor
 from nrbench.running.pace import Step
+from nrbench.running.phases import Request
 from nrbench.running.runner import TICK, Options, _Runner
-from nrbench.running.worker import Request
 from nrbench.runs.records import Run
-from nrbench.runs.store import CellFolder, Result, RunDirectory
+from nrbench.runs.store import Result, RunDirectory
 from nrbench.suites.cell import Cell
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import Suite, validated_suite
@@ -58,7 +58,7 @@ def test_cells_of_a_texture_go_to_one_worker(monkeypatch: pytest.MonkeyPatch) ->
     """Each of two threads keeps to the jobs of one group; with one group left, both take its jobs."""
     submitted, both, taken = threading.Event(), threading.Barrier(2), []
 
-    def take(job: Request, tell: object) -> Result:
+    def take(job: Request, runner: object) -> Result:
         submitted.wait(60)
         both.wait(60)
         taken.append((job.group, threading.get_ident()))
@@ -194,7 +194,7 @@ def test_a_stopped_run_drops_the_jobs_that_wait(tmp_path: Path) -> None:
     jobs = [(name, Request("cell", name, 1.0, 1.0)) for name in ("first", "second", "third")]
     with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
         runner = _Runner(RunDirectory(tmp_path), options, [], Executor(partial(pool.submit, work), lambda: 1))
-        for name, _ in runner._run_jobs(jobs):
+        for name, _ in runner.run_jobs(jobs):
             ended.append(name)
     assert started == ended == ["first"]
 
@@ -227,23 +227,6 @@ def test_reuse_copies_results_of_equal_key(whole: Run, tmp_path: Path) -> None:
     second = run(small(), out=tmp_path / "second", options=Options(jobs=0, reuse=whole.root))
     for old, new in zip(whole.cells, second.cells, strict=True):
         assert (old.folder / "result.json").read_bytes() == (new.folder / "result.json").read_bytes()
-
-
-@pytest.mark.skipif(os.name == "nt", reason="makes links")
-def test_reuse_follows_no_links(tmp_path: Path) -> None:
-    """Links in another run, or a link in place of a cell's folder, may lead anywhere: such cells are not copied."""
-    theirs, ours = RunDirectory(tmp_path / "theirs"), RunDirectory(tmp_path / "ours")
-    result: Result = {"status": "ok", "message": ""}
-    secret = tmp_path / "secret"
-    secret.mkdir()
-    CellFolder(secret).write_result(result)
-    theirs.cell("aa").write_result(result)
-    (theirs.cell("aa").path / "log.txt").symlink_to(secret / "result.json")
-    theirs.cell("bb").path.symlink_to(secret)
-    theirs.cell("cc").write_result(result)
-    ours.cell("dd").path.mkdir(parents=True)
-    ours.copy_cells(theirs, ["aa", "bb", "cc"])
-    assert sorted(folder.name for folder in ours.cells.iterdir()) == ["cc", "dd"]
 
 
 def test_a_detector_finds_each_lattice_once(tmp_path: Path) -> None:
@@ -322,4 +305,4 @@ def test_an_interrupt_while_the_last_cells_are_queued_is_not_lost(tmp_path: Path
     runner = _Runner(RunDirectory(tmp_path), options, [], pool)
     jobs = [(k, Request("cell", str(tmp_path), 1.0, 1.0)) for k in range(4)]
     with pytest.raises(KeyboardInterrupt):
-        list(runner._run_jobs(jobs))
+        list(runner.run_jobs(jobs))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import os
 import re
@@ -15,7 +14,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +26,11 @@ from suites import wall_suite, write_sleepers
 
 from nrbench import plugins, run, synthesize
 from nrbench.pictures.files import read_image, write_image
-from nrbench.running import guard, phases, runner, worker
+from nrbench.running import guard, runner
 from nrbench.running.pace import Step
-from nrbench.running.plugin_children import write_guarded
+from nrbench.running.phases import Request, perform
 from nrbench.running.runner import Options
 from nrbench.running.supervisor import Supervisor
-from nrbench.running.worker import FreshChild, Request, _is_own
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.suite import Suite
 
@@ -56,32 +53,10 @@ def server_of(supervisor: Supervisor) -> psutil.Process:
 
 
 def is_scorer(child: psutil.Process) -> bool:
-    """Return whether a child of a worker is its scorer: it works in the root directory, so that it is in no cell's."""
+    """Return whether a child of a worker is its scorer, which works in the folder of all working directories."""
     with contextlib.suppress(psutil.Error):
-        return child.cwd() == "/"
+        return Path(child.cwd()).name.startswith("nrbench-")
     return False
-
-
-def test_a_report_that_dies_takes_nothing_with_it(
-    supervisors: list[Supervisor], faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A report of others is written in a process of its own: how it fails is an error with its cause."""
-    monkeypatch.setattr("nrbench.running.supervisor.Supervisor", lambda **_: nullcontext(supervisors[0]))
-    done = faulty_run(wall_suite(["fine"], "cost"), Options(jobs=0))
-    causes = {
-        "exit": "ended without an answer",
-        "segfault": "died by SIGSEGV",
-        "mute": "Mute: its message raised",
-        "interrupt": "KeyboardInterrupt",
-    }
-    with registered_faults():
-        for how, cause in causes.items():
-            with pytest.raises(RuntimeError, match=cause):
-                write_guarded(done, "sheet", plugins.build("reports", "sheet", {"how": how}), "sheets")
-        (path,) = write_guarded(done, "sheet", plugins.build("reports", "sheet", {"how": "fine"}), "sheets")
-        assert Path(path).read_text() == "1"
-        assert plugins.find("reports", "sheet").cls is not None
-        assert "sheet" not in plugins.names("datasets")
 
 
 @pytest.mark.usefixtures("warm_workers")
@@ -113,9 +88,6 @@ def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
                 (again,) = run(suite, out=done.root, options=options).cells
                 assert again.status == "ok", (file.name, damage[:20])
                 assert again.values["cost.seconds"] is not None
-        result.unlink()
-        result.mkdir()
-        assert [cell.status for cell in run(suite, out=done.root, options=options).cells] == ["ok"]
         (record.folder / "cell.json").write_bytes(b"\xff")
         assert [cell.status for cell in Run(done.root).cells] == ["ok"]
 
@@ -157,18 +129,6 @@ def test_only_a_full_disk_of_the_run_ends_it(faulty_run: FaultyRun, monkeypatch:
     monkeypatch.setattr("nrbench.running.supervisor._can_write", lambda folder: False)
     with pytest.raises(OSError, match="No space left"):
         faulty_run(suite, Options(jobs=0))
-
-
-def test_an_error_is_sent_where_the_log_has_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An error of a full disk arrives as such, although its traceback cannot be written."""
-    full, messages = OSError(errno.ENOSPC, "No space left on device"), []
-
-    def fail(error: BaseException) -> None:
-        raise error
-
-    monkeypatch.setattr("traceback.print_exception", fail)
-    phases.send_error(full, messages.append)
-    assert messages == [{"status": "storage", "message": "No space left on device"}]
 
 
 def test_a_long_log_keeps_its_end(tmp_path: Path) -> None:
@@ -331,8 +291,8 @@ def test_a_phase_finds_nothing_of_the_last_one(supervisors: list[Supervisor], tm
     after = look_around(supervisors[0], folder)
     assert {clean["pid"], messy["pid"], after["pid"]} > {clean["pid"], messy["pid"]}
     for found in (clean, messy, after):
-        assert found["found"] == ["work"]
-        assert found["folder"] == f"{found['place']}/work"
+        assert found["found"] == []
+        assert found["folder"] == found["place"]
         assert not Path(found["place"]).is_relative_to(tmp_path)
         assert found["leads"]
         assert len(found["place"]) <= 70 + len(tempfile.gettempdir())  # a socket's path has room for 107 bytes
@@ -415,7 +375,8 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
         endings = []
         for record in cells:
             shutil.rmtree(record.folder / "scores", ignore_errors=True)
-            reply = supervisor.run(Request("score_cell", str(record.folder), seconds, 500, (metric,)))
+            own = metric == "cost"
+            reply = supervisor.run(Request("score_cell", str(record.folder), seconds, 500, (metric,), own=own))
             endings.append(reply.result["status"])
         children = server_of(supervisor).children()
         return {child.pid for child in children if is_scorer(child)}, endings
@@ -440,27 +401,17 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
     assert [record.values["cost.peak_mib"] for record in Run(tmp_path / "run").cells] == whole
 
 
-def test_only_the_own_code_of_nrbench_shares_a_process(faulty: Path, tmp_path: Path) -> None:
-    """A score is made in the shared process if metrics and dataset are nrbench's, and the cell's file says so."""
-    file = tmp_path / "cell.json"
-
-    def is_shared(dataset: Any, *metrics: str) -> bool:
-        file.write_text(json.dumps({"recipe": {"dataset": dataset}}))
-        return _is_own(Request("score_cell", str(tmp_path), 1, 1, metrics))
-
-    assert is_shared("brick", "cost", "source")
-    assert not is_shared("brick", "cost", "judge-fine")
-    assert not any(is_shared(name, "cost") for name in ("picture", "none such", None, ["brick"], {}))
-    for damage in ("", "[]", '{"recipe": 3}', "{}"):
-        file.write_text(damage)
-        assert not _is_own(Request("score_cell", str(tmp_path), 1, 1, ("cost",)))
-    file.unlink()
-    file.mkdir()
-    assert not _is_own(Request("score_cell", str(tmp_path), 1, 1, ("cost",)))
-    assert not _is_own(Request("synthesize_cell", str(tmp_path), 1, 1))
-    file.rmdir()
-    assert is_shared("brick", "cost")
-    assert not is_shared("brick", "cost", "none such")
+def test_only_the_own_code_of_nrbench_shares_a_process(faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cell is scored in the shared process by the metrics of nrbench alone, and if its dataset is nrbench's, too."""
+    rows = [{"name": name, "dataset": name} for name in ("brick", "picture")]
+    shared = []
+    monkeypatch.setattr(
+        "nrbench.running.supervisor.perform", lambda request, send: shared.append(request) or perform(request, send)
+    )
+    faulty_run(wall_suite(["fine"], "cost", "judge-fine", texture=rows), Options(jobs=0))
+    scored = [(request.metrics, request.own) for request in shared if request.phase == "score_cell"]
+    assert scored == [(("cost",), True), (("judge-fine",), False), (("cost",), False), (("judge-fine",), False)]
+    assert not any(request.own for request in shared if request.phase != "score_cell")
 
 
 def test_a_method_prepares_once_for_a_sample(supervisors: list[Supervisor], faulty: Path, tmp_path: Path) -> None:
@@ -497,7 +448,7 @@ def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor],
     """
     supervisor = supervisors[0]
     cell = run(wall_suite(["oracle"], "cost"), out=tmp_path / "run", options=Options(jobs=0)).cells[0]
-    request = Request("score_cell", str(cell.folder), seconds=20, mib=500, metrics=("cost",))
+    request = Request("score_cell", str(cell.folder), seconds=20, mib=500, metrics=("cost",), own=True)
     assert supervisor.run(request).scored == ("cost",)
     server = server_of(supervisor)
     wait_until(lambda: len(server.children()) == 2)
@@ -520,29 +471,11 @@ def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor],
     assert supervisor.run(request).scored == ("cost",)
 
 
-def test_the_last_message_is_read_behind_forged_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message that an interpreter sends just before its end counts, whatever stands before it."""
-    program = 'import sys; sys.stdin.readline(); print("[1]\\n{\\n" + \'{"scored": "cost"}\')'
-
-    def start(_: Any, **options: Any) -> subprocess.Popen[str]:
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "start_new_session": True}
-        return subprocess.Popen([sys.executable, "-c", program], **pipes, **options)
-
-    monkeypatch.setattr(worker, "start_worker", start)
-    log = tmp_path / "log.txt"
-    child = FreshChild(log, str(tmp_path))
-    child._process.stdin.write("\n")
-    child._process.stdin.close()
-    child._process.wait()  # it has ended before its messages are taken
-    watch = guard.Watch(child, guard.Limits(60, 4096, ("cost",)), 0, log)
-    assert watch.watch() is None
-    assert watch.messages == [{"scored": "cost"}]
-
-
 def test_a_worker_imports_no_other_methods_than_those_of_the_run() -> None:
     """The kernels of the others would take seconds to compile; without a plan it imports all."""
     program = "from nrbench import plugins; from nrbench.running import worker; worker.load_kernels = print; "
-    program += "worker.warm('', (), {}); print(*plugins.loaded_methods())"
-    for methods, count in ((["rsgf"], 1), ([], len(plugins.names("synthesizers")))):
-        imported = subprocess.check_output([sys.executable, "-c", program.format(methods)], text=True).split()
+    program += "worker.warm('', {}); print(*(p.name for p in plugins.inventory('synthesizers') if p.is_loaded))"
+    for methods, count in ((["rsgf"], 1), ([], len([each for each in plugins.inventory("synthesizers") if each.own]))):
+        named = [("synthesizers", name) for name in methods]
+        imported = subprocess.check_output([sys.executable, "-c", program.format(named)], text=True).split()
         assert len(imported) == count and "rsgf" in imported

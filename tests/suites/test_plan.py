@@ -100,7 +100,6 @@ def fresh_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def forget() -> None:
     """Empty the caches of what was read from plugins."""
-    registry._loaded.clear()
     metric_key.cache_clear()
 
 

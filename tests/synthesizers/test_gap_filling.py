@@ -11,17 +11,8 @@ from numpy.typing import NDArray
 from synthesis_cases import noise
 
 from nrbench.imaging.convert import Image, quantize, to_bytes
-from nrbench.synthesizers.gap_filling.block_canvas import (
-    OWN,
-    BlockCanvas,
-    BlockGrid,
-    Box,
-    PatchOverlap,
-    SeamMethod,
-    Sides,
-    cut_graph,
-    gap_border,
-)
+from nrbench.synthesizers.canvas.canvas import Box, Mask, Sides, cut_closed_seam, edge_mask
+from nrbench.synthesizers.gap_filling.blocks import OWN, BlockGrid, BlockPlacer, SeamMethod, gap_border
 from nrbench.synthesizers.gap_filling.matching import FrameMatcher, Match, align_patch
 from nrbench.synthesizers.sampling.patches import Patches
 
@@ -66,7 +57,8 @@ def test_each_wedge_belongs_to_the_nearest_neighbor(there: Sides) -> None:
         [border.pixels[:, 0], border.pixels[:, 1], 39 - border.pixels[:, 0], 39 - border.pixels[:, 1]]
     ).astype(float)
     distances[~np.array(there)] = np.inf
-    np.testing.assert_array_equal(distances[border.owner, np.arange(len(border.owner))], distances.min(0))
+    owner = border.owners[border.pixels[:, 1], border.pixels[:, 0]]
+    np.testing.assert_array_equal(distances[owner, np.arange(len(owner))], distances.min(0))
 
 
 @given(sides)
@@ -93,32 +85,32 @@ def test_a_blended_patch_stays_in_its_gap_and_a_cut_one_does_not() -> None:
     """Blending leaves placed blocks unchanged; seams may run into them, but not beyond their middles."""
     changed = {}
     for seam in SEAMS:
-        canvas = BlockCanvas(
+        placer = BlockPlacer(
             Patches(np.random.default_rng(0).random((60, 60, 3), np.float32)), BlockGrid((48, 48), 16, 5), seam
         )
-        rng = np.random.default_rng(1)
-        for block in canvas.grid.placed():
-            canvas.place_block(block, rng.uniform(5, 39, 2))
-        canvas.extend_placed()
+        rng, canvas = np.random.default_rng(1), placer.canvas
+        for block in placer.grid.placed():
+            placer.place_block(block, rng.uniform(5, 39, 2))
+        placer.extend_placed()
         before = canvas.image.copy()
-        for gap in canvas.grid.gaps():
-            canvas.fill_gap(gap, rng.uniform(0, 44, 2))
+        for gap in placer.grid.gaps():
+            placer.fill_gap(gap, rng.uniform(0, 44, 2))
         moved = (canvas.image != before).any(-1)
-        changed[seam] = sum(int(moved[block.window()].sum()) for block in canvas.grid.placed())
-        assert not moved[24, 24]
+        changed[seam] = sum(int(moved[canvas.pixels(block.window())].sum()) for block in placer.grid.placed())
+        assert not moved[canvas.pixels((24, 25, 24, 25))].any()
     assert changed["blend"] == 0
     assert changed["graphcut"] > 0
 
 
-def joint(old: Image, new: Image, sides: tuple[bool, bool, bool, bool] = ALL, depth: int = 16) -> PatchOverlap:
-    """Lay a patch over a gap of 24 px, 8 px of border inside it and 8 px beyond on the sides that have neighbors."""
-    height, width = old.shape[:2]
+def joint(shape: tuple[int, int], sides: Sides = ALL, depth: int = 16) -> tuple[Mask, tuple[Mask, Mask]]:
+    """Return what is known under a patch over a gap of 24 px, and which pixels must stay and must be new.
+
+    Its border is 8 px wide, and the patch reaches 8 px beyond the gap on the sides that have neighbors.
+    """
+    known = np.ones(shape, np.bool_)
     left, top, right, bottom = (depth if there else 0 for there in sides)
-    known = np.ones((height, width), np.bool_)
-    known[top : height - bottom, left : width - right] = False
-    box = (-8 if sides[1] else 0, 24 + (8 if sides[3] else 0), -8 if sides[0] else 0, 24 + (8 if sides[2] else 0))
-    hole = (8 if sides[1] else 0, 16 if sides[3] else 24, 8 if sides[0] else 0, 16 if sides[2] else 24)
-    return PatchOverlap(old, new, known, box, hole, sides)
+    known[top : shape[0] - bottom, left : shape[1] - right] = False
+    return known, (edge_mask(shape, sides), ~known)
 
 
 def nothing(shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -134,10 +126,10 @@ def test_the_hole_is_new_and_the_edge_beside_a_neighbor_old(sides: tuple[bool, b
     """Everything unknown becomes new, and a graph cut leaves the box's edge beside a neighbor old."""
     height, width = 24 + 8 * (sides[1] + sides[3]), 24 + 8 * (sides[0] + sides[2])
     old, new = np.random.default_rng(0).random((2, height, width, 3)).astype(np.float32)
-    overlap = joint(old, new, sides)
-    mask = cut_graph(overlap, nothing(old.shape))
-    assert mask[~overlap.known].all()
-    assert not mask[overlap.fixed_old()].any()
+    known, fixed = joint((height, width), sides)
+    mask = cut_closed_seam(old, new, known, fixed, nothing(old.shape))
+    assert mask[~known].all()
+    assert not mask[fixed[0]].any()
     assert not mask.all()
 
 
@@ -157,7 +149,7 @@ def test_a_graph_cut_runs_around_bricks() -> None:
     rng = np.random.default_rng(3)
     for _ in range(5):
         old, new = bricks(rng), bricks(rng)
-        mask = cut_graph(joint(old, new), nothing(old.shape))
+        mask = cut_closed_seam(old, new, *joint((40, 40)), nothing(old.shape))
         y, x = np.indices((40, 40))
         row = y // 8
         brick = row * 10 + (x + 6 * (row % 2)) // 12
@@ -171,7 +163,7 @@ def test_recorded_seams_follow_the_cut() -> None:
     old, new = np.random.default_rng(1).random((2, 40, 40, 3)).astype(np.float32)
     seams = nothing(old.shape)
     seams[0, 20, 19], seams[0, 1, 1] = 5.0, 3.0
-    mask = cut_graph(joint(old, new), seams)
+    mask = cut_closed_seam(old, new, *joint((40, 40)), seams)
     changes = mask[:, 1:] != mask[:, :-1]
     across = seams[0, :, :-1]
     assert across[20, 19] == 0

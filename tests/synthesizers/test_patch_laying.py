@@ -11,17 +11,11 @@ from synthesis_cases import noise, places, synthesize
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.forms import Refused
 from nrbench.synthesizers import patch_based
-from nrbench.synthesizers.gap_filling.block_canvas import box_slices
+from nrbench.synthesizers.canvas.canvas import Box, Canvas, Patch, Weights, copy_patch, feather_weights
+from nrbench.synthesizers.gap_filling.blocks import box_slices
 from nrbench.synthesizers.gap_filling.matching import FrameMatcher, frame_mask
 from nrbench.synthesizers.patch_based import PatchBased, Search, ZoneTree
-from nrbench.synthesizers.patch_laying.raster_canvas import (
-    RasterCanvas,
-    RasterGrid,
-    Spot,
-    blend,
-    draw_within,
-    feather_weights,
-)
+from nrbench.synthesizers.patch_laying.raster_order import RasterGrid, draw_within
 from nrbench.synthesizers.quilting import Quilting
 
 
@@ -33,11 +27,12 @@ def test_spots_cover_the_output_once_and_overlap(height: int, width: int, size: 
     grid = RasterGrid((height, width), size, overlap)
     covered = np.zeros((height + size, width + size), bool)
     for spot in grid.spots():
-        window = covered[spot.y : spot.y + size, spot.x : spot.x + size]
-        np.testing.assert_array_equal(window, frame_mask(grid.hole(spot), size))
+        top, left = spot.window[0], spot.window[2]
+        window = covered[box_slices(spot.window)]
+        np.testing.assert_array_equal(window, frame_mask(spot.hole, size))
         window[:] = True
-        assert spot.y == 0 or spot.y + overlap < height
-        assert spot.x == 0 or spot.x + overlap < width
+        assert top == 0 or top + overlap < height
+        assert left == 0 or left + overlap < width
     assert covered[:height, :width].all()
 
 
@@ -60,7 +55,7 @@ def test_there_is_always_a_choice() -> None:
 @pytest.mark.parametrize(("left", "top"), list(itertools.product([False, True], repeat=2)))
 def test_feathering_is_linear_from_the_border(left: bool, top: bool) -> None:
     """A pixel's weight is its distance from the nearest overlapped side, over the zone's width plus 1, at most 1."""
-    weights = feather_weights(9, 3, left, top)
+    weights = feather_weights(9, 3, (left, top, False, False))
     for y, x in itertools.product(range(9), repeat=2):
         assert weights[y, x] == min([4] + [x + 1] * left + [y + 1] * top)
 
@@ -70,34 +65,40 @@ def test_a_blend_is_the_rounded_weighted_mean(seed: int, zone: int) -> None:
     """A blend equals the exact mean to half a gray level, and equal pictures stay as they are."""
     rng = np.random.default_rng(seed)
     old, new = rng.integers(0, 256, (2, 4, 5, 3), dtype=np.uint8)
-    weights = rng.integers(1, zone + 2, (4, 5))
-    share = weights[..., np.newaxis] / (zone + 1)
-    assert np.abs(blend(old, new, weights, zone) - (share * new + (1 - share) * old)).max() <= 0.5 + 1e-9
-    np.testing.assert_array_equal(blend(old, old, weights, zone), old)
+    weights = rng.integers(1, zone + 2, (4, 5)).astype(np.float32)
+    share = weights[..., np.newaxis].astype(float) / (zone + 1)
+    canvas, source = Canvas((4, 5), 3, np.uint8), np.ones((4, 5, 3), np.float32)
+    canvas.place((0, 4, 0, 5), (old, source))
+    canvas.blend((0, 4, 0, 5), (new, source), weights, zone + 1)
+    assert np.abs(canvas.image - (share * new + (1 - share) * old)).max() <= 0.5 + 1e-9
+    canvas.place((0, 4, 0, 5), (old, source))
+    canvas.blend((0, 4, 0, 5), (old, source), weights, zone + 1)
+    np.testing.assert_array_equal(canvas.image, old)
 
 
 def test_the_source_of_a_feathered_pixel_has_the_largest_weight() -> None:
     """The source map equals a record of all weights of each pixel."""
     sample, grid = noise(30, 34), RasterGrid((30, 41), 12, 5)
-    canvas = RasterCanvas(sample, grid)
+    canvas = Canvas(grid.shape, 3, np.uint8, (12, 12))
     rng = np.random.default_rng(3)
     shares: list[np.ndarray] = []
     places = []
     for spot in grid.spots():
         place = (int(rng.integers(23)), int(rng.integers(19)))
-        canvas.join_by_feathering(spot, place)
-        share = np.zeros(canvas.image.shape[:2])
-        share[canvas.window(spot)] = feather_weights(12, 5, spot.left, spot.top) / 6
+        weights = feather_weights(12, 5, spot.sides)
+        canvas.blend(spot.window, copy_patch(to_bytes(sample), place, (12, 12)), weights, 6)
+        share = np.zeros((42, 53))
+        share[box_slices(spot.window)] = weights / 6
         shares = [each * (1 - share) for each in shares] + [share]
         places.append((spot, place))
-    image, source = canvas.result()
+    image, source = canvas.output()
     every = np.stack(shares)[:, :30, :41]
     np.testing.assert_allclose(source[..., 2], every.max(0), rtol=1e-5)
-    np.testing.assert_allclose(every.sum(0), 1)
+    np.testing.assert_allclose(every.sum(0), 1, rtol=1e-6)
     second = np.sort(every, 0)[-2]
     for y, x in np.argwhere(every.max(0) > second + 1e-6):
         spot, (px, py) = places[int(every[:, y, x].argmax())]
-        assert source[y, x, :2].tolist() == [px + x - spot.x, py + y - spot.y]
+        assert source[y, x, :2].tolist() == [px + x - spot.window[2], py + y - spot.window[0]]
     # A pixel of one patch alone is a copy.
     copied = source[..., 2] == 1
     x, y = source[copied][:, :2].astype(int).T
@@ -171,23 +172,24 @@ def distances(
     quilted = isinstance(method, Quilting)
     size, overlap = (method.block, method.overlap) if quilted else (method.patch, method.zone)
     rows, columns = sample.shape[0] - size + 1, sample.shape[1] - size + 1
-    name, found = "join_along_seam" if quilted else "join_by_feathering", []
-    original = getattr(RasterCanvas, name)
+    name, found, values = "place" if quilted else "blend", [], to_bytes(sample)
+    original = getattr(Canvas, name)
 
-    def join(canvas: RasterCanvas, spot: Spot, place: tuple[int, int]) -> None:
+    def join(canvas: Canvas, window: Box, patch: Patch, *rest: Weights) -> None:
         y, x = np.indices((size, size))
-        known = (spot.left & (x < overlap)) | (spot.top & (y < overlap))
+        known = ((window[2] > 0) & (x < overlap)) | ((window[0] > 0) & (y < overlap))
         if known.any():
-            old = canvas.image[canvas.window(spot)][known].astype(float)
+            old = canvas.image[canvas.pixels(window)][known].astype(float)
             every = {
-                (x, y): np.sqrt(((canvas.sample[y : y + size, x : x + size][known] - old) ** 2).mean())
+                (x, y): np.sqrt(((values[y : y + size, x : x + size][known] - old) ** 2).mean())
                 for y in range(rows)
                 for x in range(columns)
             }
-            found.append((every[place], min(every.values()), np.sqrt((old**2).mean())))
-        original(canvas, spot, place)
+            left, top, _ = patch[1][0, 0].tolist()
+            found.append((every[left, top], min(every.values()), np.sqrt((old**2).mean())))
+        original(canvas, window, patch, *rest)
 
-    monkeypatch.setattr(RasterCanvas, name, join)
+    monkeypatch.setattr(Canvas, name, join)
     synthesize(method, sample, shape)
     return found
 

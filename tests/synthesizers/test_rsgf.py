@@ -15,7 +15,7 @@ from nrbench import plugins, texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation, Refused, Task
-from nrbench.synthesizers.gap_filling.block_canvas import Places
+from nrbench.synthesizers.gap_filling.blocks import Places
 from nrbench.synthesizers.rsgf import REMEMBERED, GapFiller, PlaceSampler, Rsgf, best_places
 from nrbench.synthesizers.sampling.patches import PLACE_STEP
 
@@ -61,7 +61,7 @@ def fill(sample: Image, shape: tuple[int, int], lattice: Lattice, tolerance: flo
     filler = GapFiller(method, Task(sample, shape, lattice, np.random.default_rng(seed)), lattice)
     filler.place_blocks()
     filler.fill_gaps()
-    return filler.canvas.places
+    return filler.placer.places
 
 
 def test_a_fractional_lattice_does_not_drift() -> None:
@@ -102,7 +102,7 @@ def first_places(method: Rsgf, sample: Image, lattice: Lattice | None, count: in
     drawn = np.empty((count, 2))
     for k in range(count):
         filler.place_blocks()
-        drawn[k] = filler.canvas.places[0, 0]
+        drawn[k] = filler.placer.places[0, 0]
     return drawn
 
 

@@ -17,8 +17,8 @@ from nrbench import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Task
-from nrbench.synthesizers.tile_laying.tile_canvas import TilePlaces, find_seams
-from nrbench.synthesizers.tile_laying.tile_shape import ElementWeights, element_costs, tile_shape
+from nrbench.synthesizers.canvas.canvas import find_paths
+from nrbench.synthesizers.tile_laying.tiles import ElementWeights, TilePlaces, element_costs, tile_shape
 from nrbench.synthesizers.tile_set import LEAST_SIDE, TileLaying, TileSet
 
 TILES = ["auto", "upright", "lattice", "rectangle", "cell"]
@@ -53,15 +53,19 @@ def test_the_minimum_cut_keeps_to_the_overlap() -> None:
     lattice, sample = Lattice((20, 0), (0, 20)), noise(120, 120)
     task = Task(sample, (60, 60), lattice, np.random.default_rng(0))
     laying = TileLaying(TileSet(tile="cell", stitch="graphcut", registration=0), task, lattice)
-    canvas, cuts = laying.canvas, laying.stock.cut(laying.sets[0, 0])
-    canvas.lay(40, 40, cuts.take(np.array([0])))
-    before = canvas.values.copy()
-    canvas.lay(50, 40, cuts.take(np.array([1])))
-    x, y, border = canvas.pixels[:, 0] + 50, canvas.pixels[:, 1] + 40, canvas.pixels[:, 5]
-    assert canvas.filled[y, x].all()
-    ring = (before[y, x].any(-1)) & (border == 0)
+    canvas, mask = laying.canvas, laying.tile.mask
+    tiles = laying.stock.find_places(laying.sets[0, 0])
+    (left, top), (right, bottom) = laying.tile.box.tolist()
+    for n, x in enumerate((30, 40)):
+        window = 30 + top, 31 + bottom, x + left, x + right + 1
+        pixels = canvas.pixels(window)
+        before, known = canvas.image[pixels].copy(), canvas.known[pixels].copy()
+        under = canvas.image[pixels], canvas.known[pixels], canvas.seams[:, *pixels]
+        laying.join(window, tiles.take(np.array([n])), under)
+    assert canvas.known[pixels][mask].all()
+    ring = known & (laying.tile.pixel_cells[..., 2] == 0)
     assert ring.any()
-    np.testing.assert_array_equal(canvas.values[y, x][ring], before[y, x][ring])
+    np.testing.assert_array_equal(canvas.image[pixels][ring], before[ring])
 
 
 @pytest.mark.parametrize(("registration", "decibels"), [(None, 35), (0.0, 42)])
@@ -120,8 +124,8 @@ def lay(laying: TileLaying, number: tuple[int, int], threshold: float) -> tuple[
     i, j = number
     place = laying.lattice.origin + np.array(number) @ laying.tile.steps
     laying.lay_tile(i, j, place, threshold)
-    x, y = np.floor(place + 0.5).astype(int) + laying.canvas.margin + right(laying)
-    found_x, found_y = laying.canvas.origins[y, x, :2].astype(int).tolist()
+    x, y = (np.floor(place + 0.5).astype(int) + right(laying)).tolist()
+    found_x, found_y = laying.canvas.source[laying.canvas.pixels((y, y + 1, x, x + 1))][0, 0, :2].astype(int).tolist()
     return found_x, found_y
 
 
@@ -133,11 +137,12 @@ def right(laying: TileLaying) -> NDArray[np.int64]:
 def apart(laying: TileLaying, number: tuple[int, int], cuts: TilePlaces) -> NDArray[np.float64]:
     """Return each tile's mean absolute difference, channels added, from what is filled at this number's place."""
     place = laying.lattice.origin + np.array(number) @ laying.tile.steps
-    x, y = (laying.tile.pixels[:, :2] + np.floor(place + 0.5).astype(int) + laying.canvas.margin).T
-    stands = laying.canvas.filled[y, x] == 1
-    x, y, offsets = x[stands], y[stands], laying.tile.pixels[stands, :2]
-    shown, sample = laying.canvas.values[y, x].astype(float), to_bytes(laying.task.sample).astype(float)
-    tiles = (sample[cy + offsets[:, 1], cx + offsets[:, 0]] for cx, cy in cuts.pixel.tolist())
+    x, y = np.floor(place + 0.5).astype(int).tolist()
+    (left, top), (right, bottom) = laying.tile.box.tolist()
+    pixels = laying.canvas.pixels((y + top, y + bottom + 1, x + left, x + right + 1))
+    stands = laying.canvas.known[pixels] & laying.tile.mask
+    shown, sample = laying.canvas.image[pixels][stands].astype(float), to_bytes(laying.task.sample).astype(float)
+    tiles = (sample[cy + top : cy + bottom + 1, cx + left : cx + right + 1][stands] for cx, cy in cuts.pixel.tolist())
     return np.array([np.abs(tile - shown).sum(-1).mean() for tile in tiles])
 
 
@@ -154,8 +159,8 @@ def test_candidates_are_the_tiles_that_differ_by_no_more_than_the_threshold(monk
 
     monkeypatch.setattr(laying, "draw", record)
     for i, j in laying.tile_numbers().tolist()[1:]:
-        cuts = laying.stock.cut(laying.sets[i % 2, j % 2])
-        before = apart(laying, (i, j), cuts) if laying.canvas.filled.any() else None
+        cuts = laying.stock.find_places(laying.sets[i % 2, j % 2])
+        before = apart(laying, (i, j), cuts) if laying.canvas.known.any() else None
         lay(laying, (i, j), threshold)
         if before is None or np.isnan(before).any():
             continue
@@ -173,9 +178,9 @@ def test_the_random_choice_is_uniform_over_the_candidates(share: float) -> None:
     first = laying.tile_numbers()[0].tolist()
     second = first[0] + 1, first[1]
     lay(laying, first, 0)
-    arrays = laying.canvas.values, laying.canvas.filled, laying.canvas.origins, laying.canvas.seams
+    arrays = laying.canvas.image, laying.canvas.known, laying.canvas.source, laying.canvas.seams
     kept = [array.copy() for array in arrays]
-    cuts = laying.stock.cut(laying.sets[second[0] % 2, second[1] % 2])
+    cuts = laying.stock.find_places(laying.sets[second[0] % 2, second[1] % 2])
     differences = apart(laying, second, cuts)
     threshold = float(np.quantile(differences, share)) + 1e-6
     places = Counter[tuple[int, int]]()
@@ -195,7 +200,7 @@ def test_the_first_tile_is_drawn_from_all_of_t() -> None:
     first = laying.tile_numbers()[0].tolist()
     places = Counter[tuple[int, int]]()
     for _ in range(1500):
-        laying.canvas.filled[...] = 0
+        laying.canvas.known[...] = False
         places[lay(laying, first, 0)] += 1
     assert len(places) == len(laying.sets[0, 0])
     assert stats.chisquare(list(places.values())).pvalue > 1e-3
@@ -229,11 +234,13 @@ def test_the_oddest_tile_accepts_half_of_the_others() -> None:
         Task(sample, (9, 9), lattice, np.random.default_rng(0)),
         lattice,
     )
-    x, y, row, column, _ = laying.tile.pixels.T
-    covered = (row < 8) | (column < 8)
+    (left, top), (right, bottom) = laying.tile.box.tolist()
+    x, y = np.meshgrid(np.arange(left, right + 1), np.arange(top, bottom + 1))
+    row, column, _ = np.moveaxis(laying.tile.pixel_cells, -1, 0)
+    covered = laying.tile.mask & ((row < 8) | (column < 8))
     medians = []
     for number in np.ndindex(2, 2):
-        middles = laying.stock.cut(laying.sets[number]).pixel
+        middles = laying.stock.find_places(laying.sets[number]).pixel
         cut = np.stack([to_bytes(sample)[y0 + y[covered], x0 + x[covered], 0] for x0, y0 in middles]).astype(float)
         distances = np.abs(cut[:, np.newaxis] - cut).mean(-1)
         medians += [np.median(np.delete(line, n)) for n, line in enumerate(distances)]
@@ -300,9 +307,8 @@ def test_the_papers_seams_end_where_they_meet() -> None:
     """The seam of the left overlap starts at that of the top, so that what lies above it has no say in its course."""
     surface = np.full((20, 20), 1.0)
     surface[:9, 8], surface[9:, 2], surface[9, 2:] = 0, 0, 0
-    surface[10:, 10:] = -1
-    across, down, bands = find_seams(surface)
-    assert bands.tolist() == [10, 10, 9, 2]
+    across, down, *meeting = find_paths(surface, 10, 10)
+    assert meeting == [9, 2]
     assert (across[9:] == 2).all() and (down[2:] == 9).all()
 
 
@@ -362,9 +368,9 @@ def test_seams_are_recorded_only_where_tiles_meet() -> None:
     laying = TileLaying(TileSet(registration=0), Task(sample, (90, 90), lattice, np.random.default_rng(1)), lattice)
     laying.lay_tiles()
     canvas = laying.canvas
-    x, y = canvas.margin
+    y, x = canvas.margin
     window = np.s_[y : y + 90, x : x + 90]
-    offsets = canvas.origins[window][..., :2] - np.stack(np.indices((90, 90))[::-1], -1)
+    offsets = canvas.source[window][..., :2] - np.stack(np.indices((90, 90))[::-1], -1)
     across = (offsets[:, 1:] != offsets[:, :-1]).any(-1)
     down = (offsets[1:] != offsets[:-1]).any(-1)
     for seams, meet in ((canvas.seams[0][window][:, :-1], across), (canvas.seams[1][window][:-1], down)):

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -22,20 +22,15 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Refused
 
+from ..canvas.canvas import Box, Canvas, Mask, Patch, Sides, Source, Window, cut_closed_seam, edge_mask
+from ..canvas.seam_kernels import link_costs
 from ..sampling.equal_places import SearchShape, search_shape
-from ..sampling.patches import Patches, Source
-from ..sampling.torus import Torus
-from ..seams.seam_kernels import cut_overlap, link_costs, record_seams
+from ..sampling.patches import Patches
 
-Box = tuple[int, int, int, int]
-"""(y0, y1, x0, x1), half-open, px."""
-Sides = tuple[bool, bool, bool, bool]
-"""Which neighbors a block has: left, top, right, bottom."""
 _STEPS: Final = ((-1, 0), (0, -1), (1, 0), (0, 1))
 """(x, y) from a block to each neighbor, in blocks."""
 OWN: Final = 4
 """The layer of a gap's own patch; 0 to 3 are the neighbors'."""
-Mask = NDArray[np.bool_]
 SeamMethod = Literal["blend", "graphcut"]
 Places = NDArray[np.float64]
 """``float64 (rows, columns, 2)``: the real-valued (x, y) in the sample of every block's first pixel."""
@@ -49,10 +44,10 @@ def check_border(block: int, border: int) -> None:
     require(1 <= border <= block // 2, f"border {border} with block {block}; choose a border from 1 to half a block")
 
 
-def box_slices(box: Box, top: int = 0, left: int = 0) -> tuple[slice, slice]:
-    """Return the rows and columns of a box whose (0, 0) lies at row ``top`` and column ``left``."""
+def box_slices(box: Box) -> tuple[slice, slice]:
+    """Return the rows and columns of a box."""
     y0, y1, x0, x1 = box
-    return slice(top + y0, top + y1), slice(left + x0, left + x1)
+    return slice(y0, y1), slice(x0, x1)
 
 
 @dataclass(frozen=True)
@@ -99,11 +94,6 @@ class BlockGrid:
                 f"sample holds with their borders, covers {shape[1]}x{shape[0]} px; choose a smaller border"
             )
         return min(grids, key=lambda rated: rated[0])[1]
-
-    @cached_property
-    def torus(self) -> Torus | None:
-        """The canvas of an output that wraps; patches reach up to half a block beyond their blocks."""
-        return Torus(self.shape, (2 * self.size, 2 * self.size)) if self.wrap else None
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -172,11 +162,10 @@ class Block:
         """The block itself, px from its first pixel."""
         return 0, self.grid.size, 0, self.grid.size
 
-    def window(self, box: Box | None = None) -> tuple[slice, slice]:
-        """Return the rows and columns of the canvas under the block, or under a box, px from its first pixel."""
-        (left, top), torus = self.corner.astype(int).tolist(), self.grid.torus
-        down, across = torus.margin if torus else (0, 0)
-        return box_slices(box or self.box, top + down, left + across)
+    def window(self, box: Box | None = None) -> Window:
+        """Return the window of the output under the block, or under a box, px from its first pixel."""
+        (left, top), (y0, y1, x0, x1) = self.corner.astype(int).tolist(), box or self.box
+        return top + y0, top + y1, left + x0, left + x1
 
     @property
     def sides(self) -> Sides:
@@ -209,8 +198,6 @@ class GapBorder:
     ----------
     pixels
         ``(n, 2)``: (x, y) in the gap.
-    owner
-        ``(n,)``: the side in whose wedge the pixel lies, which is the nearest one.
     layers
         ``(3, n)``: the layers blended at the pixel: the gap's own patch, the neighbor to the left or right, and the one
         above or below.
@@ -219,11 +206,10 @@ class GapBorder:
     hole
         The rest of the gap.
     owners
-        ``(block, block)``: the owner of every pixel of the gap, :data:`OWN` in the hole.
+        ``(block, block)``: the side in whose wedge each pixel lies, which is the nearest one; :data:`OWN` in the hole.
     """
 
     pixels: NDArray[np.int64]
-    owner: NDArray[np.int64]
     layers: NDArray[np.int64]
     weights: NDArray[np.float32]
     hole: Box
@@ -249,7 +235,6 @@ def gap_border(block: int, border: int, sides: Sides) -> GapBorder:
     left, top, right, bottom = (border if side else 0 for side in sides)
     return GapBorder(
         pixels=np.stack([columns, rows], -1),
-        owner=owners[rows, columns],
         layers=np.where(weights > 0, layers, OWN),
         weights=weights,
         hole=(top, block - bottom, left, block - right),
@@ -272,8 +257,8 @@ def _weights(p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float
     return np.stack([own, (1 - own) * share, (1 - own) * (1 - share)]).astype(np.float32)
 
 
-class BlockCanvas:
-    """An output under construction.
+class BlockPlacer:
+    """Places the patches of blocks on a canvas.
 
     First place every block that is not a gap with :meth:`place_block`, then show their borders in the gaps with
     :meth:`extend_placed`, then fill every gap with :meth:`fill_gap`. With ``"blend"`` the patch of a gap stays inside
@@ -287,58 +272,36 @@ class BlockCanvas:
     grid
         The blocks.
     seam
-        ``"blend"``: linear blending. ``"graphcut"``: cut along the least visible closed seam, an exact minimum cut of
-        the squared differences over the gradients.
+        ``"blend"``: linear blending. ``"graphcut"``: cut along the least visible closed seam
+        (:func:`~nrbench.synthesizers.canvas.canvas.cut_closed_seam`).
 
     Attributes
     ----------
     places
         See :data:`Places`.
-    image, source, known
-        The output in whole blocks, ``(rows * block, columns * block, C)``, its source map, and where it is known.
+    canvas
+        The output.
     """
 
     def __init__(self, patches: Patches, grid: BlockGrid, seam: SeamMethod = "blend") -> None:
-        rows, columns = grid.counts
-        height, width = grid.torus.canvas if grid.torus else (rows * grid.size, columns * grid.size)
         self.patches, self.grid, self.seam = patches, grid, seam
-        self.places: Places = np.zeros((rows, columns, 2))
-        self.image: Image = np.zeros((height, width, patches.sample.shape[2]), np.float32)
-        self.source: Source = np.ones((height, width, 3), np.float32)
-        self.known: Mask = np.zeros((height, width), np.bool_)
-        self._seams = np.zeros((2, height, width), np.float32)
-        """Costs of the seams of the image to the right and downward, for graph cuts."""
-
-    def output(self) -> tuple[Image, Source]:
-        """Return the output and its source map: the (x, y) that has the largest weight, and that weight."""
-        height, width = self.grid.shape
-        window = self.grid.torus.output if self.grid.torus else (slice(height), slice(width))
-        return self.image[window], self.source[window]
-
-    def _repeat(self, window: tuple[slice, slice]) -> None:
-        if self.grid.torus:
-            self.grid.torus.repeat(window, self.image, self.source, self.known, *self._seams)
+        self.places: Places = np.zeros((*grid.counts, 2))
+        channels, beyond = patches.sample.shape[2], (grid.size, grid.size)
+        self.canvas = Canvas(grid.shape, channels, margin=beyond, wrap=grid.wrap is not None)
 
     def place_block(self, block: Block, place: Points) -> None:
         """Place a block. Its borders must lie inside the sample, too."""
         self.places[block.row, block.column] = place
-        window = block.window()
-        self.image[window], self.source[window] = self.cut_patch(place, block.box)
-        self.known[window] = True
-        self._repeat(window)
+        self.canvas.place(block.window(), self.cut_patch(place, block.box))
 
     def extend_placed(self) -> None:
         """Show, in the border of every gap, the patches of the placed blocks around, each in its wedge."""
+        rows, columns = np.indices((self.grid.size, self.grid.size))
         for gap in self.grid.gaps():
-            border, window = gap.border, gap.window()
-            image, source = self._layers(gap)
-            x, y = border.pixels.T
-            self.image[window][y, x] = image[border.owner, y, x]
-            self.source[window][y, x] = source[border.owner, y, x]
-            self.known[window][y, x] = True
+            owners, (image, source) = gap.border.owners, self._layers(gap)
+            self.canvas.place(gap.window(), (image[owners, rows, columns], source[owners, rows, columns]), owners < OWN)
             if self.seam == "graphcut":
                 self._record_corner_seams(gap, image)
-            self._repeat(window)
 
     def fill_gap(self, gap: Block, place: Points) -> None:
         """Fill a gap with the patch whose first pixel lies at a place (x, y), and join it to what is known around."""
@@ -346,11 +309,9 @@ class BlockCanvas:
         box = self._patch_box(gap, place)
         patch = self.cut_patch(place, box)
         if self.seam == "blend":
-            self._blend(gap, patch)
+            self.canvas.place(gap.window(), self._blended(gap, patch))
         else:
-            self._cut(gap, box, patch)
-        self.known[gap.window()] = True
-        self._repeat(gap.window(box))
+            self._cut_in(gap, box, patch)
 
     def _patch_box(self, gap: Block, place: Points) -> Box:
         """Return the largest box, px from the gap's first pixel, that a gap's patch may show and the sample holds."""
@@ -370,18 +331,18 @@ class BlockCanvas:
 
     def border_mask(self, gap: Block) -> Mask:
         """Return where something is known in a gap, outside the hole."""
-        mask = self.known[gap.window()].copy()
+        mask: Mask = self.canvas.known[self.canvas.pixels(gap.window())].copy()
         mask[box_slices(gap.border.hole)] = False
         return mask
 
-    def cut_patch(self, place: Points, box: Box) -> tuple[Image, Source]:
+    def cut_patch(self, place: Points, box: Box) -> Patch:
         """Return what the patch at a place shows over a box, and its source map."""
         y0, y1, x0, x1 = box
         return self.patches.cut_patch(np.add(place, (x0, y0)), (y1 - y0, x1 - x0))
 
     def _layers(self, gap: Block) -> Layers:
         size = self.grid.size
-        image = np.zeros((5, size, size, self.image.shape[2]), np.float32)
+        image = np.zeros((5, size, size, self.patches.sample.shape[2]), np.float32)
         source = np.ones((5, size, size, 3), np.float32)
         for side, neighbor, strip in gap.neighbors():
             rows, columns = self.grid.counts
@@ -390,33 +351,48 @@ class BlockCanvas:
             image[side][part], source[side][part] = self.cut_patch(origin, strip)
         return image, source
 
-    def _blend(self, gap: Block, patch: tuple[Image, Source]) -> None:
-        border, window = gap.border, gap.window()
-        layers, sources = self._layers(gap)
+    def _blended(self, gap: Block, patch: Patch) -> Patch:
+        """Return the patch of a gap, blended with those of its neighbors over its border."""
+        border, (layers, sources) = gap.border, self._layers(gap)
         layers[OWN], sources[OWN] = patch
+        image, source = layers[OWN].copy(), sources[OWN].copy()
         x, y = border.pixels.T
-        image, source = self.image[window], self.source[window]
-        image[...], source[...] = patch
         image[y, x] = np.einsum("ln,lnc->nc", border.weights, layers[border.layers, y, x])
         main, every = border.weights.argmax(0), np.arange(len(x))
         source[y, x] = sources[border.layers[main, every], y, x]
         source[y, x, 2] *= border.weights[main, every]
+        return image, source
 
-    def _cut(self, gap: Block, box: Box, patch: tuple[Image, Source]) -> None:
-        window = gap.window(box)
-        overlap = PatchOverlap(self.image[window], patch[0], self.known[window], box, gap.border.hole, gap.sides)
-        new = cut_graph(overlap, self._seams[:, *window])
-        np.copyto(self.image[window], patch[0], where=new[..., np.newaxis])
-        np.copyto(self.source[window], patch[1], where=new[..., np.newaxis])
+    def _cut_in(self, gap: Block, box: Box, patch: Patch) -> None:
+        """Cut a patch into the canvas along a closed seam around the hole of a gap.
+
+        The outermost pixels of the box beside a neighbor stay old. The hole must be new, at least 2 px of it if
+        possible: a small block at the sample's edge has a narrower one.
+        """
+        canvas, window = self.canvas, gap.window(box)
+        pixels = canvas.pixels(window)
+        known, seams, ends = canvas.known[pixels], canvas.seams[:, *pixels], []
+        for axis in (0, 1):
+            start, stop = (end - box[2 * axis] for end in gap.border.hole[2 * axis : 2 * axis + 2])
+            if stop - start < 2:
+                first, last = int(gap.sides[1 - axis]), known.shape[axis] - int(gap.sides[3 - axis])
+                start, stop = max(start - 1, first), min(stop + 1, last)
+            ends.append(slice(start, stop))
+        fixed_new = np.zeros_like(known)
+        fixed_new[*ends] = True
+        fixed = edge_mask(fixed_new.shape, gap.sides), fixed_new
+        canvas.place(window, patch, cut_closed_seam(canvas.image[pixels], patch[0], known, fixed, seams))
+        canvas.seams[:, *pixels] = seams
 
     def _record_corner_seams(self, gap: Block, layers: Image) -> None:
         """Record the costs of the seams in a gap's corners, where the borders of two neighbors meet."""
-        half = self.grid.size // 2
+        half, pixels = self.grid.size // 2, self.canvas.pixels(gap.window())
         beside = np.concatenate([layers[0][:, :half], layers[2][:, half:]], 1)
         above = np.concatenate([layers[1][:half], layers[3][half:]], 0)
-        costs, owners, seams = link_costs(beside, above, True), gap.border.owners, self._seams[:, *gap.window()]
+        costs, owners, seams = link_costs(beside, above, True), gap.border.owners, self.canvas.seams[:, *pixels]
         seams[0, :, :-1] = _costs_between_neighbors(owners[:, 1:], owners[:, :-1], costs[0, :, :-1])
         seams[1, :-1] = _costs_between_neighbors(owners[1:], owners[:-1], costs[1, :-1])
+        self.canvas.seams[:, *pixels] = seams
 
 
 def _costs_between_neighbors(
@@ -424,103 +400,3 @@ def _costs_between_neighbors(
 ) -> NDArray[np.float64]:
     """Return the cost where one owner is to the left or right and the other one above or below, else 0."""
     return np.where((owner % 2 != other % 2) & (owner != OWN) & (other != OWN), cost, 0.0)
-
-
-def compose(patches: Patches, grid: BlockGrid, places: Places) -> tuple[Image, Source]:
-    """Compose an output of patches at given places, blended at their borders.
-
-    Parameters
-    ----------
-    patches
-        The patches of the sample.
-    grid
-        The blocks.
-    places
-        See :data:`Places`. The borders of placed blocks must lie inside the sample, too.
-
-    Returns
-    -------
-    image, source
-        The output and its source map.
-    """
-    canvas = BlockCanvas(patches, grid)
-    for block in grid.placed():
-        canvas.place_block(block, places[block.row, block.column])
-    for gap in grid.gaps():
-        canvas.fill_gap(gap, places[gap.row, gap.column])
-    return canvas.output()
-
-
-@dataclass(frozen=True, eq=False)
-class PatchOverlap:
-    """A gap's patch over the picture that it is joined to.
-
-    Parameters
-    ----------
-    old, new
-        ``(h, w, C)``: the picture and the patch, over ``box``.
-    known
-        ``bool (h, w)``: where the old picture is known. It is unknown in the hole, and in gaps that are still empty. A
-        seam there cannot be judged and counts as the most visible one.
-    box
-        What both show, px from the gap's first pixel.
-    hole
-        The part of the gap where nothing old is known.
-    sides
-        Where the gap has neighbors. The other sides are edges of the output.
-    """
-
-    old: Image
-    new: Image
-    known: Mask
-    box: Box
-    hole: Box
-    sides: Sides
-
-    def fixed_new(self) -> Mask:
-        """Return the pixels that must be new: the hole, at least 2 px wide if possible.
-
-        A small block at the sample's edge has a hole of less than 2 px. The box's edge beside a neighbor stays old.
-        """
-        mask = np.zeros(self.old.shape[:2], np.bool_)
-        sides = []
-        for axis in (0, 1):
-            start, stop = (end - self.box[2 * axis] for end in self.hole[2 * axis : 2 * axis + 2])
-            if stop - start < 2:
-                first, last = int(self.sides[1 - axis]), mask.shape[axis] - int(self.sides[3 - axis])
-                start, stop = max(start - 1, first), min(stop + 1, last)
-            sides.append(slice(start, stop))
-        mask[*sides] = True
-        return mask
-
-    def fixed_old(self) -> Mask:
-        """Return the pixels that must stay old: those at the box's edge, on the sides that have neighbors."""
-        mask = np.zeros(self.old.shape[:2], np.bool_)
-        for edge, there in zip((mask[:, 0], mask[0], mask[:, -1], mask[-1]), self.sides, strict=True):
-            edge |= there
-        return mask
-
-
-def cut_graph(overlap: PatchOverlap, seams: NDArray[np.float32]) -> Mask:
-    """Return where the new picture is shown if the seam is the least visible closed one around the hole.
-
-    With plain differences (Kwatra et al. 2003, equation 1) the shortest seam often crosses bricks of nearly one color
-    and leaves them two-toned. Divided by gradients, it follows their outlines; squared, it avoids large differences.
-
-    Parameters
-    ----------
-    overlap
-        The patch and the picture.
-    seams
-        ``(2, h, w)``: the costs of the old picture's seams over the box, to the right and downward. They are changed in
-        place to those of the joined picture.
-    """
-    known = overlap.known
-    old = np.where(known[..., np.newaxis], overlap.old, overlap.new)
-    costs = link_costs(old, np.ascontiguousarray(overlap.new), True)
-    highest = costs.max(initial=0)
-    np.copyto(costs[0, :, :-1], highest, where=~(known[:, 1:] & known[:, :-1]))
-    np.copyto(costs[1, :-1], highest, where=~(known[1:] & known[:-1]))
-    new = cut_overlap(costs, seams, overlap.fixed_old(), overlap.fixed_new())
-    record_seams(seams, np.ones(new.shape, np.uint8), new, costs)
-    return new

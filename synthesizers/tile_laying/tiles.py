@@ -1,22 +1,28 @@
-"""The shape of a tile set's tiles, the steps between them, and where the lattice is anchored."""
+"""The tiles of a tile set: shape, steps and anchor, and the tiles that a sample holds."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, to_bytes
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 
+from ..canvas.canvas import Mask, Patch, Pixels, Source
+from ..sampling.equal_places import pixel_grid
+from ..sampling.patches import Patches
+from .tile_kernels import Overlap, absolute_differences, best_move, gather, nearest_places
+
 TileKind = Literal["upright", "lattice", "rectangle", "cell"]
 AnchorKind = Literal["quiet", "elements"]
+OverlapMeasure = Literal["mean", "sum"]
 Array = NDArray[np.float64]
 TILE_SHARE: Final[dict[AnchorKind, float]] = {"quiet": 0.8, "elements": 0.5}
 """Share of the largest possible number of tiles that an anchor must leave in each set. It is lower for elements: a tile
@@ -29,6 +35,8 @@ LEAST_WEIGHT: Final = 0.1
 0.3), powers and floors of 2 and 0.1, 4 and 0.05, 8 and 0.02 leave at most 0.0004 of the bricks two-toned."""
 FINE: Final = 4
 """Parts of a pixel between anchors of elements: half a pixel decides on which side of a joint a seam runs."""
+MAX_COMPARED: Final = 48
+"""Number of tiles of a set, evenly spread, that are compared with one another for the threshold."""
 MAX_ANCHORS: Final = 100
 """Number of anchors compared, evenly spread from the lowest cost to the highest."""
 
@@ -74,34 +82,50 @@ class TileShape:
         columns, rows = np.ceil(np.hypot(*self.sides.T) - 1e-9).astype(int)
         return max(int(rows), 1), max(int(columns), 1)
 
-    @cached_property
-    def pixels(self) -> NDArray[np.int64]:
-        """``(n, 5)``: for each whole-pixel point of the tile (x, y) from its middle, and its cell in the grid.
+    def _along_sides(self, offsets: NDArray[np.int64]) -> Points:
+        """Return points (x, y) px from the middle, ``(h, w, 2)``, in shares of the two sides."""
+        return (offsets.reshape(-1, 2) @ np.linalg.inv(self.sides)).reshape(offsets.shape)
 
-        The cell is given by its row, its column, and the number of cells between it and the tile's border.
-        """
+    @cached_property
+    def _offsets(self) -> NDArray[np.int64]:
+        """``(h, w, 2)``: (x, y) from the tile's middle of the whole-pixel points of the least box that holds it."""
         x, y = np.floor(self.reach + 1e-9).astype(int)
-        offsets = np.stack(np.meshgrid(np.arange(-x, x + 1), np.arange(-y, y + 1)), -1).reshape(-1, 2)
-        ab = offsets @ np.linalg.inv(self.sides)
-        inside = (np.abs(ab) <= 0.5 + 1e-9).all(1)
-        rows, columns = self.grid
-        column = np.clip(np.floor((ab[inside, 0] + 0.5) * columns), 0, columns - 1)
-        row = np.clip(np.floor((ab[inside, 1] + 0.5) * rows), 0, rows - 1)
-        border = np.minimum.reduce([column, row, columns - 1 - column, rows - 1 - row])
-        return np.column_stack([offsets[inside], row, column, border]).astype(np.int64)
+        offsets = pixel_grid(2 * int(x) + 1, 2 * int(y) + 1, -int(x), -int(y))
+        inside = np.asarray((np.abs(self._along_sides(offsets)) <= 0.5 + 1e-9).all(-1))
+        return np.ascontiguousarray(offsets[inside.any(1)][:, inside.any(0)])
 
     @cached_property
     def box(self) -> NDArray[np.int64]:
-        """``(2, 2)``: the least and the greatest (x, y) of the tile's pixels."""
-        return np.stack([self.pixels[:, :2].min(0), self.pixels[:, :2].max(0)])
+        """``(2, 2)``: the least and the greatest (x, y) of the tile's pixels, from its middle."""
+        return self._offsets[[0, -1], [0, -1]]
+
+    @cached_property
+    def pixel_cells(self) -> NDArray[np.int64]:
+        """``(h, w, 3)``: for each pixel of the box its row and column in the grid, and its border; -1 outside the tile.
+
+        The border is the number of cells between it and the border of the tile.
+        """
+        ab = self._along_sides(self._offsets)
+        rows, columns = self.grid
+        column = np.clip(np.floor((ab[..., 0] + 0.5) * columns), 0, columns - 1)
+        row = np.clip(np.floor((ab[..., 1] + 0.5) * rows), 0, rows - 1)
+        border = np.minimum.reduce([column, row, columns - 1 - column, rows - 1 - row])
+        cells = np.stack([row, column, border], -1).astype(np.int64)
+        cells[(np.abs(ab) > 0.5 + 1e-9).any(-1)] = -1
+        return cells
+
+    @cached_property
+    def mask(self) -> NDArray[np.bool_]:
+        """``(h, w)``: which pixels of the box belong to the tile."""
+        return self.pixel_cells[..., 2] >= 0
 
     @cached_property
     def cells(self) -> NDArray[np.int64]:
-        """``(rows, columns, 2)``: the whole-pixel (x, y), from the tile's middle, nearest to each cell of its grid."""
+        """``(rows, columns, 2)``: the whole-pixel (x, y), in the box, nearest to each cell of the grid."""
         rows, columns = self.grid
         a, b = (np.arange(columns) + 0.5) / columns - 0.5, (np.arange(rows) + 0.5) / rows - 0.5
         at = np.stack(np.meshgrid(a, b), -1) @ self.sides
-        return np.clip(np.floor(at + 0.5).astype(np.int64), *self.box)
+        return np.asarray(np.clip(np.floor(at + 0.5).astype(np.int64), *self.box) - self.box[0])
 
     def middle_range(self, image_shape: tuple[int, ...]) -> tuple[Points, Points]:
         """Return the least and the greatest middle (x, y) of a tile inside the area of an image's pixels."""
@@ -334,3 +358,160 @@ def _tile_counts(lattice: Lattice, anchors: Points, tile: TileShape, sample: Ima
     )
     places = anchors[:, np.newaxis] + steps @ lattice.matrix
     return np.asarray(((places >= low) & (places <= high)).all(-1).sum(1))
+
+
+@dataclass(frozen=True, eq=False)
+class ShiftedImages:
+    """A sample shifted by the fractions 0, 1/n, ... of a pixel along x and y.
+
+    Parameters
+    ----------
+    values
+        ``uint8 (n * n, H * W * C)``: row ``fy * n + fx`` shows at pixel (x, y) what the sample shows at (x + fx / n,
+        y + fy / n).
+    shape
+        (H, W, C) of the sample.
+    parts
+        n; 1 if tiles are placed at whole pixels.
+    """
+
+    values: NDArray[np.uint8]
+    shape: tuple[int, int, int]
+    parts: int
+
+    @classmethod
+    def of(cls, sample: Image, parts: int) -> ShiftedImages:
+        """Shift a sample by splines of order 5, mirrored at the edges. With 1 part the only row is an exact copy."""
+        height, width, channels = sample.shape
+        patches = Patches(sample)
+        fractions = [np.array([fx, fy]) / parts for fy, fx in np.ndindex(parts, parts)]
+        rows = [to_bytes(patches.cut_patch(fraction, (height, width))[0]) for fraction in fractions]
+        return cls(np.stack(rows).reshape(len(rows), -1), (height, width, channels), parts)
+
+    @cached_property
+    def record(self) -> tuple[NDArray[np.uint8], int, int, int, int]:
+        """The images as kernels take them, see :data:`~nrbench.synthesizers.tile_laying.tile_kernels.Images`."""
+        return self.values, *self.shape, self.parts
+
+
+class TilePlaces(NamedTuple):
+    """Tiles around whole pixels: row of the shifted images ``(n,)``, pixel (x, y) and real middle (x, y) ``(n, 2)``."""
+
+    row: NDArray[np.int64]
+    pixel: NDArray[np.int64]
+    middle: Points
+
+    def take(self, indices: NDArray[np.bool_] | NDArray[np.int64]) -> TilePlaces:
+        """Return some of the tiles."""
+        return TilePlaces(self.row[indices], self.pixel[indices], self.middle[indices])
+
+
+@dataclass(frozen=True, eq=False)
+class TileStock:
+    """The complete maximum tiles of a sample.
+
+    Parameters
+    ----------
+    tile
+        The shape of the tiles.
+    images
+        The shifted copies of the sample that tiles are cut from.
+    lattice
+        The lattice of the sample, anchored at a tile's middle.
+    """
+
+    tile: TileShape
+    images: ShiftedImages
+    lattice: Lattice
+
+    def middles(self, i: int, j: int) -> Points:
+        """Return the middle (x, y) of every complete tile of the set at step i in the row and row j.
+
+        With i and j even this is the set T. For the others see :meth:`TileShape.set_offsets`.
+        """
+        offset = np.array([i % 2, j % 2]) @ self.tile.steps
+        return self.tile.complete_middles(self.lattice.shifted(offset), self.images.shape)
+
+    def find_places(self, middles: Points) -> TilePlaces:
+        """Return the tiles around the nearest places that the shifted images have, if they lie inside.
+
+        If rounding leaves none inside, return all of them, moved inward by less than a pixel.
+        """
+        height, width, _ = self.images.shape
+        places = nearest_places(np.ascontiguousarray(middles), self.images.record, self.tile.box)
+        row, pixel, inside = places[:, 0], places[:, 1:3], places[:, 3] == 1
+        if not inside.any():
+            (left, top), (right, bottom) = self.tile.box
+            pixel = np.clip(pixel, (-left, -top), (width - 1 - right, height - 1 - bottom))
+            row, inside = np.zeros_like(row), ~inside
+        return TilePlaces(row, pixel, middles).take(inside)
+
+    def cut(self, drawn: TilePlaces) -> Patch:
+        """Return the patch of one tile over its box, and its source map."""
+        (x, y), row, parts = drawn.pixel[0], int(drawn.row[0]), self.images.parts
+        (left, top), (right, bottom) = self.tile.box.tolist()
+        rows, columns = slice(y + top, y + bottom + 1), slice(x + left, x + right + 1)
+        fy, fx = row // parts / parts, row % parts / parts
+        source = self._steps + np.array((x + (fx >= 0.5), y + (fy >= 0.5), 0), np.float32)
+        source[..., 2] = max(fx, 1 - fx) * max(fy, 1 - fy)
+        return self.images.values[row].reshape(self.images.shape)[rows, columns], source
+
+    @cached_property
+    def _steps(self) -> Source:
+        """(x, y) of the pixels of a tile's box from its middle, and 0, ``(h, w, 3)``."""
+        (left, top), (right, bottom) = self.tile.box.tolist()
+        steps = pixel_grid(right - left + 1, bottom - top + 1, left, top)
+        return np.pad(steps, ((0, 0), (0, 0), (0, 1))).astype(np.float32)
+
+    def gather(self, image: Pixels, covered: Mask) -> Overlap:
+        """Return what is covered under a tile's box, whose pixels are ``uint8 (h, w, C)``."""
+        return gather(image, covered & self.tile.mask, self._offsets)
+
+    @cached_property
+    def _offsets(self) -> NDArray[np.int64]:
+        """The offset of each pixel of a tile's box from its middle in a flat image."""
+        _, width, channels = self.images.shape
+        x, y, _ = np.moveaxis(self._steps.astype(np.int64), -1, 0)
+        return np.ascontiguousarray((y * width + x) * channels)
+
+    def differences(self, overlap: Overlap, tiles: TilePlaces) -> NDArray[np.int64]:
+        """Compute each tile's sum of absolute differences over the overlap, channels added (step 3)."""
+        return absolute_differences(overlap, self.images.values, self._positions(tiles))
+
+    def register(self, overlap: Overlap, drawn: TilePlaces, radius: float) -> TilePlaces:
+        """Return one tile moved to where it correlates best, by at most ``radius`` px from its real middle (step 4).
+
+        The correlation is normalized over the overlap, without the mean of each channel.
+        """
+        (x, y), part, parts = drawn.pixel[0], int(drawn.row[0]), self.images.parts
+        start = np.array([x + part % parts / parts, y + part // parts / parts])
+        best = best_move(overlap, self.images.record, self.tile.box, start, drawn.middle[0], radius)
+        return TilePlaces(best[:1], best[np.newaxis, 1:], drawn.middle)
+
+    def _positions(self, tiles: TilePlaces) -> NDArray[np.int64]:
+        """Return row and position of each tile's middle in the shifted images."""
+        _, width, channels = self.images.shape
+        positions = np.empty((len(tiles.row), 2), np.int64)
+        positions[:, 0], positions[:, 1] = tiles.row, (tiles.pixel[:, 1] * width + tiles.pixel[:, 0]) * channels
+        return positions
+
+    def estimate_threshold(self, quantile: float, measure: OverlapMeasure) -> float:
+        """Return the least threshold at which each tile of the sample accepts a share of the others.
+
+        Two tiles of a set (unmoved) are compared over the usual overlap: the left and the upper half
+        of a tile. For each tile the quantile of its differences from the others is taken, and the largest of these is
+        the threshold. A single quantile over all pairs would leave the oddest tile no successor but its own, so that
+        the sample would be copied on and on. Infinite if no set holds two tiles.
+        """
+        rows, columns = self.tile.grid
+        row, column, _ = np.moveaxis(self.tile.pixel_cells, -1, 0)
+        usual = (row < rows / 2) | (column < columns / 2)
+        quantiles: list[float] = []
+        for number in self.tile.set_offsets(self.lattice):
+            tiles = self.find_places(self.middles(*number))
+            tiles = tiles.take(np.unique(np.linspace(0, len(tiles.row) - 1, MAX_COMPARED).astype(np.int64)))
+            for n in range(len(tiles.row)):
+                overlap = self.gather(self.cut(tiles.take(np.array([n])))[0], usual)
+                others = np.delete(self.differences(overlap, tiles), n)
+                quantiles += [float(np.quantile(others, quantile))] if len(others) else []
+        return max(quantiles, default=np.inf) / (int((usual & self.tile.mask).sum()) if measure == "mean" else 1)

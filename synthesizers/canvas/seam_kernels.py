@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from nrbench.jit import (
+    BoolView2,
     Boolx1,
     Boolx2,
     Float32View3,
@@ -22,10 +23,7 @@ from nrbench.jit import (
     Float64x3,
     Float64x4,
     Int64x1,
-    UInt8View2,
     UInt8x1,
-    UInt8x2,
-    UInt8x3,
     UInt64x1,
     inlined_kernel,
     kernel,
@@ -411,7 +409,7 @@ def cut_overlap(costs: Float64x3, seams: Float32View3, fixed_old: Boolx2, fixed_
 
 
 @kernel
-def record_seams(seams: Float32View3, filled: UInt8View2, mask: Boolx2, costs: Float64x3) -> None:
+def record_seams(seams: Float32View3, filled: BoolView2, mask: Boolx2, costs: Float64x3) -> None:
     """Change the seams of a box to those with the new picture: new ones along its cut, none inside it.
 
     Parameters
@@ -419,7 +417,7 @@ def record_seams(seams: Float32View3, filled: UInt8View2, mask: Boolx2, costs: F
     seams, costs
         As in :func:`cut_overlap`; ``seams`` is changed.
     filled
-        ``(h, w)``: 0 where the old picture is empty. No seam runs along its border.
+        ``bool (h, w)``: False where the old picture is empty. No seam runs along its border.
     mask
         ``(h, w)``: where the new picture is shown.
     """
@@ -429,7 +427,7 @@ def record_seams(seams: Float32View3, filled: UInt8View2, mask: Boolx2, costs: F
             for x in range(width - 1 + axis):
                 v, u = y + axis, x + 1 - axis
                 if mask[y, x] or mask[v, u]:
-                    both_filled = (mask[y, x] or filled[y, x] != 0) and (mask[v, u] or filled[v, u] != 0)
+                    both_filled = (mask[y, x] or filled[y, x]) and (mask[v, u] or filled[v, u])
                     seams[axis, y, x] = costs[axis, y, x] if both_filled and mask[y, x] != mask[v, u] else 0.0
 
 
@@ -478,23 +476,8 @@ def link_costs(old: Float32x3, new: Float32x3, squared: bool) -> Float64x3:
 
 
 @kernel
-def squared_differences(old: UInt8x3, new: UInt8x3) -> Float64x2:
-    """Return the squared difference of two pictures ``(h, w, C)`` at each pixel, summed over channels: ``(h, w)``."""
-    height, width, channels = old.shape
-    error = np.empty((height, width))
-    for y in range(height):
-        for x in range(width):
-            total = 0
-            for c in range(channels):
-                difference = int(old[y, x, c]) - int(new[y, x, c])
-                total += difference * difference
-            error[y, x] = total
-    return error
-
-
-@kernel
 def corner_paths(error: Float64x2, beside: int, above: int) -> tuple[int, int, Int64x1, Int64x1, float]:
-    """Return the two paths of an L-shaped cut, as ``l_shaped_seam`` describes them. O(h beside + w above).
+    """Return the two paths of an L-shaped cut, as ``find_paths`` describes them. O(h beside + w above).
 
     Parameters
     ----------
@@ -520,16 +503,3 @@ def corner_paths(error: Float64x2, beside: int, above: int) -> tuple[int, int, I
             if both < cost:
                 cost, row, column = both, i, j
     return row, column, follow_path(upright, row, column), follow_path(level, column, row), cost
-
-
-@kernel
-def cut_corner(error: Float64x2, overlap: int) -> tuple[UInt8x2, float]:
-    """Return the mask and the cost of an L-shaped cut, as ``l_shaped_seam`` describes them. O((h + w) overlap)."""
-    height, width = error.shape
-    row, column, first, below, cost = corner_paths(error, overlap, overlap)
-    mask = np.ones((height, width), np.uint8)
-    for y in range(height):
-        for x in range(width):
-            if (y < row and x < column) or (y >= row and x < first[y - row]) or (x >= column and y < below[x - column]):
-                mask[y, x] = 0
-    return mask, cost

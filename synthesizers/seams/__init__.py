@@ -1,1 +1,0 @@
-"""Seams between overlapping pictures: minimum cuts and dynamic programming."""
