@@ -38,7 +38,7 @@ from nrbench import plugins
 from nrbench.datasets_procedural.modelling.materials import MATERIALS, Material
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.labelling.questions import ANSWERS, ELEMENTS, LATTICE, MORE
+from nrbench.labelling.labels import ANSWERS, ELEMENTS, LATTICE, MORE
 from nrbench.metrics.integrity import Integrity
 from nrbench.metrics.quality import Quality
 from nrbench.metrics.regularity import Regularity

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +15,8 @@ from nrbench.storage import write_files
 from .statistics.frames import print_textures, tabulate_run
 from .statistics.method_comparison import ComparisonOptions
 
+_SHOWN = ("quality", "quality.regularity", "quality.integrity", "quality.randomness", "quality.appearance", "seconds")
+"""The means that a notebook shows."""
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
@@ -66,13 +69,29 @@ class CsvTables(ComparisonOptions):
         """Write the tables and return their paths."""
         return write_files(directory, {f"{name}.csv": csv_text(table) for name, table in self.tables(run).items()})
 
-    def marks(self, run: Run) -> pd.DataFrame:
-        """Return textures by methods with the marks of the verdicts, as the text report prints them."""
-        return print_textures(self.compare(run)).frame().set_index("texture").drop(columns="share")
+    def notebook(self, run: Run) -> str:
+        """Return the methods, and textures by methods, as HTML tables with marks, for notebooks."""
+        suite = run.info.get("suite", {})
+        title = f"{suite.get('name', 'run')} {suite.get('version', '')} in {run.root}: {len(run.cells)} cells"
+        shown = self.tables(run)["summary"].set_index(["method", "lattice_source"])
+        names = ["rank", "cells", "ok", "refused", "failed", "preserved", *_SHOWN]
+        table = shown[[name for name in names if name in shown]].copy()
+        if "leading" in shown:
+            leading, references = shown["leading"].eq(True), shown["reference"].astype(bool)
+            marks = [
+                "★" if first else "†" if reference else "" for first, reference in zip(leading, references, strict=True)
+            ]
+            table.insert(0, " ", marks)
+        textures = print_textures(self.comparison(run)).frame().set_index("texture").drop(columns="share")
+        both = table, textures.rename_axis(index=None)
+        parts = [one.to_html(float_format="{:.3g}".format, na_rep="–", escape=True) for one in both]
+        legend = "★ leading group, † reference, never ranked. "
+        legend += "✓ lattice preserved, ✗ lost, ! failed, N/A refused; beside it the quality."
+        return f"<p>{html.escape(title)}</p>{parts[0]}<p>{legend}</p>{parts[1]}"
 
     def tables(self, run: Run) -> dict[str, pd.DataFrame]:
         """Return the tables by the names of their files."""
-        return tabulate_run(run, self.compare(run), self.labels)
+        return tabulate_run(run, self.comparison(run), self.labels)
 
 
 def csv_text(table: pd.DataFrame) -> str:

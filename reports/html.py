@@ -16,8 +16,7 @@ import numpy as np
 from markupsafe import Markup
 
 from nrbench.errors import strip_control
-from nrbench.labelling import questions
-from nrbench.labelling.labels import content_hash
+from nrbench.labelling.labels import ANSWERS, WHOLE_SCORE, content_hash
 from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 from nrbench.storage import write_files
@@ -93,7 +92,7 @@ class HtmlReport(ComparisonOptions):
 
     def render(self, run: Run, directory: Path) -> str:
         """Return the page as it will lie in ``directory``."""
-        comparison = self.compare(run)
+        comparison = self.comparison(run)
         pictures = PictureStore(directory, self.single_file)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         labelers, claims, timed = compare_labelers(run, self.labels), evaluate_claims(run), timed_methods(comparison)
@@ -145,7 +144,8 @@ class HtmlReport(ComparisonOptions):
             "single_file": self.single_file,
             "detectors": compare_detectors(run),
             "labelers": labelers,
-            "questions": questions,
+            "answers": ANSWERS,
+            "whole_score": WHOLE_SCORE,
         }
         page = _fill_template(content, pictures)
         pictures.sweep()

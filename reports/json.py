@@ -33,7 +33,7 @@ class JsonSummary(ComparisonOptions):
 
     def render(self, run: Run) -> str:
         """Return the comparison as JSON; it ends in a newline."""
-        content = _content(run, self.compare(run))
+        content = _content(run, self.comparison(run))
         return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 

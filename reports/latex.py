@@ -115,7 +115,7 @@ class LatexTables(ComparisonOptions):
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; without a regularity score only ``patches.tex``, if at all."""
-        comparison, patches = self.compare(run), print_patches(run)
+        comparison, patches = self.comparison(run), print_patches(run)
         wide = replace(self, width="page") if self.width == "column" else self
         texts = {"patches.tex": wide._fill(comparison, [patches])} if patches.rows else {}
         if comparison.scored and comparison.rows:

@@ -46,7 +46,7 @@ class MarkdownTables(ComparisonOptions):
     def render(self, run: Run) -> str:
         """Return the tables as text; every line ends in a newline."""
         template = make_environment({"escape_markdown": escape_markdown}).get_template("comparison.md")
-        comparison = self.compare(run)
+        comparison = self.comparison(run)
         published = compare_with_published(run, comparison)
         return template.render(
             comparison=comparison,

@@ -54,7 +54,7 @@ class PerilsPlane(ComparisonOptions):
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; none if no method has a quality."""
-        comparison = self.compare(run)
+        comparison = self.comparison(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         files = {}
         for kind in ("svg", "pdf"):
@@ -70,7 +70,7 @@ class PerilsPlane(ComparisonOptions):
                 files[f"heat-map.{kind}"] = plot_heat_map(kind, comparison)
         return write_files(directory, files)
 
-    def render(self, run: Run, kind: str) -> bytes:
+    def plot(self, run: Run, kind: str) -> bytes:
         """Return the perils plane as a file of a kind: ``svg``, ``pdf`` or ``png``.
 
         Raises
@@ -78,7 +78,7 @@ class PerilsPlane(ComparisonOptions):
         BadInput
             If no method of the run has a quality.
         """
-        points = perils_points(self.compare(run).summaries)
+        points = perils_points(self.comparison(run).summaries)
         if not points:
             raise BadInput(f"{run.root}: no method has a quality, so there is nothing to plot")
         return plot_perils_plane(kind, points, self.width)

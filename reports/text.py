@@ -78,7 +78,7 @@ class TextTable(ComparisonOptions):
 
     def render(self, run: Run) -> str:
         """Return the comparison as text without color codes; every line ends in a newline."""
-        comparison, detectors = self.compare(run), compare_detectors(run)
+        comparison, detectors = self.comparison(run), compare_detectors(run)
         lines = choose_rows(run, comparison, self.columns)
         file = StringIO()
         console = Console(file=file, width=self.width, color_system=None, force_terminal=False, emoji=False)

@@ -14,6 +14,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.spectra.harmonics import lowest_period
 
+from .canvas.canvas import Window
 from .graph_cuts import LEAST_OVERLAP, WholePatches
 from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .patchwork.patchwork import (
@@ -21,7 +22,6 @@ from .patchwork.patchwork import (
     Patchwork,
     SeamHeat,
     Translations,
-    Window,
     draw_translation,
     summed_variance,
     to_gray_levels,
@@ -159,7 +159,7 @@ class FftmPatch(MaskParameters):
         if self.matching == "entire":
             placed = WholePatches(work, colors, size, "entire", self.randomness, LEAST_OVERLAP, (0, 0), task.rng, guide)
             self._lay_whole_patches(placed, task)
-            image, source = work.result()
+            image, source = work.output()
             return Synthesis(image, mask.lattice, source, {"mask": output_mask})
         placer = PatchPlacer(work, colors, self.randomness, task.rng, guide, round(self.reach * min(size)))
         step_y, step_x = (max(1, round(side * (1 - self.overlap))) for side in size)
@@ -172,7 +172,7 @@ class FftmPatch(MaskParameters):
         for number in range(len(windows), steps):
             placer.improve_worst_window(heat)
             task.progress(number / steps)
-        image, source = work.result()
+        image, source = work.output()
         task.progress(1.0)
         return Synthesis(image, mask.lattice, source, {"mask": output_mask})
 

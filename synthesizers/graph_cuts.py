@@ -15,14 +15,13 @@ from nrbench.errors import require, require_ranges
 from nrbench.imaging.boxes import box_sums
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
+from .canvas.canvas import Mask, Window
 from .patchwork.patchwork import (
     Costs,
     Features,
-    Mask,
     Patchwork,
     SeamHeat,
     Translations,
-    Window,
     draw_translation,
     summed_variance,
     to_gray_levels,
@@ -197,7 +196,7 @@ class GraphCuts:
         heat = SeamHeat(work, patches.size)
         reach = max(whole - part for whole, part in zip(task.sample.shape[:2], patches.size, strict=True))
         for number in range(self.passes):
-            before, origin, seams = work.cost, work.origin.copy(), work.seams.copy()
+            before, kept = work.cost, [array.copy() for array in (work.image, work.source, work.seams)]
             if before == 0:
                 return
             for step in range(steps):
@@ -207,7 +206,7 @@ class GraphCuts:
                 task.progress(filled * (1 + number + step / steps))
             after = work.cost
             if after > before:
-                work.origin, work.seams = origin, seams
+                work.image, work.source, work.seams = kept
             if before - after <= LEAST_GAIN * before:
                 return
 
@@ -376,7 +375,7 @@ class WholePatches:
     def _shown(self, region: Window) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the translations, as rows and columns of the costs, that are shown in a known region."""
         top, left = self._first(region)
-        x, y = np.moveaxis(self.work.origin[self.work.pixels(region)], -1, 0)
+        x, y = np.moveaxis(self.work.origin(region), -1, 0)
         rows, columns = np.ogrid[region[0] : region[1], region[2] : region[3]]
         rows, columns = rows - y - top, columns - x - left
         within = (rows >= 0) & (rows < self._counts[0]) & (columns >= 0) & (columns < self._counts[1])

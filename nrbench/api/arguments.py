@@ -51,6 +51,8 @@ Picture = Annotated[Imagelike, Flag(ARGUMENT, kind=Path)]
 """An :data:`Imagelike`; on the command line the path of a picture."""
 OutputFolder = Annotated["str | os.PathLike[str]", Flag("-o --output", "DIR", kind=Path)]
 
+Detectorlike = Pluginlike | None
+"""A :data:`Pluginlike`; None: the detector of nrbench that finds a lattice where none is named, ``consensus``."""
 Method = Annotated[Pluginlike, Flag("-m", METHOD)]
 Methods = Annotated[Sequence[Pluginlike] | Pluginlike, Flag("-m", METHOD, many=True)]
 Textures = Annotated[Sequence[str] | str, Flag("-t", "GLOB", many=True)]
@@ -128,6 +130,11 @@ def picture_file(image: Imagelike, folder: Path) -> Path:
         return Path(image)
     write_image(folder / "picture.png", image_in(image))
     return folder / "picture.png"
+
+
+def detector_in(detector: Detectorlike, parameters: Mapping[str, Any]) -> Any:
+    """Return the instance of a detector; raise BadInput if it is none."""
+    return plugin_in("detectors", plugins.in_role("detector") if detector is None else detector, parameters)
 
 
 def plugin_in(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> Any:

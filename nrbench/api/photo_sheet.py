@@ -25,7 +25,7 @@ _PERILS = ("regularity", "integrity", "randomness", "appearance")
 def photo_suite(photo: Path, sample: Any, size: Any) -> Suite:
     """Return a suite of one photograph with all methods that are no references and need no parameter."""
     height, width = map(min, read_image(photo).shape[:2], parse_size(sample))
-    row = {"name": "photo", "dataset": "images", "parameters": {"path": str(photo.absolute())}}
+    row = {"name": "photo", "dataset": plugins.in_role("pictures"), "parameters": {"path": str(photo.absolute())}}
     content = {
         "name": "sheet",
         "sample": f"{width}x{height}",

@@ -360,8 +360,8 @@ def compare(first: FirstRun, second: SecondRun, columns: Columns = ()) -> Any:
     {'same'}
     """
     runs = [as_run(first), as_run(second)]
-    names = tuple(names_of(columns))
-    return plugins.build("reports", "changes", {"baseline": runs[0].root, "columns": names}).compare(runs[1])
+    given = {"baseline": runs[0].root, "columns": tuple(names_of(columns))}
+    return plugins.build("reports", plugins.in_role("comparison"), given).compare(runs[1])
 
 
 def choose_seed(seed: int | str | None, root: Path) -> dict[str, Any]:
@@ -638,9 +638,8 @@ def site(runs: Runs, output: OutputFolder) -> list[Path]:
     """
     loaded, folder = [as_run(each) for each in runs], Path(output)
     folder.mkdir(parents=True, exist_ok=True)
-    written: list[Path] = plugins.build("reports", "site", {"runs": tuple(each.root for each in loaded)}).write(
-        loaded[0], folder
-    )
+    given = {"runs": tuple(each.root for each in loaded)}
+    written: list[Path] = plugins.build("reports", plugins.in_role("run-site"), given).write(loaded[0], folder)
     return written
 
 
@@ -651,7 +650,7 @@ def sheet(
     methods: Methods = (),
     sample: SampleSize = "384x384",
     size: SampleSize = "384x384",
-    lattice: Latticelike = "consensus",
+    lattice: Latticelike = None,
     seed: Number = 0,
     progress: Progress | None = None,
     options: Options | None = None,
@@ -677,7 +676,7 @@ def sheet(
     size
         Size of the outputs.
     lattice
-        The lattice of PHOTO, or the detector that finds it, once for all methods.
+        The lattice of PHOTO, or the detector that finds it, once for all methods.  [default: consensus]
     seed
         Equal seeds give equal outputs.
     progress, options
@@ -706,7 +705,8 @@ def sheet(
 
     with tempfile.TemporaryDirectory() as folder:
         suite = photo_suite(picture_file(photo, Path(folder)), sample, size)
-        cells, root = plan_cells(suite, methods, (), [lattice], Path(folder) / "run", seed=seed)
+        sources = [lattice or plugins.in_role("detector")]
+        cells, root = plan_cells(suite, methods, (), sources, Path(folder) / "run", seed=seed)
         rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)
         made = [pair for pair in rated if pair[0].status == "ok"]
         if made:

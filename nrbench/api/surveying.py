@@ -182,7 +182,7 @@ class Survey:
     """
 
     folder: Path
-    detector: str = "consensus"
+    detector: str = field(default_factory=lambda: plugins.in_role("detector"))
     output: Path | None = None
     least: float = 0.5
     existing: str = "refuse"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
 from nrbench.api.arguments import (
+    Detectorlike,
     Imagelike,
     Latticelike,
     Method,
@@ -18,6 +19,7 @@ from nrbench.api.arguments import (
     Pluginlike,
     Shapelike,
     Textures,
+    detector_in,
     image_in,
     lattice_in,
     list_of,
@@ -87,7 +89,7 @@ def texture(model: Pluginlike, shape: Shapelike = (128, 128), seed: int = 0, **p
     return drawn
 
 
-def detect_lattice(image: Imagelike, detector: Pluginlike = "consensus", **parameters: Any) -> Detection:
+def detect_lattice(image: Imagelike, detector: Detectorlike = None, **parameters: Any) -> Detection:
     """Detect the lattice of an image.
 
     Parameters
@@ -95,7 +97,7 @@ def detect_lattice(image: Imagelike, detector: Pluginlike = "consensus", **param
     image
         An :data:`Imagelike`.
     detector
-        A detector plugin: its name, its class, or an instance.
+        A detector plugin: its name, its class, or an instance; if None, ``consensus``.
     **parameters
         The detector's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -119,12 +121,12 @@ def detect_lattice(image: Imagelike, detector: Pluginlike = "consensus", **param
     >>> found.lattice.is_equivalent(brick.lattice, tolerance=0.5)
     True
     """
-    detection: Detection = plugin_in("detectors", detector, parameters).detect(image_in(image))
+    detection: Detection = detector_in(detector, parameters).detect(image_in(image))
     return detection
 
 
 def track_lattice(
-    image: Imagelike, lattice: Latticelike = None, detector: Pluginlike = "consensus", **parameters: Any
+    image: Imagelike, lattice: Latticelike = None, detector: Detectorlike = None, **parameters: Any
 ) -> Deformation:
     """Find the lattice of an image that may be bent: rows that bow, periods that shrink, a plane in perspective.
 
@@ -139,7 +141,7 @@ def track_lattice(
         The lattice, about as it is on average or somewhere in the image; its origin does not matter. If None, it is
         detected, in the whole image and in overlapping views.
     detector
-        The detector that finds the lattice and confirms it on the straightened image.
+        The detector that finds the lattice and confirms it on the straightened image; if None, ``consensus``.
     **parameters
         The detector's parameters.
 
@@ -168,7 +170,7 @@ def track_lattice(
 def follow_bent_lattice(
     image: Image,
     lattice: Lattice | None = None,
-    detector: Pluginlike = "consensus",
+    detector: Detectorlike = None,
     parameters: Mapping[str, Any] | None = None,
     only_promising: bool = False,
 ) -> Followed:
@@ -183,7 +185,7 @@ def follow_bent_lattice(
     """
     from nrbench.views.deformed import find_deformation
 
-    thorough = plugin_in("detectors", detector, parameters or {})
+    thorough = detector_in(detector, parameters or {})
     quick = plugins.build("detectors", "dominance", {"reject": "none"})
     return find_deformation(image, thorough, quick, lattice, only_promising)
 

@@ -20,7 +20,7 @@ from typing import Any, Literal
 import psutil
 
 from nrbench import plugins
-from nrbench.authoring.plugin_checks import CHECKS, MARK, MARKUP, Subject, demand_of, earlier_clause
+from nrbench.authoring.plugin_checks import CHECKS, EXAMPLES, MARK, MARKUP, Subject, demand_of, earlier_clause
 from nrbench.errors import BadInput, describe_error
 from nrbench.plugins.forms import Refused
 from nrbench.plugins.parameters import leave_user_folder, nearest
@@ -213,16 +213,10 @@ def make_example_run(root: Path) -> Path:
     texts = {"family": " ".join(sorted(set(MARKUP.values()))), "description": f"<script>{MARK} \\input{{{MARK}}}"}
     names = (f"=1+{MARK} <script>{MARK}", f"{MARK} & 100% _of_ $x$ #1 \u202e")
     suite = {
+        **EXAMPLES["run"],
         "name": f"check <script>{MARK}",
-        "sample": "48x48",
-        "size": "64x64",
-        "lattice": ["given"],
-        "methods": ["oracle", "tiling", "scatter", f"command:run=no-such-program-{MARK} {{sample}} {{output}}"],
-        "metrics": ["quality", "regularity", "cost"],
-        "texture": [
-            {"name": name, "dataset": "brick", "parameters": {"width": 20, "height": 10, "color": 0.2}, **texts}
-            for name in names
-        ],
+        "methods": [*EXAMPLES["run"]["methods"], EXAMPLES["failing"]["method"].format(mark=MARK)],
+        "texture": [{**EXAMPLES["texture"], "name": name, **texts} for name in names],
     }
     with contextlib.redirect_stderr(io.StringIO()):  # the traceback of the method that fails
         execute(make_plan(validated_suite(suite, "check")), root, Options(jobs=0), lambda step: None)

@@ -19,9 +19,11 @@ import subprocess
 import sys
 import tempfile
 import threading
+import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -43,7 +45,8 @@ from nrbench.streams import stream
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import draw_texture
 
-WALL = {"width": 16.0, "height": 12.0, "color": 0.2, "noise": 0.02}
+EXAMPLES: Mapping[str, Any] = tomllib.loads(files(__package__).joinpath("templates/examples.toml").read_text("utf-8"))
+WALL = EXAMPLES["wall"]
 """Parameters of the brick wall on which plugins are tried."""
 SAMPLE, OUTPUT = (84, 100), (96, 112)
 """Shapes of a sample and of an output."""
@@ -150,8 +153,8 @@ def draw_wall(
     shape
         Height and width, px.
     """
-    parameters = plugins.parameters_of(plugins.build("datasets", "brick", WALL))
-    recipe = Recipe("brick", parameters, seed, "check", 0, shape)
+    parameters = plugins.parameters_of(plugins.build("datasets", WALL["dataset"], WALL["parameters"]))
+    recipe = Recipe(WALL["dataset"], parameters, seed, "check", 0, shape)
     wall = recipe.render()
 
     def reduced(texture: forms.Texture | None) -> forms.Texture:

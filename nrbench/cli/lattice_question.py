@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from nrbench import plugins
 from nrbench.cli.verbs import check_output, choose_one
 from nrbench.errors import BadInput
 from nrbench.flags import ARGUMENT, Flag, Json, Switch
@@ -69,7 +70,7 @@ class LatticeQuestion:
     @property
     def spec(self) -> str:
         """The detector, with its parameters."""
-        return self.detector or "consensus"
+        return self.detector or plugins.in_role("detector")
 
     def check(self) -> None:
         """Raise :class:`~nrbench.errors.BadInput` for options that exclude each other, or do not fit the image."""

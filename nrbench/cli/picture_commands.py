@@ -75,7 +75,7 @@ def synth_command(
         click.echo(f"not written: {', '.join(pictures)}; --extras writes them", err=True)
     for title, array in pictures.items() if extras else ():
         click.echo(f"{write_image(output.with_name(f'{output.stem}-{title}.png'), array)} ({title})", err=True)
-    if given is None and synthesis.lattice is not None and finder != "consensus":
+    if given is None and synthesis.lattice is not None and finder != plugins.in_role("detector"):
         _warn_of_another_lattice(sample, name, synthesis.lattice)
 
 

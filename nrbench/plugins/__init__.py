@@ -12,6 +12,7 @@ from nrbench.plugins.registry import describe_patches as describe_patches
 from nrbench.plugins.registry import fault as fault
 from nrbench.plugins.registry import files as files
 from nrbench.plugins.registry import find as find
+from nrbench.plugins.registry import in_role as in_role
 from nrbench.plugins.registry import inventory as inventory
 from nrbench.plugins.registry import lookup as lookup
 from nrbench.plugins.registry import name_of as name_of

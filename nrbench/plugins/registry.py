@@ -237,6 +237,23 @@ def name_of(kind: str, cls: type[Any]) -> str:
     return next((plugin.name for plugin in known if not plugin.duplicate), "")
 
 
+@cache
+def in_role(role: str) -> str:
+    """Return the name of the plugin that nrbench declares for a role.
+
+    Parameters
+    ----------
+    role
+        ``detector``, which finds a lattice where no detector is named; ``quick-detector``, which proposes lattices of
+        bent pictures; ``pictures``, which reads files; ``comparison``, which compares two runs; ``run-site``;
+        ``tables``, which has the frames of a run; ``plot``, which has the plot of a run.
+    """
+    declared = entry_points(group="nrbench.roles", name=role)
+    value = next(point.value for point in declared if _name_and_version(point.dist)[0] == "nrbench")
+    points = (point for kind in FORMS for point in entry_points(group=f"nrbench.{kind}"))
+    return next(point.name for point in points if point.value == value)
+
+
 def lookup(kind: str, name: str) -> Plugin:
     """Return the plugin called ``name``, which is not imported, and may not load.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import html
 import json
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
@@ -28,8 +27,6 @@ HEAD = (
     *("reference", "status", "phase", "message", "note", "seconds", "peak_mib", "key"),
 )
 """The table's columns before the scores."""
-_SHOWN = ("quality", "quality.regularity", "quality.integrity", "quality.randomness", "quality.appearance", "seconds")
-"""The means that a notebook shows."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +175,7 @@ class Plot:
     savefig = save
 
     def _render(self, kind: str) -> bytes:
-        content: bytes = plugins.build("reports", "perils", {"width": self.width}).render(self.run, kind)
+        content: bytes = plugins.build("reports", plugins.in_role("plot"), {"width": self.width}).plot(self.run, kind)
         return content
 
     def _repr_svg_(self) -> str:
@@ -341,27 +338,12 @@ class Run:
         return Plot(self, width)
 
     def _tables(self) -> dict[str, pd.DataFrame]:
-        tables: dict[str, pd.DataFrame] = plugins.build("reports", "csv").tables(self)
+        tables: dict[str, pd.DataFrame] = plugins.build("reports", plugins.in_role("tables")).tables(self)
         return tables
 
     def _repr_html_(self) -> str:
         """Return the methods, and textures by methods, as HTML tables with marks, for notebooks."""
-        suite = self.info.get("suite", {})
-        title = f"{suite.get('name', 'run')} {suite.get('version', '')} in {self.root}: {len(self.cells)} cells"
-        shown = self.summary()
-        names = ["rank", "cells", "ok", "refused", "failed", "preserved", *_SHOWN]
-        table = shown[[name for name in names if name in shown]].copy()
-        if "leading" in shown:
-            leading, references = shown["leading"].eq(True), shown["reference"].astype(bool)
-            marks = [
-                "★" if first else "†" if reference else "" for first, reference in zip(leading, references, strict=True)
-            ]
-            table.insert(0, " ", marks)
-        both = table, plugins.build("reports", "csv").marks(self)
-        parts = [one.to_html(float_format="{:.3g}".format, na_rep="–", escape=True) for one in both]
-        legend = "★ leading group, † reference, never ranked. "
-        legend += "✓ lattice preserved, ✗ lost, ! failed, N/A refused; beside it the quality."
-        return f"<p>{html.escape(title)}</p>{parts[0]}<p>{legend}</p>{parts[1]}"
+        return str(plugins.build("reports", plugins.in_role("tables")).notebook(self))
 
 
 def _read_cell(where: CellFolder, entry: Mapping[str, Any], known: dict[int, Recipe]) -> Cell:

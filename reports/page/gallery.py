@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.labelling.questions import Question
+from nrbench.labelling.labels import Question
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.runs.records import CellRecord, Run
 

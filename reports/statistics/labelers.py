@@ -12,8 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from nrbench.labelling.labels import Labeler, read_labelers
-from nrbench.labelling.questions import ANSWERS, QUESTIONS, Question
+from nrbench.labelling.labels import ANSWERS, QUESTIONS, Labeler, Question, read_labelers
 from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import stream
 
@@ -43,7 +42,7 @@ class RaterAgreement:
     outputs
         For orders: which outputs are compared, one of :data:`SUBSETS`.
     kappa
-        Cohen's kappa over :data:`~nrbench.labelling.questions.ANSWERS`; for several pairs the mean.
+        Cohen's kappa over :data:`~nrbench.labelling.labels.ANSWERS`; for several pairs the mean.
     decided
         The same over the items that both answered with yes or no.
     spearman

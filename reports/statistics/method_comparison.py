@@ -312,7 +312,7 @@ class ComparisonOptions:
         super().__init_subclass__()
         append_parameters(cls, ComparisonOptions)
 
-    def compare(self, run: Run) -> Comparison:
+    def comparison(self, run: Run) -> Comparison:
         """Return the comparison of a run, as :func:`compare_methods`."""
         return compare_methods(run, self.tests, self.baseline, self.population)
 

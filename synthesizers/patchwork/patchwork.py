@@ -18,21 +18,17 @@ from numpy.typing import NDArray
 from nrbench.imaging.boxes import Table, box_sums, box_sums_from, integral_image
 from nrbench.imaging.convert import Image
 
-from ..canvas.seam_kernels import cut_links
+from ..canvas.canvas import Canvas, Mask, Source, Window, copy_patch
+from ..canvas.seam_kernels import FIRST, SECOND, cut_links
 from ..sampling.fourier_products import FourierProducts, Spectra
-from ..sampling.patches import Source
-from .patchwork_kernels import UNIT, feather_seams, link_choices, show_patch
+from .patchwork_kernels import UNIT, feather_seams, link_choices
 
-Mask = NDArray[np.bool_]
 Features = NDArray[np.int32]
 """``int32 (H, W, F)``: the values of the pixels that are compared. They are integers, so that sums are exact."""
 Costs = NDArray[np.float64]
 """``float64 (rows, columns)``: the cost of each place (y, x) of the window's first pixel in the sample."""
 _FARTHEST = 746.0
 """exp of less than minus this is 0."""
-Window = tuple[int, int, int, int]
-"""(y0, y1, x0, x1), half-open: rows and columns of the output."""
-Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
 BLOCKS_PER_SIDE = 6
 """Number of blocks along the shorter side of a window; the search for the worst window moves in steps of a block."""
 
@@ -134,7 +130,7 @@ def draw_translation(costs: Costs, scale: float, rng: np.random.Generator) -> tu
     return x, y
 
 
-class Patchwork:
+class Patchwork(Canvas):
     """An output that is assembled from patches; it is empty at first.
 
     Every pixel is a copy of a pixel of the sample. The source map therefore determines the patch of each pixel, the
@@ -166,15 +162,9 @@ class Patchwork:
     wrap
         Whether opposite edges of the output are adjacent.
 
-    Attributes
-    ----------
-    origin
-        ``int64 (H, W, 2)``: the (x, y) in the sample of each known pixel.
-    known
-        ``bool (H, W)``: the pixels that are synthesized already.
-    seams
-        ``int64 (2, H, W)``: the cost of the link to the right of each pixel and of the link below it, in 1 /
-        :data:`UNIT` gray levels; 0 inside a patch.
+    Notes
+    -----
+    The costs of the links, :attr:`seams`, are whole numbers, ``int64``, in 1 / :data:`UNIT` gray levels.
     """
 
     def __init__(
@@ -186,11 +176,8 @@ class Patchwork:
         power: int = 1,
         wrap: bool = False,
     ) -> None:
-        self.sample, self.features, self.shape = sample, features, shape
-        self.normalized, self.power, self.wrap = normalized, power, wrap
-        self.origin = np.zeros((*shape, 2), np.int64)
-        self.known = np.zeros(shape, np.bool_)
-        self.seams = np.zeros((2, *shape), np.int64)
+        super().__init__(shape, sample.shape[2], wrap=wrap, seam_type=np.int64)
+        self.sample, self.features, self.normalized, self.power = sample, features, normalized, power
         values = features.astype(np.float64)
         gradients = [
             np.gradient(values, axis=axis) if values.shape[axis] > 1 else np.zeros_like(values) for axis in (1, 0)
@@ -202,12 +189,6 @@ class Patchwork:
     def cost(self) -> float:
         """The cost of all seams, gray levels."""
         return float(self.seams.sum() / UNIT)
-
-    def result(self) -> tuple[Image, Source]:
-        """Return the output and its source map."""
-        source = np.ones((*self.shape, 3), np.float32)
-        source[..., :2] = self.origin
-        return self.read(self.sample, (0, self.shape[0], 0, self.shape[1])), source
 
     def feathered(self, sigma: float) -> tuple[Image, Source]:
         """Return the output with its patches blended near their seams, and its source map.
@@ -221,14 +202,15 @@ class Patchwork:
         sigma
             Standard deviation of the Gaussian, px; it is cut off at twice that distance. 0: every pixel is a copy.
         """
-        image, source = self.result()
+        image, source = self.output()
         if sigma == 0:
             return image, source
         distance = np.arange(-math.ceil(2 * sigma), math.ceil(2 * sigma) + 1)
         weights = np.exp(-(distance**2) / (2 * sigma**2))
         reach = len(distance) // 2 if self.wrap else 0
         around = [(reach, reach), (reach, reach), (0, 0)]
-        padded = np.pad(self.origin, around, "wrap"), np.pad(image, around, "wrap")
+        origin = source[..., :2].astype(np.int64)
+        padded = np.pad(origin, around, "wrap"), np.pad(image, around, "wrap")
         made = feather_seams(self.sample.copy(), *padded, np.outer(weights, weights))
         height, width = self.shape
         image, source = (part[reach : reach + height, reach : reach + width] for part in made)
@@ -239,14 +221,12 @@ class Patchwork:
 
         The values of unknown pixels are arbitrary.
         """
-        x, y = np.moveaxis(self.origin[self.pixels(window)], -1, 0)
+        x, y = np.moveaxis(self.origin(window), -1, 0)
         return np.asarray(values[y, x])
 
-    def pixels(self, window: Window) -> Pixels:
-        """Return the rows and columns of a window as indices; they wrap if the output does."""
-        y0, y1, x0, x1 = window
-        rows, columns = np.arange(y0, y1) % self.shape[0], np.arange(x0, x1) % self.shape[1]
-        return rows[:, np.newaxis], columns[np.newaxis]
+    def origin(self, window: Window) -> NDArray[np.int64]:
+        """Return the (x, y) in the sample of a window's pixels, ``(h, w, 2)``; (0, 0) where nothing is known."""
+        return np.ascontiguousarray(self.source[self.pixels(window)][..., :2], np.int64)
 
     def lay_patch(
         self, window: Window, place: tuple[int, int], reach: int = 0, forced_pixel: tuple[int, int] | None = None
@@ -272,18 +252,22 @@ class Patchwork:
         int
             The number of pixels that now show the patch.
         """
-        around, ring = self._add_ring(self._extend_window(window, place, reach))
+        extended = self._extend_window(window, place, reach)
+        around, ring = self._add_ring(extended)
         pixels = self.pixels(around)
-        known, origin = np.ascontiguousarray(self.known[pixels]), np.ascontiguousarray(self.origin[pixels])
+        known = np.ascontiguousarray(self.known[pixels])
         forced = np.zeros_like(known)
         forced[_within(window, around)] = ~known[_within(window, around)]
         if forced_pixel is not None:
             forced[forced_pixel[0] - around[0], forced_pixel[1] - around[2]] = True
         x, y = place[0] + around[2] - window[2], place[1] + around[0] - window[0]
-        choices = link_choices(self._rule, origin, known, x, y)
+        choices = link_choices(self._rule, self.origin(around), known, x, y)
         new = cut_links(choices, (ring | ~known) & ~forced, forced)
-        rows, columns = pixels[0].ravel(), pixels[1].ravel()
-        return show_patch(choices, new, ring, rows, columns, x, y, self.origin, self.known, self.seams)
+        inner, (top, bottom, left, right) = _within(extended, around), extended
+        first = place[0] + left - window[2], place[1] + top - window[0]
+        self.place(extended, copy_patch(self.sample, first, (bottom - top, right - left)), new[inner])
+        self.seams[:, *pixels] = _record_links(self.seams[:, *pixels], choices, new)
+        return int(new.sum())
 
     def _add_ring(self, window: Window) -> tuple[Window, Mask]:
         """Return a window extended by one pixel on each side, and a mask of the added ring."""
@@ -308,6 +292,20 @@ class Patchwork:
             else:
                 ends += [max(start - reach, first, 0), min(stop + reach, last, side)]
         return ends[0], ends[1], ends[2], ends[3]
+
+
+def _record_links(seams: NDArray[np.int64], choices: NDArray[np.float64], new: Mask) -> NDArray[np.int64]:
+    """Return the costs of a window's links ``(2, h, w)`` after some of its pixels have become new.
+
+    Links between pixels that stay keep their costs.
+    """
+    links = seams.copy()
+    height, width = new.shape
+    for axis, rows, columns in ((0, height, width - 1), (1, height - 1, width)):
+        first, second = new[:rows, :columns], new[axis:, 1 - axis :]
+        costs = np.where(first, choices[axis, FIRST, :rows, :columns], choices[axis, SECOND, :rows, :columns])
+        np.copyto(links[axis, :rows, :columns], np.where(first & second, 0, costs), "unsafe", where=first | second)
+    return links
 
 
 def _within(window: Window, around: Window) -> tuple[slice, slice]:

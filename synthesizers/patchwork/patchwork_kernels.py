@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Boolx2, Float32x3, Float64x2, Float64x4, Int32x3, Int64x1, Int64x3, kernel
+from nrbench.jit import Boolx2, Float32x3, Float64x2, Float64x4, Int32x3, Int64x3, kernel
 
 from ..canvas.seam_kernels import FIRST, SECOND, STAY
 
@@ -123,53 +123,6 @@ def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int)
                 if second:
                     costs[axis, FIRST, j, i] = step_cost(rule, axis, y + j, x + i, by, bx)
     return costs
-
-
-@kernel
-def show_patch(
-    choices: Float64x4,
-    new: Boolx2,
-    ring: Boolx2,
-    rows: Int64x1,
-    columns: Int64x1,
-    x: int,
-    y: int,
-    origin: Int64x3,
-    known: Boolx2,
-    seams: Int64x3,
-) -> int:
-    """Show a patch at the new pixels of a window, record the costs of the seams, and return the number of new pixels.
-
-    Parameters
-    ----------
-    choices, x, y
-        As in :func:`link_choices`.
-    new, ring
-        ``(h, w)``: the pixels that become new, and those around the window, whose links to one another stay.
-    rows, columns
-        ``(h,)`` and ``(w,)``: the window's rows and columns in the output.
-    origin, known, seams
-        Those of :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`; written.
-    """
-    height, width = new.shape
-    count = 0
-    for j in range(height):
-        for i in range(width):
-            for axis in range(2):
-                n, m = (j, i + 1) if axis == 0 else (j + 1, i)
-                inside = n < height and m < width
-                if ring[j, i] and not (inside and not ring[n, m]):
-                    continue
-                there = inside and new[n, m]
-                case = STAY
-                if new[j, i] != there:
-                    case = FIRST if new[j, i] else SECOND
-                seams[axis, rows[j], columns[i]] = 0 if new[j, i] and there else choices[axis, case, j, i]
-            if new[j, i]:
-                count += 1
-                origin[rows[j], columns[i], 0], origin[rows[j], columns[i], 1] = i + x, j + y
-                known[rows[j], columns[i]] = True
-    return count
 
 
 @kernel

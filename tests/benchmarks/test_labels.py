@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from nrbench.labelling.questions import QUESTIONS
+from nrbench.labelling.labels import QUESTIONS
 from nrbench.streams import pixels_hash
 from nrbench.suites.plan import draw_samples
 from nrbench.suites.suite import load_suite

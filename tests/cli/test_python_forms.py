@@ -2,16 +2,49 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from commands import call
 
 import nrbench
+from nrbench.cli.main import VERBS
+from nrbench.cli.main import nrbench as program
 
+FUNCTIONS = {verb: getattr(nrbench, verb, None) for verb in VERBS} | {
+    "list": nrbench.list_plugins,
+    "show": nrbench.show_plugin,
+    "synth": nrbench.synthesize,
+    "render": nrbench.render_textures,
+    "new": nrbench.new_plugin,
+}
+"""The function of each verb. Those of `check` and `lattice` take what the commands find in files and folders."""
+IN_PYTHON = {"progress", "options", "parameters", "changes", "tell_failure"}
+"""Parameters for programs, which the command line fills itself or writes within the name of a plugin."""
 CHOICE = "core -m scatter -t brick-mild --size 64x64"
 WORDS = {"methods": "scatter", "textures": "brick-mild", "size": "64x64"}
+
+
+@pytest.mark.parametrize("verb", sorted({*VERBS} - {"check", "lattice"}))
+def test_a_command_and_its_function_have_the_same_options(verb: str) -> None:
+    """Each parameter of the function is an option of the command with the same default, and each has a help."""
+    command: Any = program.get_command(None, verb)  # type: ignore[arg-type]
+    given = {option.name: option for option in command.params}
+    signature = inspect.signature(FUNCTIONS[verb]).parameters  # type: ignore[arg-type]
+    parameters = {name: each.default for name, each in signature.items() if name not in IN_PYTHON}
+    assert command.function is FUNCTIONS[verb] and parameters.keys() <= given.keys()
+    for name, default in parameters.items():
+        assert given[name].required == (default is inspect.Parameter.empty), name
+        assert given[name].required or (given[name].to_info_dict()["default"] or None) == (default or None), name
+    how = {name: each.default for name, each in inspect.signature(nrbench.Options).parameters.items()}
+    for name in given.keys() & how.keys() - {"jobs"}:
+        assert (given[name].to_info_dict()["default"] or None) == (how[name] or None), name
+    assert nrbench.Options().jobs == (os.cpu_count() or 1)
+    assert all(option.help for option in command.params if option.param_type_name == "option")
 
 
 @pytest.fixture(scope="module")

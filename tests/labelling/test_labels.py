@@ -20,6 +20,13 @@ from PIL.PngImagePlugin import PngInfo
 
 from nrbench.errors import BadInput
 from nrbench.labelling.labels import (
+    ANSWERS,
+    ELEMENTS,
+    LATTICE,
+    MORE,
+    PRESERVED,
+    QUESTIONS,
+    WHOLE_SCORE,
     LabelPage,
     encode_pixels,
     labelled_cells,
@@ -28,7 +35,6 @@ from nrbench.labelling.labels import (
     read_labelers,
     write_key,
 )
-from nrbench.labelling.questions import ANSWERS, ELEMENTS, LATTICE, MORE, PRESERVED, QUESTIONS, WHOLE_SCORE
 from nrbench.pictures.files import read_image
 from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import pixels_hash

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from nrbench.labelling.labels import Labeler, make_page, page_html, read_labelers, write_key
-from nrbench.labelling.questions import QUESTIONS
+from nrbench.labelling.labels import QUESTIONS, Labeler, make_page, page_html, read_labelers, write_key
 from nrbench.runs.records import Run
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra test")

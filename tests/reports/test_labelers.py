@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from nrbench.labelling.labels import LabelPage, labels_table, make_page, write_key
-from nrbench.labelling.questions import ANSWERS, QUESTIONS
+from nrbench.labelling.labels import ANSWERS, QUESTIONS, LabelPage, labels_table, make_page, write_key
 from nrbench.plugins.forms import Column
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.statistics.frames import agreement_table

@@ -9,8 +9,9 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Refused, Task, Texture
 from nrbench.running.output_checks import checked_synthesis
+from nrbench.synthesizers.canvas.canvas import Window
 from nrbench.synthesizers.graph_cuts import GraphCuts, WholePatches
-from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat, Window
+from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat
 
 
 def smooth(height: int, width: int, seed: int = 0) -> Image:
@@ -36,7 +37,7 @@ def test_a_periodic_sample_goes_on_exactly(placement: Any) -> None:
     tile = smooth(12, 17)
     sample = np.tile(tile, (5, 4, 1))
     work, patches = made(sample, (150, 140), placement=placement, randomness=0.0)
-    image, whole = work.result()[0], np.tile(tile, (14, 10, 1))
+    image, whole = work.output()[0], np.tile(tile, (14, 10, 1))
     equal = [(whole[y : y + 150, x : x + 140] == image).all() for y, x in np.ndindex(12, 17)]
     assert sum(equal) == 1
     # Where two patches meet at the edge of one of them, its outermost pixels are repeated; that seam has a cost.
@@ -46,7 +47,7 @@ def test_a_periodic_sample_goes_on_exactly(placement: Any) -> None:
         patches.cover_region(region)
         heat.update(region, 68)
     assert work.cost == 0
-    np.testing.assert_array_equal(work.result()[0], image)
+    np.testing.assert_array_equal(work.output()[0], image)
 
 
 def test_refinement_stops_when_it_does_not_pay(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import quantize
+from nrbench.synthesizers.canvas.canvas import Window
 from nrbench.synthesizers.fftm_patch import PatchPlacer, scan_windows
 from nrbench.synthesizers.graph_cuts import EntirePatch, Placement, WholePatches
 from nrbench.synthesizers.patchwork.patchwork import (
@@ -18,7 +19,6 @@ from nrbench.synthesizers.patchwork.patchwork import (
     Patchwork,
     SeamHeat,
     Translations,
-    Window,
     draw_translation,
 )
 from nrbench.synthesizers.patchwork.patchwork_kernels import UNIT
@@ -50,6 +50,11 @@ def anywhere(work: Patchwork, rng: np.random.Generator, window: Window) -> tuple
     return int(x), int(y)
 
 
+def origin(work: Patchwork) -> NDArray[np.int64]:
+    """Return the (x, y) in the sample of each pixel of an output."""
+    return work.origin((0, work.shape[0], 0, work.shape[1]))
+
+
 def step(features: Features, normalized: bool, power: int, one: Any, other: Any, axis: int) -> float:
     """Return what a change costs between two patches that show a link's first pixel at (x, y), by definition."""
     last = np.array(features.shape[1::-1]) - 1
@@ -65,14 +70,14 @@ def step(features: Features, normalized: bool, power: int, one: Any, other: Any,
 
 def seams_of(work: Patchwork) -> NDArray[np.float64]:
     """Return what all seams cost, from the map of sources alone."""
-    costs = np.zeros((2, *work.shape))
+    costs, shown = np.zeros((2, *work.shape)), origin(work)
     for axis, y, x in np.ndindex(2, *work.shape):
         v, u = y + axis, x + 1 - axis
         if not work.wrap and (v >= work.shape[0] or u >= work.shape[1]):
             continue
-        there = work.origin[v % work.shape[0], u % work.shape[1]] - (1 - axis, axis)
-        if (there != work.origin[y, x]).any():
-            costs[axis, y, x] = step(work.features, work.normalized, work.power, work.origin[y, x], there, axis)
+        there = shown[v % work.shape[0], u % work.shape[1]] - (1 - axis, axis)
+        if (there != shown[y, x]).any():
+            costs[axis, y, x] = step(work.features, work.normalized, work.power, shown[y, x], there, axis)
     return costs
 
 
@@ -94,23 +99,23 @@ def test_no_other_part_of_a_patch_makes_the_seams_cost_less(seed: int, forced: b
     """Among many old seams, the part of a patch that is shown has the least total cost of all parts: by trying all."""
     rng = np.random.default_rng(seed)
     work = patchwork(rng, (9, 9), (4, 5))
-    work.origin = rng.choice(rng.integers(0, 9, (3, 2)), work.shape)
+    work.source[..., :2] = rng.choice(rng.integers(0, 9, (3, 2)), work.shape)
     work.known[:] = True
     work.seams[...] = np.rint(seams_of(work) * UNIT)
-    before, pixel = work.origin.copy(), (int(rng.integers(1, 3)), int(rng.integers(1, 4))) if forced else None
+    before, pixel = work.source.copy(), (int(rng.integers(1, 3)), int(rng.integers(1, 4))) if forced else None
     place = rng.integers(5, size=2)
     y, x = np.indices((2, 3))
     patch, costs = np.stack([x, y], -1) + place, []
     for bits in itertools.product([False, True], repeat=6):
         new = np.array(bits).reshape(2, 3)
         if pixel is None or new[pixel[0] - 1, pixel[1] - 1]:
-            work.origin[1:3, 1:4] = np.where(new[..., np.newaxis], patch, before[1:3, 1:4])
+            work.source[1:3, 1:4, :2] = np.where(new[..., np.newaxis], patch, before[1:3, 1:4, :2])
             costs.append(seams_of(work).sum())
-    work.origin = before
+    work.source[...] = before
     work.lay_patch((1, 3, 1, 4), (int(place[0]), int(place[1])), forced_pixel=pixel)
     # Each of the 31 links is rounded to parts of a gray level.
     assert work.cost == pytest.approx(min(costs), abs=31 / UNIT)
-    assert pixel is None or (work.origin[pixel] == np.subtract(pixel[::-1], (1, 1)) + place).all()
+    assert pixel is None or (work.source[pixel][:2] == np.subtract(pixel[::-1], (1, 1)) + place).all()
 
 
 @pytest.mark.parametrize("wrap", [False, True])
@@ -119,7 +124,7 @@ def test_every_pixel_is_the_copy_that_the_map_names(wrap: bool) -> None:
     rng = np.random.default_rng(3)
     work = patchwork(rng, (20, 30), (33, 41), wrap=wrap)
     cover(work, rng, (9, 12), 30)
-    image, source = work.result()
+    image, source = work.output()
     x, y, weight = np.moveaxis(source, -1, 0)
     np.testing.assert_array_equal(image, work.sample[y.astype(int), x.astype(int)])
     assert (weight == 1).all() and work.known.all()
@@ -131,7 +136,7 @@ def test_a_bad_patch_is_covered_and_a_good_one_stays() -> None:
     for normalized in (False, True):
         work = patchwork(rng, (40, 40), (30, 30), normalized=normalized)
         work.lay_patch((0, 30, 0, 30), (4, 6))
-        work.origin[10:16, 12:20] = np.stack(np.meshgrid(np.arange(8), np.arange(6)), -1)
+        work.source[10:16, 12:20, :2] = np.stack(np.meshgrid(np.arange(8), np.arange(6)), -1)
         work.seams[...] = np.rint(seams_of(work) * UNIT)
         assert work.cost > 0
         assert work.lay_patch((11, 13, 14, 17), (18, 17), reach=20) == 48
@@ -219,7 +224,7 @@ def test_where_nothing_is_known_the_guide_alone_places() -> None:
     for seed in range(60):
         made = placement(gray_levels(0, 32, 32), (40, 40), guided=True)
         PatchPlacer(made.work, made.colors, 0.01, np.random.default_rng(seed), made.guide).cover_window((3, 19, 5, 21))
-        found.add(tuple(made.work.origin[3, 5]))
+        found.add(tuple(made.work.source[3, 5, :2].tolist()))
     assert found == {(x, y) for x in (5, 13) for y in (3, 11)}
 
 
@@ -229,7 +234,7 @@ def test_what_is_known_is_continued() -> None:
     made.work.lay_patch((0, 15, 0, 15), (2, 7))
     made.cover_window((5, 25, 5, 25))
     assert made.work.cost == 0
-    np.testing.assert_array_equal(made.work.origin[24, 24], (26, 31))
+    np.testing.assert_array_equal(made.work.source[24, 24, :2], (26, 31))
 
 
 @pytest.mark.parametrize("wrap", [False, True])
@@ -253,6 +258,11 @@ def output(shape: tuple[int, int], wrap: bool = False) -> Patchwork:
     return Patchwork(np.zeros((4, 4, 1), np.float32), np.zeros((4, 4, 1), np.int32), shape, wrap=wrap)
 
 
+def indices(work: Patchwork, window: Window) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the rows and the columns of a window."""
+    return np.arange(*window[:2]) % work.shape[0], np.arange(*window[2:]) % work.shape[1]
+
+
 @settings(max_examples=60)
 @given(
     st.tuples(st.integers(3, 50), st.integers(3, 50)),
@@ -269,7 +279,7 @@ def test_the_one_seam_that_costs_is_in_the_window(
     y, x = int(rng.integers(shape[0])), int(rng.integers(shape[1]))
     work.seams[rng.integers(2), y, x] = 16
     window = SeamHeat(work, size).find_worst()
-    rows, columns = work.pixels(window)
+    rows, columns = indices(work, window)
     assert (window[1] - window[0], window[3] - window[2]) == size
     assert wrap or (window[0] >= 0 and window[1] <= shape[0] and window[2] >= 0 and window[3] <= shape[1])
     block = SeamHeat(work, size).block
@@ -284,7 +294,7 @@ def test_where_trying_is_in_vain_others_have_their_turn(wrap: bool) -> None:
     heat, found = SeamHeat(work, (12, 12)), []
     for _ in range(12):
         window = heat.find_worst()
-        rows, columns = work.pixels(window)
+        rows, columns = indices(work, window)
         found.append([50 in rows and 50 in columns, 10 in rows and 8 in columns, 9 in rows and 52 in columns])
         heat.update(window)
     assert found[0] == [True, False, False] and found[1] == [False, True, False]
@@ -410,7 +420,8 @@ def test_regions_at_unknown_pixels_fill_the_output(placement: Placement, shape: 
     for (y0, y1, x0, x1), (top, bottom, left, right) in zip(regions, laid, strict=True):
         assert 0 <= top <= y0 < y1 <= bottom <= shape[0] and 0 <= left <= x0 < x1 <= right <= shape[1]
         assert (y1 - y0, x1 - x0) == SIZE
-    assert (patches.work.origin >= 0).all() and (patches.work.origin < (18, 15)).all()
+    shown = origin(patches.work)
+    assert (shown >= 0).all() and (shown < (18, 15)).all()
 
 
 @pytest.mark.parametrize("placement", ["entire", "sub-patch"])
@@ -420,7 +431,7 @@ def test_a_copy_is_continued(placement: Placement) -> None:
     patches.work.lay_patch((10, 20, 10, 20), (4, 3))
     patches.cover_region((15, 20, 15, 21))
     assert patches.work.cost == 0
-    np.testing.assert_array_equal(patches.work.origin[19, 20], (14, 12))
+    np.testing.assert_array_equal(patches.work.source[19, 20, :2], (14, 12))
 
 
 @pytest.mark.parametrize("placement", ["entire", "sub-patch"])
@@ -428,7 +439,7 @@ def test_costs_are_means_over_what_is_compared(placement: Placement) -> None:
     """C is the mean squared difference over the compared known pixels, for each translation that covers the region."""
     patches = whole_patches(placement, (30, 30), least_overlap=0.0)
     rng, (height, width) = np.random.default_rng(2), patches.colors.shape[:2]
-    patches.work.origin = rng.integers(0, 15, (30, 30, 2))
+    patches.work.source[..., :2] = rng.integers(0, 15, (30, 30, 2))
     patches.work.known = rng.random((30, 30)) < 0.6
     y0, y1, x0, x1 = region = (14, 19, 1, 7)
     costs = patches._rate_translations(region)
@@ -467,7 +478,7 @@ def test_what_is_shown_is_not_laid_again(placement: Placement) -> None:
     patches.work.lay_patch((12, 20, 13, 25), (3, 4), forced_pixel=(15, 18))
     region = (13, 18, 14, 20)
     costs = patches._rate_translations(region)
-    shown = {tuple(np.subtract((y, x), patches.work.origin[y, x, ::-1])) for y in range(13, 18) for x in range(14, 20)}
+    shown = {tuple(np.subtract((y, x), patches.work.source[y, x, 1::-1])) for y in range(13, 18) for x in range(14, 20)}
     for row, column in np.ndindex(costs.shape):
         if (18 - 15 + row, 20 - 18 + column) in shown:
             assert costs[row, column] == np.inf
@@ -481,7 +492,7 @@ def test_random_placement_draws_every_translation_that_covers_the_region() -> No
     for _ in range(300):
         patches.work.known[:] = False
         patches.cover_region((15, 27, 20, 35))
-        x, y = patches.work.origin[15, 20]
+        x, y = patches.work.source[15, 20, :2]
         drawn.add((int(x), int(y)))
     assert drawn == {(x, y) for x in range(4) for y in range(4)}
 
@@ -513,7 +524,7 @@ def blended(work: Patchwork, sigma: float) -> tuple[np.ndarray, np.ndarray]:
         for j, i in np.ndindex(2 * reach + 1, 2 * reach + 1):
             v, u = y + j - reach, x + i - reach
             if 0 <= v < height and 0 <= u < width:
-                column, row = work.origin[v, u] + (x - u, y - v)
+                column, row = origin(work)[v, u] + (x - u, y - v)
                 if 0 <= row < work.sample.shape[0] and 0 <= column < work.sample.shape[1]:
                     weight = math.exp(-((j - reach) ** 2 + (i - reach) ** 2) / (2 * sigma**2))
                     weights[row, column] = weights.get((row, column), 0.0) + weight
@@ -536,4 +547,4 @@ def test_seams_are_blended_as_defined(sigma: float, channels: int) -> None:
 def test_the_source_is_the_patch_of_the_largest_weight() -> None:
     """On either side of a straight seam the source map names the patch of that side."""
     work = two_patches((12, 20))
-    np.testing.assert_array_equal(work.feathered(1.5)[1][..., :2], work.origin)
+    np.testing.assert_array_equal(work.feathered(1.5)[1][..., :2], origin(work))
