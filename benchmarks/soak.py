@@ -9,22 +9,16 @@ those of an undisturbed run. It prints figures, and ends with exit code 1 if one
 - runners: two runs in one directory at the same time.
 - copy: a run directory of which only a part was copied, some files only in part.
 - clock: a clock that jumps by up to a day at each reading, in every process.
-- strangers: an installed package whose plugins raise errors at their import or in their class: unused, then named.
 - orphans: methods that leave processes of other sessions without an environment, and kill their worker.
-- links: links, pipes and sockets in every place of a run directory: each verb refuses the run and names the place.
-- messages: forged replies, results, cells, scores, labels and ``run.json``; only what was forged is computed again.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import itertools
-import json
 import os
 import random
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -263,71 +257,30 @@ def clock(soak: Soak, count: int, number: int) -> None:
     print(f"clock: exit code {code} in {time.monotonic() - start:.0f} s, {soak.compare('clock', 'jumping')}")
 
 
-CLASS = """import os, subprocess, sys, threading, time
+LEAVER = """import os, subprocess, sys, time
 from dataclasses import dataclass
 from typing import ClassVar
-{before}
+PLACE = {place!r}
+PROGRAM = "import os, sys, time\\nif os.fork(): os._exit(0)\\nos.setsid()\\nos.closerange(0, 3)\\n"
+PROGRAM += "open(sys.argv[1], 'a').write(f'{{os.getpid()}} ')\\ntime.sleep(600)"
 @dataclass(frozen=True)
-class P:
+class Leaver:
     "A page."
     number: int = 0
     uses_lattice: ClassVar = False
-    {inside}
     def synthesize(self, task):
-        {deed}
-"""
-STRANGERS = {
-    "exits": ("sys.exit(3)", ""),
-    "base": ("class B(BaseException): ...\nraise B", ""),
-    "imports": ("import no_such_module", ""),
-    "hashes": ("", "def fingerprint(self): return object()"),
-    "builds": ("", "def __post_init__(self): raise ValueError('no')"),
-}
-LEAVE = """for _ in range(3):
-            program = "import os, sys, time\\nif os.fork(): os._exit(0)\\nos.setsid()\\nos.closerange(0, 3)\\n"
-            program += "open(sys.argv[1], 'a').write(f'{os.getpid()} ')\\ntime.sleep(600)"
-            subprocess.Popen([sys.executable, "-S", "-c", program, PLACE], env={}, start_new_session=True).wait()
+        for _ in range(3):
+            subprocess.Popen([sys.executable, "-S", "-c", PROGRAM, PLACE], env={{}}, start_new_session=True).wait()
         time.sleep(0.3)
         os.kill(os.getppid(), 9)
-        time.sleep(60)"""
-
-
-def install(soak: Soak, name: str, methods: dict[str, tuple[str, str]]) -> str:
-    """Write an installed distribution with one method in each module; return its folder."""
-    place = soak.place / name
-    (place / f"{name}-1.0.dist-info").mkdir(parents=True)
-    for method, (before, inside) in methods.items():
-        (place / f"{name}_{method.replace('-', '_')}.py").write_text(CLASS.format(before=before, inside=inside, deed=0))
-    points = [f"{method} = {name}_{method.replace('-', '_')}:P\n" for method in methods]
-    (place / f"{name}-1.0.dist-info" / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-    (place / f"{name}-1.0.dist-info" / "entry_points.txt").write_text("".join(["[nrbench.synthesizers]\n", *points]))
-    return str(place)
-
-
-def strangers(soak: Soak, count: int, number: int) -> None:
-    """Run beside plugins that misbehave, and then with each of them."""
-    place = install(soak, "stranger", STRANGERS)
-    start = time.monotonic()
-    code, line = soak.finish("strangers", PYTHONPATH=place)
-    seconds = time.monotonic() - start
-    soak.check(code == 0, f"strangers: exit code {code}: {line}")
-    ends = {}
-    for method, (before, _) in STRANGERS.items():
-        ends[method] = soak.finish("named", "-m", method, "-m", "tiling", PYTHONPATH=place)
-        expected = 1 if before else 2  # one that does not import costs its own cells
-        soak.check(ends[method][0] == expected and method in ends[method][1], f"strangers: {method}: {ends[method]}")
-    state = soak.compare("strangers", "strangers")
-    print(f"strangers: {len(ends)} unused plugins that misbehave: exit code {code} in {seconds:.0f} s, {state}; named:")
-    for method, (code, line) in ends.items():
-        print(f"    {method}: exit code {code}, {line.partition('method ')[2][:90]!r}")
+        time.sleep(60)
+"""
 
 
 def orphans(soak: Soak, count: int, number: int) -> None:
     """Run methods that leave processes and kill their worker, in forked children and in fresh interpreters."""
     place, marks = soak.place / "orphans.py", soak.place / "pids"
-    place.write_text(
-        f"PLACE = {str(marks)!r}\n" + CLASS.format(before="", inside="name: ClassVar = 'leaver'", deed=LEAVE)
-    )
+    place.write_text(LEAVER.format(place=str(marks)))
     methods = [word for each in range(10) for word in ("-m", f"leaver:number={each}")]
     for forks in ("yes", "no"):
         words = ("--plugin", str(place), "-t", "wall", "--replicates", "1", *methods)
@@ -340,133 +293,8 @@ def orphans(soak: Soak, count: int, number: int) -> None:
         marks.unlink()
 
 
-VERBS = """import json, sys
-from nrbench.cli.main import main
-for words in json.loads(sys.argv[1]):
-    sys.stderr.write(f"\\0{words[0]}\\0")
-    try:
-        main(["--plugin", sys.argv[2], *words])
-    except SystemExit as left:
-        sys.stderr.write(f"\\0{left.code}")
-"""
-
-
-def use(soak: Soak, what: str, root: Path, at: str) -> None:
-    """Use a run by four verbs; check that each ends with 0 or 1, or with 2 and the path ``at``, but no internal error.
-
-    The last verb is a run that resumes.
-    """
-    suite = [str(soak.place / "suite.toml"), "--replicates", "1", "--no-report", "--jobs", "2"]
-    shutil.rmtree(soak.place / "reused", ignore_errors=True)
-    reuse = ["run", *suite, "--out", str(soak.place / "reused"), "--reuse", str(root)]
-    report = ["report", str(root), "--format", "html,csv,text"]
-    verbs = [["status", str(root)], report, reuse, ["run", *suite, "--out", str(root), "--retry-failed"]]
-    command = [sys.executable, "-c", VERBS, json.dumps(verbs), str(soak.place / "trivial.py")]
-    with (soak.place / "said").open("w+", errors="replace") as said, contextlib.suppress(subprocess.TimeoutExpired):
-        subprocess.run(command, cwd=soak.place, stdout=said, stderr=said, timeout=300, check=False)
-    ends = (soak.place / "said").read_text(errors="replace").split("\0")[1:]
-    soak.check(len(ends) == 3 * len(verbs), f"{what}: hangs, or ended early, in {ends[-2:-1]}")
-    for verb, text, code in zip(ends[::3], ends[1::3], ends[2::3], strict=False):
-        fine = code[:1] in "01" or at in text
-        soak.check(fine and "internal error" not in text and "Traceback" not in text, f"{what}, {verb}: {text[-300:]}")
-        escaped = any(mark in text for mark in ("\x1b]", "\x1b[31m", "\u202e"))
-        soak.check(not escaped, f"{what}, {verb}: control characters on the terminal")
-
-
-def links(soak: Soak, count: int, number: int) -> None:
-    """Plant a link, a pipe or a socket in the place of each file and folder of a run, and open the run."""
-    code, line = soak.finish("plain", "--replicates", "1")
-    soak.check(code == 0, f"links: exit code {code}: {line}")
-    kinds: dict[str, Callable[[Path], object]] = {
-        "link": lambda path: path.symlink_to(soak.place / "whole"),
-        "nowhere": lambda path: path.symlink_to(soak.place / "new"),
-        "pipe": os.mkfifo,
-        "socket": lambda path: socket.socket(socket.AF_UNIX).bind(os.path.relpath(path)),
-    }
-    cell = min((soak.place / "plain" / "cells").iterdir())
-    places = [file.relative_to(soak.place / "plain") for file in [cell, *cell.rglob("*")]]
-    places += map(Path, (".lock", "run.json", "tables", "tables/cells.csv", "report", "cells", "lattices", "labels"))
-    for place, kind in itertools.product(places, kinds):
-        shutil.rmtree(soak.place / "planted", ignore_errors=True)
-        shutil.copytree(soak.place / "plain", soak.place / "planted")
-        path = soak.place / "planted" / place
-        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-        with contextlib.chdir(path.parent):
-            kinds[kind](Path(path.name))
-        try:
-            Run(soak.place / "planted").info  # noqa: B018
-            soak.check(False, f"links: the {kind} {place} is not found")
-        except BadInput as error:
-            soak.check(str(path) in str(error), f"links: the {kind} {place}: {error}")
-    use(soak, "links", soak.place / "planted", str(path))
-    print(f"links: {len(places) * len(kinds)} planted: {len(soak.wrong)} wrong")
-
-
-REPLY = """for handle in range(3, 30):
-            for text in ('{"status": "banana"}', '{"status": "ok", "message": "", "seconds": "abc"}', '[' * 99999,
-                         '{"status": "ok", "message": "", "made": {"../../../run.json": 1}, "lattice_used": 5}',
-                         '{"scored": 5}', '{"finished": {}, "status": "ok", "message": ""}', '{"held": "x"}',
-                         '{"status": "ok", "message": "", "peak_mib": 1' + '0' * 400 + '}', chr(27) + ']52;c;aGk=')[
-                         self.number:self.number + 1]:
-                try:
-                    os.write(handle, (text + chr(10)).encode())
-                except OSError:
-                    pass
-        os._exit(0)"""
-VALUES = (
-    "banana",
-    10**400,
-    float("nan"),
-    -1e308,
-    None,
-    [5],
-    {"t1": [float("inf"), 0]},
-    "\x1b]52;c;aGk=\x07\u202e" * 9999,
-)
-
-
-def forge(content: object, rng: random.Random) -> object:
-    """Return the content of a JSON file with one entry at any depth replaced."""
-    if isinstance(content, dict | list) and content and rng.random() < 0.8:
-        copy = dict(content) if isinstance(content, dict) else list(content)
-        key = rng.choice(list(copy)) if isinstance(copy, dict) else rng.randrange(len(copy))
-        copy[key] = forge(copy[key], rng)  # type: ignore[index]
-        return copy
-    return rng.choice(VALUES)
-
-
-def messages(soak: Soak, count: int, number: int) -> None:
-    """Forge the files of cells and of the run, and use the run; then let methods forge what their child sends."""
-    rng, forged = random.Random(0), 0
-    soak.finish("clean", "--replicates", "1")
-    for each in range(max(1, count)):
-        shutil.rmtree(soak.place / "forged", ignore_errors=True)
-        shutil.copytree(soak.place / "clean", soak.place / "forged")
-        for cell in (soak.place / "forged" / "cells").iterdir():
-            path = rng.choice(sorted(cell.rglob("*.json")))
-            text = json.dumps(forge(json.loads(path.read_text()), rng))
-            path.write_text(rng.choice([text] * 9 + ["[" * 99999, text[: len(text) // 2], '{"a": 1e999}']))
-            forged += 1
-        if rng.random() < 0.3:
-            path = soak.place / "forged" / "run.json"
-            path.write_text(json.dumps(forge(json.loads(path.read_text()), rng)))
-        use(soak, f"messages, round {each}", soak.place / "forged", str(soak.place / "forged"))
-    place = soak.place / "forger.py"
-    place.write_text(CLASS.format(before="", inside="name: ClassVar = 'forger'", deed=REPLY))
-    methods = [word for each in range(9) for word in ("-m", f"forger:number={each}")]
-    for forks in ("yes", "no"):
-        words = ("--plugin", str(place), "-t", "wall", "--replicates", "1", "-m", "tiling", *methods)
-        code, line = soak.finish(f"forger-{forks}", *words, NRBENCH_FORK=forks)
-        ends = [record.status for record in Run(soak.place / f"forger-{forks}").cells]
-        soak.check(
-            code == 1 and ends.count("ok") == 1 and len(ends) == 10, f"messages: exit code {code}, {line}: {ends}"
-        )
-        print(f"messages, forks: {forks}: {ends}")
-    print(f"messages: {forged} forged files of cells: {len(soak.wrong)} wrong")
-
-
 PARTS: dict[str, Callable[[Soak, int, int], None]] = {
-    each.__name__: each for each in (kills, cells, disk, runners, copy, clock, strangers, orphans, links, messages)
+    each.__name__: each for each in (kills, cells, disk, runners, copy, clock, orphans)
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import zlib
@@ -19,7 +18,7 @@ from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.pictures.files import list_pictures, read_image, read_shape
-from nrbench.pictures.truth import TruthTable
+from nrbench.pictures.truth import KNOWN_FILE, read_known, read_truth
 from nrbench.plugins.forms import Region, Shape, Texture
 
 _ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
@@ -251,28 +250,6 @@ def _plain(name: str) -> str:
     return plain
 
 
-def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
-    """Read ``truth.csv``: ``{"t1": (x, y), "t2": (x, y), "origin": (x, y)}`` in px by file name.
-
-    A file whose numbers are empty gets ``{}``. A file without an origin gets none.
-
-    Parameters
-    ----------
-    folder
-        A directory. Without a ``truth.csv`` in it the result is empty.
-
-    Raises
-    ------
-    BadInput
-        When the table is malformed (see :class:`~nrbench.pictures.truth.TruthTable`), or a line names a missing file.
-    """
-    rows = TruthTable.read(folder).rows
-    for name, row in rows.items():
-        if not (folder / name).is_file():
-            raise BadInput(f"{row.where}: there is no file {name!r} beside it; correct the name, or drop the line")
-    return {name: dict(row.vectors) for name, row in rows.items()}
-
-
 def read_rendered(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
     """Read the ``truth.json`` by ``nrbench render``: the contact sheet's name, and a suite row for each picture.
 
@@ -286,11 +263,8 @@ def read_rendered(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
     BadInput
         When ``truth.json`` is no JSON, or the entry of a picture is no table.
     """
-    path = folder / "truth.json"
-    try:
-        content = json.loads(path.read_text("utf-8")) if path.is_file() else {}
-    except (ValueError, RecursionError) as error:
-        raise BadInput(f"{path}: is no JSON ({error}); render the textures again, or delete it") from None
+    path = folder / KNOWN_FILE
+    content = read_known(folder, "render the textures again, or delete it")
     textures = content.get("textures") if isinstance(content, dict) else None
     if not isinstance(textures, dict):
         return "", {}

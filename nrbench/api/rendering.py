@@ -7,7 +7,6 @@ picture, so that a run on the directory has the same truth as a run of the suite
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.pictures.files import read_image, write_image
 from nrbench.pictures.overlays import contact_sheet
-from nrbench.pictures.truth import KNOWN_FILE, SHEET, TRUTH_FIELDS, TRUTH_FILE, TruthTable, table_text
+from nrbench.pictures.truth import KNOWN_FILE, SHEET, TRUTH_FIELDS, TRUTH_FILE, TruthTable, read_known, table_text
 from nrbench.plugins.forms import Texture
 from nrbench.plugins.parameters import parse_spec, size_text
 from nrbench.storage import write_json, write_text
@@ -148,16 +147,12 @@ class _Rendered:
 
 
 def _read_textures(folder: Path) -> dict[str, dict[str, Any]]:
-    path = folder / KNOWN_FILE
-    if not path.is_file():
+    content = read_known(folder, _ELSEWHERE)
+    if content == {} and not (folder / KNOWN_FILE).is_file():
         return {}
-    try:
-        content = json.loads(path.read_text("utf-8"))
-    except ValueError as error:
-        raise BadInput(f"{path}: is no JSON ({error}); {_ELSEWHERE}") from None
     textures = content.get("textures") if isinstance(content, dict) else None
     if not (isinstance(textures, dict) and content.get("sheet") == SHEET and all(map(_is_known, textures.values()))):
-        raise BadInput(f"{path}: was not written by `nrbench render`; {_ELSEWHERE}")
+        raise BadInput(f"{folder / KNOWN_FILE}: was not written by `nrbench render`; {_ELSEWHERE}")
     return textures
 
 

@@ -1,9 +1,10 @@
-"""``truth.csv``: the table of known lattices and properties of the pictures in a directory."""
+"""The truth beside the pictures of a folder: ``truth.csv``, known lattices and properties, and ``truth.json``."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,6 +74,43 @@ class TruthTable:
                 raise BadInput(f"{row.where}: {name!r} occurs a second time; keep one")
             rows[name] = row
         return cls(fields, rows)
+
+
+def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
+    """Read ``truth.csv``: ``{"t1": (x, y), "t2": (x, y), "origin": (x, y)}`` in px by file name.
+
+    A file whose numbers are empty gets ``{}``. A file without an origin gets none.
+
+    Parameters
+    ----------
+    folder
+        A directory. Without a ``truth.csv`` in it the result is empty.
+
+    Raises
+    ------
+    BadInput
+        When the table is malformed (see :class:`TruthTable`), or a line names a missing file.
+    """
+    rows = TruthTable.read(folder).rows
+    for name, row in rows.items():
+        if not (folder / name).is_file():
+            raise BadInput(f"{row.where}: there is no file {name!r} beside it; correct the name, or drop the line")
+    return {name: dict(row.vectors) for name, row in rows.items()}
+
+
+def read_known(folder: Path, remedy: str) -> Any:
+    """Return the content of the ``truth.json`` of a folder; an empty mapping without one.
+
+    Raises
+    ------
+    BadInput
+        When it is no JSON; ``remedy`` says what to do then.
+    """
+    path = folder / KNOWN_FILE
+    try:
+        return json.loads(path.read_text("utf-8")) if path.is_file() else {}
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"{path}: is no JSON ({error}); {remedy}") from None
 
 
 def table_text(fields: Sequence[str], rows: Sequence[Mapping[str, object]]) -> str:

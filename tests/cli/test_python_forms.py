@@ -107,3 +107,17 @@ def test_new_takes_the_kinds_of_the_command(tmp_path: Path) -> None:
     assert {path.parent for path in nrbench.new_plugin("metric", "sharpness", str(tmp_path / "m"))} == {tmp_path / "m"}
     with pytest.raises(nrbench.BadInput, match="did you mean 'metric'"):
         nrbench.new_plugin("metrics", "sharpness")
+
+
+def test_few_frames_lead_from_main_to_execute(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the entry point and the runner stand at most two functions of nrbench."""
+    seen: list[str] = []
+
+    def stop(*_: object, **__: object) -> None:
+        frames = [frame.function for frame in inspect.stack() if "/nrbench/" in frame.filename]
+        seen.extend(frames[: frames.index("main") + 1])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nrbench.running.runner.execute", stop)
+    assert call(f"run {CHOICE} --out r") == 130
+    assert seen[-1] == "main" and len(seen) <= 3
