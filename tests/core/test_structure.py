@@ -243,7 +243,7 @@ UNEXPLAINED = {"register", "grow_knots", "grow", "send_flow", "reattach_orphans"
 
 
 def test_long_kernels_state_their_recurrence() -> None:
-    """The docstring of a kernel of more than 30 lines has notes: its recurrence or its steps, and where they are from."""
+    """The docstring of a kernel of more than 30 lines has notes: its recurrence or its steps, and their source."""
     silent = []
     for name, file in modules().items():
         if not name.endswith("_kernels"):
