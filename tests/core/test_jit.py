@@ -10,7 +10,7 @@ from numba.core import sigutils
 
 from nrbench import jit
 from nrbench.jit import Float64x2, Int64x1, UInt8View2, kernel
-from nrbench.synthesizers.gap_filling.matching_kernels import correlate_at
+from nrbench.synthesizers.matching.matching_kernels import correlate_at
 
 
 def double(x: float) -> float:
