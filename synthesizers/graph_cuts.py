@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.errors import require, require_ranges
-from nrbench.imaging.box_sums import box_sums
+from nrbench.imaging.boxes import box_sums
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
 from .canvas.canvas import Mask, Window
