@@ -130,7 +130,7 @@ def entries(kind: str, complete: bool) -> list[dict[str, Any]]:
 
         suites = [load_suite(name) for name in builtin()]
         return [{"name": s.name, "about": s.description, "version": s.version, "hash": s.hash} for s in suites]
-    from nrbench.plugins.overview import summaries
+    from nrbench.plugins import summaries
 
     entries = []
     for plugin in summaries(kind):

@@ -1,14 +1,14 @@
 """Plugins: their registry, their parameters, and their forms (protocols)."""
 
-from nrbench.plugins.registry import FORMS as FORMS
-from nrbench.plugins.registry import PATCH_TERMS as PATCH_TERMS
+from nrbench.plugins.form_checks import FORMS as FORMS
+from nrbench.plugins.form_checks import PATCH_TERMS as PATCH_TERMS
+from nrbench.plugins.form_checks import Form as Form
+from nrbench.plugins.form_checks import describe_patches as describe_patches
 from nrbench.plugins.registry import DoesNotLoad as DoesNotLoad
-from nrbench.plugins.registry import Form as Form
 from nrbench.plugins.registry import NamedDetector as NamedDetector
 from nrbench.plugins.registry import Plugin as Plugin
 from nrbench.plugins.registry import add_file as add_file
 from nrbench.plugins.registry import build as build
-from nrbench.plugins.registry import describe_patches as describe_patches
 from nrbench.plugins.registry import fault as fault
 from nrbench.plugins.registry import files as files
 from nrbench.plugins.registry import find as find
@@ -18,3 +18,4 @@ from nrbench.plugins.registry import lookup as lookup
 from nrbench.plugins.registry import name_of as name_of
 from nrbench.plugins.registry import names as names
 from nrbench.plugins.registry import parameters_of as parameters_of
+from nrbench.plugins.registry import summaries as summaries

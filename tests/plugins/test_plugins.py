@@ -19,7 +19,6 @@ import nrbench
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Observation
-from nrbench.plugins.overview import summaries
 from nrbench.plugins.parameters import nearest, parse_spec, user_path, validated
 
 
@@ -277,7 +276,7 @@ def test_metrics_share_what_is_computed_once() -> None:
 @pytest.mark.parametrize("kind", plugins.FORMS)
 def test_the_overview_agrees_with_the_classes(kind: str) -> None:
     """Name, version, first line and role that are read from the source are those of the imported class."""
-    read = {each.name: each for each in summaries(kind) if each.distribution == "nrbench"}
+    read = {each.name: each for each in plugins.summaries(kind) if each.distribution == "nrbench"}
     loaded = [plugin for plugin in plugins.inventory(kind) if plugin.own]
     assert loaded and set(read) == {plugin.name for plugin in loaded}
     for plugin in loaded:
