@@ -111,7 +111,6 @@ class Planted:
     """
 
     reference: ClassVar[bool] = True
-    always_shown: ClassVar[tuple[str, ...]] = ("kind", "size")
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "3"
 
@@ -121,6 +120,11 @@ class Planted:
     def __post_init__(self) -> None:
         require(self.kind in DEFECTS, f"kind {self.kind!r} is unknown{nearest(self.kind, DEFECTS)}")
         require_ranges(self, size=(0, 1))
+
+    @property
+    def label(self) -> str:
+        """The name in tables: kind and size, even at their defaults."""
+        return f"planted:kind={self.kind},size={self.size}"
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return a fresh draw with the defect in it.

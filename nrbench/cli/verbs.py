@@ -52,11 +52,14 @@ class Verb(click.Command):
         """Read the command line into the arguments of ``show``."""
         rest = super().parse_args(ctx, args)
         given = {name: value for name, value in ctx.params.items() if value is not None}
-        call = partial(self.function, **{name: given[name] for name in self.shared if name in given})
-        values = {**ctx.params, "call": call}
-        if "options" in self.wanted:
-            values["options"] = Options(**{name: given[name] for name in self.options if name in given})
-        ctx.params = {name: values[name] for name in self.wanted}
+
+        def chosen(names: Collection[str]) -> dict[str, Any]:
+            return {name: given[name] for name in names if name in given}
+
+        values: dict[str, Any] = {name: ctx.params[name] for name in {*self.wanted} & {*self.shared}} | chosen(self.own)
+        values["call"] = partial(self.function, **chosen(self.shared))
+        values["options"] = Options(**chosen(self.options))
+        ctx.params = {name: values[name] for name in self.wanted if name in values}
         return rest
 
 
@@ -87,26 +90,16 @@ def _first_paragraphs(docstring: str) -> Mapping[str, str]:
 
 def _make_option(name: str, flag: Flag, default: Any, text: str) -> click.Parameter:
     required = default is inspect.Parameter.empty
+    given: dict[str, Any] = {"type": _click_type(flag), "required": required, "metavar": flag.metavar}
     plain = isinstance(default, int | float | str) and default != ""
-    given: dict[str, Any] = {"default": default} if plain else {}
-    kind = _click_type(flag)
+    if plain:
+        given["default"] = default
     if flag.names == ARGUMENT:
-        return click.Argument(
-            [name], type=kind, required=required, nargs=-1 if flag.many else 1, metavar=flag.metavar, **given
-        )
-    spelled = flag.names.split() or [f"--{name.replace('_', '-')}"]
+        return click.Argument([name], nargs=-1 if flag.many else 1, **given)
+    spelled = [*(flag.names.split() or [f"--{name.replace('_', '-')}"]), name]
     if flag.kind is bool:
-        return click.Option([*spelled, name], is_flag=True, help=text)
-    return click.Option(
-        [*spelled, name],
-        type=kind,
-        required=required,
-        multiple=flag.many,
-        metavar=flag.metavar,
-        help=text,
-        show_default=plain,
-        default=default if isinstance(default, int | float | str) else None,
-    )
+        return click.Option(spelled, is_flag=True, help=text)
+    return click.Option(spelled, multiple=flag.many, help=text, show_default=plain, **given)
 
 
 def _click_type(flag: Flag) -> Any:

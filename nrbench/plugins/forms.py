@@ -540,54 +540,8 @@ def timed_detection(detector: Detector, image: Image) -> FoundLattice:
 class Synthesizer(Protocol):
     """The form of a synthesizer plugin: a frozen dataclass with this method.
 
-    Optional class variables:
-
-    ``reference``
-        True: the method receives ``task.again`` and ``task.recompose``, and is never ranked.
-    ``uses_lattice``
-        False: the lattice axis of a suite does not apply. It may be a property that depends on the parameters.
-    ``finder``
-        The detector, ``name`` or ``name:param=value,...``, by which the method finds a lattice if none is given. The
-        key of a cell with the lattice source ``own`` depends on it. It may be a parameter or a property. Empty or
-        absent: the method uses no detector.
-    ``geometry``
-        A parameter or a property, a :data:`Geometry`: how the core runs the method where the sample is bent; it then
-        gets the lattice, too. Absent: ``"as-is"``.
-    ``label``
-        The name of the method in tables, a parameter or a property; if it is empty, the tables show the plugin's name
-        and the parameters that differ from their defaults. Two methods of a run may not have the same one.
-    ``needs_lattice``
-        False: the method runs without a lattice if the detector of the lattice axis finds none. Otherwise the cell is
-        refused.
-    ``wraps``
-        True: the method can make an output that repeats, and does so where ``task.tileable`` is True.
-    ``right_on``
-        The kinds of texture on which a baseline is valid.
-    ``always_shown``
-        Parameters that the label of the method shows even at their defaults.
-    ``family``
-        The kind of method in a few words, as in ``"patches without a lattice"``. The HTML report groups methods by it.
-    ``paper``, ``version``, ``uses``
-        BibTeX; the version that is part of a cell's key, text or a number; and the names of the detectors that the
-        method calls with their default parameters, whose versions become part of the key.
-    ``fingerprint()``
-        A method that returns a hash of the files that it reads, for the key.
-    ``prepare(task)``
-        A method that learns from the sample, and writes what it has learned into the folder ``task.cache``. It is
-        called once for all cells of the same method, parameters, sample, lattice and seed, and its time is no part of
-        that of the synthesis. Its ``task`` has the sample as it is, also if ``geometry`` straightens it, the shape of
-        the sample, and a random stream of its own.
-    ``isolation``
-        ``"worker"``: the process that forks the cells imports the plugin once. ``"cell"``: each cell imports it, as a
-        library needs that starts threads or must not be forked. Plugins of every kind may have it.
-    ``presets``
-        Named sets of parameters, as in ``presets: ClassVar[Mapping[str, Mapping[str, Any]]]``. ``preset=NAME`` among
-        the parameters chooses one. The preset ``"paper"`` is the method as its paper describes it. Plugins of every
-        kind may have presets.
-    ``patch_shape``, ``patch_placement``, ``patch_stitching``
-        For methods that copy patches: what a patch is, how its place is chosen, and how it is joined to the others, in
-        a few words each. ``{name}`` stands for the value of a parameter. Reports show them in a table. A method has all
-        three or none.
+    The section "A method" of docs/plugins.md lists what a method may declare beside it: whether it uses, needs or finds
+    a lattice, how it treats bent samples, its label and version.
     """
 
     def synthesize(self, task: Task) -> Synthesis:

@@ -10,7 +10,7 @@ import itertools
 import os
 import re
 import sys
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
@@ -71,15 +71,9 @@ def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
     return name, parameters
 
 
-def write_label(
-    name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any], always: Collection[str] = ()
-) -> str:
-    """Return ``name:param=value,...`` of the parameters that differ from their defaults and those in ``always``."""
-
-    def is_shown(key: str, value: Any) -> bool:
-        return key in always or value != defaults.get(key, dataclasses.MISSING)
-
-    changed = [f"{key}={value}" for key, value in parameters.items() if is_shown(key, value)]
+def write_label(name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
+    """Return ``name:param=value,...`` of the parameters that differ from their defaults."""
+    changed = [f"{key}={value}" for key, value in parameters.items() if value != defaults.get(key, dataclasses.MISSING)]
     return f"{name}:{','.join(changed)}" if changed else name
 
 

@@ -89,8 +89,7 @@ class PlannedMethod:
             name,
             plugin.full_version if fingerprint is None else f"{plugin.full_version}+{fingerprint}",
             parameters,
-            getattr(instance, "label", "")
-            or write_label(name, parameters, _defaults(plugin.cls), getattr(plugin.cls, "always_shown", ())),
+            getattr(instance, "label", "") or write_label(name, parameters, _defaults(plugin.cls)),
             bool(getattr(plugin.cls, "reference", False)),
             bool(getattr(instance, "uses_lattice", True)),
             bool(getattr(plugin.cls, "needs_lattice", True)),

@@ -27,6 +27,7 @@ def pictures(tmp_path: Path) -> Path:
 
 BAD = {
     "synth text.png -m scatter --size 64x64 -o o.png": "text.png: is no picture",
+    "synth brick.png --size 64x64 -o o.png": "Missing option '-m'",
     "synth tiny.png -m scatter --size 64x64 -o o.png": "at least 8 px a side",
     "synth folder -m scatter --size 64x64 -o o.png": "is a directory",
     "synth missing.png -m scatter --size 64x64 -o o.png": "there is no such file",
@@ -52,7 +53,7 @@ BAD = {
     "plan core --lattice 3,0,6,0": "parallel",
     "run core --size 9x": "write WIDTHxHEIGHT",
     "run core --jobs many": "is not a valid integer",
-    "run core --out brick.png": "is a file; pass another --out",
+    "run core -t brick-mild --out brick.png": "is a file; pass another --out",
     "plan bad.toml": "key 'textur' is not known (did you mean 'texture'?)",
     "report folder": "is no run",
     "status missing": "is no run",

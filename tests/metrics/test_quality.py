@@ -90,6 +90,43 @@ def test_baselines_have_little_quality(own: Case) -> None:
     assert {name: value for name, value in found.items() if value > 0.25} == {}
 
 
+@pytest.mark.parametrize(
+    ("kind", "size", "peril"),
+    [
+        ("phase-step", 0.25, "regularity"),
+        ("two-tone", 0.4, "integrity"),
+        ("color-mean", 0.15, "appearance"),
+    ],
+)
+def test_a_fault_is_named_by_its_peril(own: Case, kind: str, size: float, peril: str) -> None:
+    """A slip, two-tone tiles and another color each lower one peril most, and the quality by it."""
+    score = quality(own.observe(own.planted(kind, size)[0]))
+    assert score.records["worst"] == peril and score.values["score"] < 0.8
+
+
+def exchange_axes(texture: Texture) -> Texture:
+    """Return a texture with x and y exchanged."""
+    assert texture.lattice is not None and texture.ideal is not None
+    vectors = (texture.lattice.t1, texture.lattice.t2, texture.lattice.origin)
+    image, ideal = (np.ascontiguousarray(plane.swapaxes(0, 1)) for plane in (texture.image, texture.ideal))
+    return replace(texture, image=image, ideal=ideal, lattice=Lattice(*((y, x) for x, y in vectors)), lattices=())
+
+
+@pytest.mark.parametrize("kind", ["phase-step", "color-mean"])
+def test_no_axis_is_special(kind: str) -> None:
+    """If x and y of texture, fresh draws and output are exchanged, the quality changes by less than a twentieth."""
+    own = case("hexagon")
+    image = own.planted(kind, 0.15)[0]
+    other = exchange_axes(own.texture)
+
+    def again(shape: Shape, k: int) -> Texture | None:
+        drawn = own.again((shape[1], shape[0]), k)
+        return drawn and exchange_axes(drawn)
+
+    turned = Observation(other.image, np.ascontiguousarray(image.swapaxes(0, 1)), other, again=again)
+    assert quality(turned).values["score"] == pytest.approx(rate(own, image), abs=0.05)
+
+
 @pytest.mark.parametrize("model", [True, False])
 def test_pictures_of_something_else_have_no_quality(own: Case, model: bool) -> None:
     """A flat picture of the mean color, and white noise, have a quality of 0."""
