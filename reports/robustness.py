@@ -118,7 +118,7 @@ def _markdown(table: pd.DataFrame) -> str:
     if table.empty:
         return "Fewer than two methods are ranked.\n"
     labels = list(table.columns[2:])
-    shown = table.astype(str).map(escape_markdown).assign(tau=table["tau"].map(format_number))
+    shown = table.assign(tau="").astype(str).map(escape_markdown).assign(tau=table["tau"].map(format_number))
     lines = ["# How far the ranking depends on choices", ""]
     lines.append(pipe_table([*map(escape_markdown, table.columns)], shown.to_numpy().tolist()))
     ranges = {label: (table[label].min(), table[label].max()) for label in labels}

@@ -117,7 +117,9 @@ def write_reports(
     written: list[Path] = []
     for number, (name, report) in enumerate(wanted.items(), 1):
         try:
-            written += [Path(path) for path in report.write(run, run.root / _folder(report))]
+            folder = run.root / _folder(report)
+            folder.mkdir(parents=True, exist_ok=True)
+            written += [Path(path) for path in report.write(run, folder)]
         except (Exception, SystemExit) as error:
             tell_failure(f"report {name} failed: {describe_error(error)}")
         if progress:
