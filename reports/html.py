@@ -203,14 +203,14 @@ def _group_by_family(run: Run, summaries: Sequence[MethodSummary]) -> dict[str, 
 
 def _order_by_peril(summaries: Sequence[MethodSummary]) -> dict[str, list[MethodSummary]]:
     """Return the methods that are no references by each peril, those that keep most first; unmeasured ones last."""
-    own = [one for one in summaries if not one.method.reference]
+    methods = [one for one in summaries if not one.method.reference]
 
     def kept(one: MethodSummary, peril: str) -> float:
         value = one.means[peril].value if peril in one.means else None
         return -1.0 if value is None else value
 
-    measured = [peril for peril in PERILS if any(kept(one, peril) >= 0 for one in own)]
-    return {peril: sorted(own, key=lambda one: -kept(one, peril)) for peril in measured}
+    measured = [peril for peril in PERILS if any(kept(one, peril) >= 0 for one in methods)]
+    return {peril: sorted(methods, key=lambda one: -kept(one, peril)) for peril in measured}
 
 
 Scale = Callable[[float | None], float | None]

@@ -66,14 +66,13 @@ class RepresentativeTile:
 
     The output is periodic: it keeps regularity and loses randomness, as the paper says.
 
-    The presets are the two settings of the paper, with the period x_n / n; both repeat the pixels of the tile.
-    ``preset=paper`` is that of figure 5, with the period scaled down to whole pixels (section 3). ``preset=figure-7``
-    is that of figure 7, whose periods are hundreds of pixels long: p = 0.0001, alpha = 1, and no scaling. In a sample
-    of 128 x 128 px this share leaves a single place, and then resemblance and alpha have no effect.
+    ``preset=paper`` is the setting of figure 5: the period x_n / n, scaled down to whole pixels (section 3), and the
+    output repeats the pixels of the tile. In the paper a user may choose one of the m best tiles; here the best one is
+    taken.
 
     Extras: ``tile``; ``frame``, ``(3, 2)``: the tile's first pixel (x, y) in the sample, and the steps (x, y) in the
-    sample of one pixel along its rows and columns, of lengths r (equation 4); ``best``, ``(best_tiles, 5)``: x, y in
-    the scaled sample, h, SSDN and S of the best tiles; ``best-01`` ... their images, if there are several.
+    sample of one pixel along its rows and columns, of lengths r (equation 4); ``best``, ``(1, 5)``: x, y in the scaled
+    sample, h, SSDN and S of the tile.
 
     Parameters
     ----------
@@ -81,14 +80,9 @@ class RepresentativeTile:
         alpha, the weight of continuity beside that of resemblance, which is 1: 0 to 1e6 (the paper: 1, 30 or 0).
     rated_share
         p, the share in (0, 1] of the places, those of least h, that are rated (the paper: 0.0001 to 0.02). None: all.
-    best_tiles
-        The tile is drawn uniformly from so many best ones, 1 to 99 (the paper lets the user choose one of m).
     rescale
         True: the output has the sample's period. False: it repeats the tile's pixels, with the tile's period of whole
         pixels; the lattice that is returned is then that of the output.
-    scale_down
-        Scale the sample down so that its period is whole pixels (section 3). False: the tile is cut from the sample as
-        it is and lacks the fractions of a pixel (section 5).
     finder
         Detector that finds the period where no lattice is given. ``"ssdn:primitive=false"``: fitted to all minima,
         sub-pixel, and refused if it may be due to chance. ``"ssdn:preset=paper"``: x_n / n, the last minimum over its
@@ -109,9 +103,7 @@ class RepresentativeTile:
 
     continuity_weight: float = 1.0
     rated_share: float | None = None
-    best_tiles: int = 1
     rescale: bool = True
-    scale_down: bool = True
     finder: Literal["ssdn:primitive=false", "ssdn:preset=paper"] = "ssdn:primitive=false"
     tolerance: float = 0.1
     geometry: Geometry = "straight"
@@ -125,17 +117,7 @@ class RepresentativeTile:
         "paper": {
             "continuity_weight": 30.0,
             "rated_share": 0.01,
-            "best_tiles": 1,
             "rescale": False,
-            "finder": "ssdn:preset=paper",
-            "geometry": "as-is",
-        },
-        "figure-7": {
-            "continuity_weight": 1.0,
-            "rated_share": 0.0001,
-            "best_tiles": 1,
-            "rescale": False,
-            "scale_down": False,
             "finder": "ssdn:preset=paper",
             "geometry": "as-is",
         },
@@ -146,7 +128,7 @@ class RepresentativeTile:
     paper: ClassVar[str] = Ssdn.paper
 
     def __post_init__(self) -> None:
-        require_ranges(self, continuity_weight=(0, MAX_WEIGHT), best_tiles=(1, 99))
+        require_ranges(self, continuity_weight=(0, MAX_WEIGHT))
         share, tolerance = self.rated_share, self.tolerance
         require(share is None or 0 < share <= 1, f"rated_share {share}; choose above 0, at most 1, or leave it out")
         require(0 <= tolerance < 0.5, f"tolerance {tolerance}; choose a share of s from 0 to below 0.5")
@@ -163,22 +145,18 @@ class RepresentativeTile:
             tileable output is not a whole number of tiles.
         """
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there is no period to cut a tile by")
-        frame = find_tile_frame(lattice, task.sample.shape, self.tolerance, self.scale_down)
+        frame = find_tile_frame(lattice, task.sample.shape, self.tolerance)
         if task.tileable:
             self._require_whole_tiles(frame, task.shape)
         patches = Patches(task.sample)
         image, known = frame.scale_sample(task.sample, patches)
         best = self._find_best(image, known, frame)
-        chosen = best[task.rng.integers(len(best))] if len(best) > 1 else best[0]
-        place = (int(chosen[0]), int(chosen[1]))
+        place = (int(best[0, 0]), int(best[0, 1]))
         task.progress(_SEARCH_SHARE)
         rest = replace(task, progress=lambda done: task.progress(_SEARCH_SHARE + (1 - _SEARCH_SHARE) * done))
         output, source = repeat_tile(rest, frame, place, self.rescale, patches)
         corner = frame.to_sample(np.array(place, np.float64))
         extras = {"tile": _cut(image, frame, place), "frame": np.vstack([corner, frame.steps]), "best": best}
-        if len(best) > 1:
-            places = best[:, :2].astype(int).tolist()
-            extras |= {f"best-{number:02d}": _cut(image, frame, (x, y)) for number, (x, y) in enumerate(places, 1)}
         note = f"a tile holds {frame.cells} cells" if frame.cells > 1 else ""
         laid = lattice if self.rescale else frame.lay_lattice(lattice, place)
         return Synthesis(output, laid, source, extras, seconds, note)
@@ -197,7 +175,7 @@ class RepresentativeTile:
             )
 
     def _find_best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
-        """Return the m best places, ``(m, 5)``: x, y, h, SSDN, S (section 4). Of equal places the first comes first."""
+        """Return the best place, ``(1, 5)``: x, y, h, SSDN, S (section 4); of equal places the first."""
         smooth, alike = continuity(image, frame.size), resemblance(image, frame.size, known)
         allowed = np.isfinite(alike)
         if not allowed.any():
@@ -207,22 +185,15 @@ class RepresentativeTile:
             allowed = preselect(np.where(allowed, smooth, np.inf), self.rated_share * float(allowed.sum()))
         rating = np.full(alike.shape, np.inf)
         rating[allowed] = np.round(self.continuity_weight * smooth[allowed] + alike[allowed], 12)
-        order = _least(rating, min(self.best_tiles, int(allowed.sum())))
-        y, x = np.unravel_index(order, rating.shape)
-        return np.stack([x, y, smooth[y, x], alike[y, x], rating[y, x]], -1).astype(np.float64)
+        y, x = np.unravel_index(rating.argmin(), rating.shape)
+        return np.array([[x, y, smooth[y, x], alike[y, x], rating[y, x]]], np.float64)
 
 
 def preselect(smooth: Costs, number: float) -> NDArray[np.bool_]:
     """Return S1: the ``number`` places, at least one, of least continuity cost (section 4.1)."""
     chosen = np.zeros(smooth.shape, np.bool_)
-    chosen.flat[_least(np.round(smooth, 12), max(round(number), 1))] = True
+    chosen.flat[np.argsort(np.round(smooth, 12).ravel(), kind="stable")[: max(round(number), 1)]] = True
     return chosen
-
-
-def _least(values: Costs, number: int) -> NDArray[np.intp]:
-    """Return the flat indices of the ``number`` least values in order, equal values as they stand."""
-    flat = values.ravel()
-    return np.array([flat.argmin()]) if number == 1 else np.argsort(flat, kind="stable")[:number]
 
 
 def _cut(image: Image, frame: TileFrame, place: tuple[int, int]) -> Image:
@@ -388,7 +359,7 @@ class TileFrame:
         return np.asarray(((at >= -1e-6) & (at <= np.array(shape[1::-1]) - 1 + 1e-6)).all(-1))
 
 
-def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, scale_down: bool = True) -> TileFrame:
+def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float) -> TileFrame:
     """Return the frame of the smallest rectangular tile of a lattice for a sample of ``shape``.
 
     Among rectangles that are exact periods the smallest upright one is used, as in the paper, unless a turned one holds
@@ -402,8 +373,6 @@ def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, 
         The lattice of the sample, and the sample's shape.
     tolerance
         How far, in shares of s, a side may be from a lattice vector.
-    scale_down
-        Whether the steps shrink the periods to whole pixels; else they are one pixel long.
 
     Raises
     ------
@@ -423,8 +392,7 @@ def find_tile_frame(lattice: Lattice, shape: tuple[int, ...], tolerance: float, 
     columns, rows = (int(length + PERIOD_SLACK) for length in lengths)
     if min(rows, columns) < _LEAST_SIDE:
         raise Refused(f"the lattice repeats every {lengths.min():.2f} px: a tile of less than 2 px shows nothing")
-    sides = np.array([columns, rows]) if scale_down else lengths  # equation 4: the periods shrink to whole pixels
-    steps = periods / sides[:, np.newaxis]
+    steps = periods / np.array([[columns], [rows]])  # equation 4: the periods shrink to whole pixels
     first, covered = _cover(steps, shape)
     return TileFrame(periods, (rows, columns), steps, first, covered, count_rectangle_cells(rectangle))
 

@@ -515,7 +515,6 @@ def report(
     labels: AnswerFiles = (),
     progress: Callable[[int, int, str], None] | None = None,
     tell_failure: Callable[[str], None] = warnings.warn,
-    options: Options | None = None,
     **parameters: Any,
 ) -> list[Path]:
     """Write the reports of a run again from its files. No cell is run.
@@ -534,8 +533,6 @@ def report(
         Called after each report with the number of reports done, of all, and the name of the last one.
     tell_failure
         Called with a sentence about each report that fails; by default a warning.
-    options
-        Without effect: reports are written in this process, without limits.
     **parameters
         Parameters of all reports that have them: ``single_file``, ``tests``, ``population``, and so on.
 

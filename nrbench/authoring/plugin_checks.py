@@ -36,6 +36,7 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins import forms
 from nrbench.plugins.forms import Refused
+from nrbench.plugins.parameters import leave_user_folder, user_path
 from nrbench.running.output_checks import InvalidOutput, check_source, checked_synthesis
 from nrbench.running.phases import FAULTS, freeze, leaves, score_observation, write_score
 from nrbench.running.preparing import briefly_prepared
@@ -425,16 +426,16 @@ def hash_seeded(subject: Subject, seed: int = 0) -> str:
 def verify_processes(subject: Subject) -> None:
     """Check that two interpreters give the same bytes."""
     program = f"from {__name__} import print_hash; print_hash()"
+    command = [sys.executable, "-c", program, subject.to_json(), str(user_path("."))]
     environment = {**os.environ, "PYTHONHASHSEED": "7"}
-    found = subprocess.run(
-        [sys.executable, "-c", program, subject.to_json()], stdout=subprocess.PIPE, text=True, env=environment
-    )
+    found = subprocess.run(command, stdout=subprocess.PIPE, text=True, env=environment)
     same = found.stdout.split()[-1:] == [hash_seeded(subject)]
     demand(same, "another interpreter gave another answer (sets, hash() or ids of objects?)")
 
 
 def print_hash() -> None:
-    """Print the hash of the answer of the subject that the argument of the process holds."""
+    """Print the hash of the answer of a subject. The arguments of the process are the subject and the user's folder."""
+    leave_user_folder(Path(sys.argv[2]), Path.cwd())
     print(hash_seeded(Subject.from_json(sys.argv[1])))
 
 

@@ -171,7 +171,7 @@ def report_command(
     chosen = {name: value for name, value in given.items() if value != (name == "tests")}
     failures = Failures()
     with live_progress(patience=True) as progress:
-        written = call(labels=(*labels, *more), progress=progress, tell_failure=failures.add, options=options, **chosen)
+        written = call(labels=(*labels, *more), progress=progress, tell_failure=failures.add, **chosen)
     for path in written:
         print(path)
     return int(failures.any)

@@ -29,12 +29,12 @@ def check_columns(names: Sequence[str]) -> None:
         if dot and column not in getattr(plugins.find("metrics", metric).cls, "columns", {}):
             known = [f"{metric}.{each}" for each in plugins.build("metrics", metric).columns]
             raise BadInput(f"column {name!r} is not known{nearest(name, known)}")
-        if not dot and name not in _OWN_COLUMNS:
+        if not dot and name not in _PLAIN_COLUMNS:
             example = "write METRIC.COLUMN, see `nrbench show METRIC`"
-            raise BadInput(f"column {name!r} is not known; {example}, or one of: {', '.join(_OWN_COLUMNS)}")
+            raise BadInput(f"column {name!r} is not known; {example}, or one of: {', '.join(_PLAIN_COLUMNS)}")
 
 
-_OWN_COLUMNS = ("quality", "preserved", "seconds", "peak_mib")
+_PLAIN_COLUMNS = ("quality", "preserved", "seconds", "peak_mib")
 
 
 def left_out(root: Path, plan: Plan) -> int:

@@ -339,16 +339,16 @@ def method_styles(methods: Sequence[Method]) -> list[dict[str, Any]]:
 def _draw_line(
     axes: Axes,
     levels: Sequence[float],
-    own: Sequence[float],
+    shown_levels: Sequence[float],
     estimates: Sequence[Estimate],
     style: dict[str, Any],
     shift: float = 0.0,
     bars: bool = False,
 ) -> None:
-    """Draw the estimates of one series at its ``own`` levels of a panel."""
+    """Draw the estimates of one series at its levels of the series."""
     open_frame(axes)
     axes.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
-    pairs = zip(own, estimates, strict=True)
+    pairs = zip(shown_levels, estimates, strict=True)
     known = [(levels.index(level) + shift, one.value, one.ends) for level, one in pairs if one.value is not None]
     if known:
         axes.plot([place for place, _, _ in known], [value for _, value, _ in known], **_LINE, **style)

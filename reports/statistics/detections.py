@@ -277,8 +277,8 @@ def calibrate(confidence: NDArray[np.float64], right: NDArray[np.bool_]) -> Cali
     index = np.clip((confidence * BINS).astype(int), 0, BINS - 1)
     bins = []
     for i in np.unique(index):
-        own = index == i
-        share, rate = float(own.mean()), estimate_proportion(right[own])
-        bins.append(CalibrationBin(i / BINS, (i + 1) / BINS, float(confidence[own].mean()), rate, share))
+        inside = index == i
+        share, rate = float(inside.mean()), estimate_proportion(right[inside])
+        bins.append(CalibrationBin(i / BINS, (i + 1) / BINS, float(confidence[inside].mean()), rate, share))
     gaps = [one.share * abs((one.right.value or 0.0) - one.confidence) for one in bins]
     return Calibration(bins, math.fsum(gaps) if bins else None, n)

@@ -144,12 +144,12 @@ def columns_table(run: Run) -> pd.DataFrame:
 
     Columns that hold text have no range. An open range ends at infinity. A ratio and a truth value have no unit.
     """
-    own = [[name, meaning, "", None, None, "none"] for name, meaning in CELL_COLUMNS.items()]
+    described = [[name, meaning, "", None, None, "none"] for name, meaning in CELL_COLUMNS.items()]
     scores = [
         [name, column.meaning, column.unit, *map(float, column.range), column.better]
         for name, column in describe_scores(run).items()
     ]
-    return pd.DataFrame([*own, *scores], columns=["column", "meaning", "unit", "low", "high", "better"])
+    return pd.DataFrame([*described, *scores], columns=["column", "meaning", "unit", "low", "high", "better"])
 
 
 def perils_table(comparison: Comparison) -> pd.DataFrame:

@@ -175,17 +175,19 @@ def _compare(run: Run, labelers: Sequence[Labeler], question: Question) -> Quest
     again = {one.name: one.by_cell(question.name, again=True) for one in labelers if one.name in answers}
     verdicts = {one.key: answer for one in run.cells if (answer := question.automatic_answer(one)) is not None}
     pairs = [(a, b, answers[a], answers[b]) for a, b in itertools.combinations(answers, 2)]
-    judged = [(JUDGE, name, verdicts, own) for name, own in answers.items()] if question.rule else []
-    groups = {} if question.rule else {name: [own] for name, own in answers.items()}
+    judged = [(JUDGE, name, verdicts, given) for name, given in answers.items()] if question.rule else []
+    groups = {} if question.rule else {name: [given] for name, given in answers.items()}
     if len(groups) > 1:
         groups["all labelers"] = list(answers.values())
     return QuestionComparison(
         question=question,
         outputs=len(set().union(*answers.values())),
         with_verdict=_compare_each(judged, textures, JUDGE),
-        ranks=[row for name, own in groups.items() for row in _rank_labelers(run, question, name, own)],
+        ranks=[row for name, given in groups.items() for row in _rank_labelers(run, question, name, given)],
         between=_compare_each(pairs, textures, "labelers"),
-        selves=[compare_raters([(name, "shown again", own, again[name])], textures) for name, own in answers.items()],
+        selves=[
+            compare_raters([(name, "shown again", given, again[name])], textures) for name, given in answers.items()
+        ],
         disagreements=_list_disagreements(run, verdicts, answers),
     )
 
@@ -193,7 +195,7 @@ def _compare(run: Run, labelers: Sequence[Labeler], question: Question) -> Quest
 def _rank_labelers(run: Run, question: Question, name: str, labelers: Sequence[Answers]) -> list[RaterAgreement]:
     rows = []
     for record in run.cells:
-        said = [own[record.key] for own in labelers if own.get(record.key) in DECIDED]
+        said = [given[record.key] for given in labelers if given.get(record.key) in DECIDED]
         share = said.count(YES) / len(said) if said else None
         label = method_label(record.method, record.lattice_source)
         rows.append([record.texture, label, record.reference, record.values.get(question.column), share])
@@ -279,10 +281,10 @@ def compare_raters(pairs: Sequence[RaterPair], textures: Mapping[str, str], grou
 def _list_disagreements(run: Run, verdicts: Answers, answers: Mapping[str, Answers]) -> list[Disagreement]:
     disagreements = []
     for record in run.cells:
-        own = {name: by_cell[record.key] for name, by_cell in answers.items() if record.key in by_cell}
+        given = {name: by_cell[record.key] for name, by_cell in answers.items() if record.key in by_cell}
         verdict = verdicts.get(record.key)
-        others = {answer for answer in own.values() if answer != verdict}
+        others = {answer for answer in given.values() if answer != verdict}
         if verdict is not None and others:
             opposite = verdict in DECIDED and not others.isdisjoint(DECIDED)
-            disagreements.append(Disagreement(record, verdict, own, opposite))
+            disagreements.append(Disagreement(record, verdict, given, opposite))
     return sorted(disagreements, key=lambda found: not found.opposite)

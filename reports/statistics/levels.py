@@ -111,7 +111,7 @@ def compare_levels(run: Run, comparison: Comparison) -> list[LevelPanel]:
 
 
 def _level_series(method: Method, names: dict[float, list[str]], cells: pd.DataFrame) -> LevelSeries:
-    own = cells[cells["label"] == method.label]
-    parts = (own[own["texture"].isin(textures)] for textures in names.values())
+    rows = cells[cells["label"] == method.label]
+    parts = (rows[rows["texture"].isin(textures)] for textures in names.values())
     means = [estimate_means(stack_draws(part, [RANKING]))[0] for part in parts]
     return LevelSeries(method.label, list(names), means, method)

@@ -311,26 +311,26 @@ def list_methods(run: Run) -> list[Method]:
 def summarize_methods(run: Run, cells: pd.DataFrame, population: bool = False) -> list[MethodSummary]:
     """Return each method of a run in numbers, from the rows of its cells, in the order of the suite."""
     columns, methods = describe_scores(run), list_methods(run)
-    own_cells = dict(iter(cells.groupby("label", sort=False)))
+    by_label = dict(iter(cells.groupby("label", sort=False)))
     summaries = []
     for method in methods:
-        own = own_cells[method.label]
-        scored = own[own[STRUCTURE].notna()] if STRUCTURE in own else own.iloc[:0]
-        estimates = estimate_means(stack_draws(own, list(columns)), population=population)
+        rows = by_label[method.label]
+        scored = rows[rows[STRUCTURE].notna()] if STRUCTURE in rows else rows.iloc[:0]
+        estimates = estimate_means(stack_draws(rows, list(columns)), population=population)
         means = {name: one.within(column.range) for (name, column), one in zip(columns.items(), estimates, strict=True)}
-        if COMPLETE in own and RANKING in own:
-            bounds = own.loc[own[COMPLETE].eq(0), [RANKING, QUALITY]].notna().any()
+        if COMPLETE in rows and RANKING in rows:
+            bounds = rows.loc[rows[COMPLETE].eq(0), [RANKING, QUALITY]].notna().any()
             means |= {str(name): replace(means[str(name)], at_most=bool(found)) for name, found in bounds.items()}
         summaries.append(
             MethodSummary(
                 method=method,
-                counts=count_statuses(own["status"]),
-                success=success_rate(own, leave_refusals_out=method.reference),
-                success_answered=success_rate(own, leave_refusals_out=True),
+                counts=count_statuses(rows["status"]),
+                success=success_rate(rows, leave_refusals_out=method.reference),
+                success_answered=success_rate(rows, leave_refusals_out=True),
                 means=means,
-                validity=count_valid_textures(own),
+                validity=count_valid_textures(rows),
                 validity_scored=count_valid_textures(scored),
-                lattices=compare_lattices(own),
+                lattices=compare_lattices(rows),
             )
         )
     return summaries

@@ -137,8 +137,15 @@ def grow_trees(residual: Float64x2, terminal: Float64x1, width: int) -> UInt8x1:
     Notes
     -----
     Boykov and Kolmogorov 2004 (An experimental comparison of min-cut/max-flow algorithms), section 3, with marked
-    distances. Two trees grow until they touch. The path between their roots is then saturated, and the nodes that lose
-    their parents by this find new ones. The flow is valid after every step, so the cut is exact for any order of steps.
+    distances::
+
+        every node with a terminal is the root of a tree, and active
+        until the trees do not touch any more:
+            grow the trees from the active nodes until they touch   (touch_trees)
+            saturate the path between the two roots                 (send_flow)
+            find new parents for the nodes that lost theirs by this (reattach_orphans)
+
+    The flow is valid after every step, so the cut is exact for any order of steps.
     """
     n = terminal.size
     offset = np.array([1, -1, width, -width])
@@ -146,6 +153,7 @@ def grow_trees(residual: Float64x2, terminal: Float64x1, width: int) -> UInt8x1:
     distance, mark, waiting = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.bool_)
     nodes = (tree, parent, up, distance, mark, waiting)
     queue, orphans = np.empty(n + 1, np.int64), np.empty(n + 1, np.int64)
+    # The roots.
     tail = 0
     for i in range(n):
         if terminal[i] != 0:
@@ -160,6 +168,7 @@ def grow_trees(residual: Float64x2, terminal: Float64x1, width: int) -> UInt8x1:
         if link < 0:
             return tree
         time += 1
+        # The two nodes at which the trees touch, that of the source first.
         first = last = state[_CURRENT]
         if tree[first] == SOURCE:
             last += offset[link]
@@ -176,6 +185,16 @@ def touch_trees(residual: Float64x2, offset: Int64x1, nodes: Nodes, queue: Int64
 
     Return the direction from the current node, ``state[_CURRENT]``, to a node of the other tree, or -1 if the trees do
     not touch any more.
+
+    Notes
+    -----
+    Boykov and Kolmogorov 2004, section 3.2.1, the growth stage::
+
+        for each active node, first come first served:
+            for each neighbor with a residual link from (source tree) or to (sink tree) the node:
+                free:       it joins the tree, and becomes active
+                other tree: the trees touch; the node stays the current one
+                own tree:   the node becomes its parent, if that shortens its way to the root
     """
     tree, parent, up, distance, mark, waiting = nodes
     head, tail, current = state[_HEAD], state[_TAIL], state[_CURRENT]
@@ -233,8 +252,15 @@ def send_flow(
         The direction from the tree of the source to that of the sink, where they touch.
     ends
         The node of either tree at which they touch, that of the source first.
+
+    Notes
+    -----
+    Boykov and Kolmogorov 2004, section 3.2.2, the augmentation stage: the flow is the least capacity on the way from
+    the source's root over the link where the trees touch to the sink's root, terminals included. It is subtracted along
+    the way and added against it.
     """
     first, last = ends
+    # The least capacity on both halves of the path.
     flow = residual[across, first]
     for to_sink in range(2):
         k = np.uint64(ends[to_sink])
@@ -244,6 +270,7 @@ def send_flow(
             if capacity < flow:
                 flow = capacity
         flow = min(flow, abs(terminal[k]))
+    # Send it over the link in the middle, then along both halves.
     residual[across, first] -= flow
     residual[across ^ 1, last] += flow
     count = 0
@@ -281,10 +308,33 @@ def reattach_orphans(
     count: int,
     time: int,
 ) -> None:
-    """Give each of ``count`` orphans the parent nearest to the root of its tree.
+    """Give each orphan the parent nearest to the root of its tree, or free it.
 
-    If there is none, free the orphan; its children then become orphans. Most of the time of a cut is spent in the walks
-    up the trees.
+    Parameters
+    ----------
+    residual, offset, nodes, queue, state
+        As in :func:`grow_trees`; changed.
+    orphans
+        A ring, of which the first ``count`` entries are the orphans.
+    count
+        Number of orphans.
+    time
+        The number of this step: distances marked with it are valid.
+
+    Notes
+    -----
+    Boykov and Kolmogorov 2004, section 3.2.3, the adoption stage::
+
+        for each orphan i:
+            of the neighbors j of its tree with a residual link to i whose way up ends at a root,
+                the one nearest to the root becomes its parent
+            if there is none:
+                i becomes free
+                neighbors of its tree that could reach i become active
+                its children become orphans
+
+    Most of the time of a cut is spent in the walks up the trees. They are written out here: as a function of their own
+    they take a third longer.
     """
     tree, parent, up, distance, mark, waiting = nodes
     begin, end, tail = 0, count, state[_TAIL]
@@ -292,11 +342,12 @@ def reattach_orphans(
         i = orphans[begin]
         begin = (begin + 1) % orphans.size
         own, best, toward = tree[i], orphans.size + 1, _NONE
+        # Look for a parent in all four directions.
         for d in range(4):
             j = i + offset[d]
             if tree[j] != own or (residual[d ^ 1, j] if own == SOURCE else residual[d, i]) <= 0:
                 continue
-            # Walk up to the root, or to a node of known distance; then note the distances on the way.
+            # Walk up to the root, or to a node whose distance has been measured in this step; an orphan ends the walk.
             steps, m = 0, np.uint64(j)
             while mark[m] != time and parent[m] < _ROOT:
                 steps += 1
@@ -308,6 +359,7 @@ def reattach_orphans(
             steps += distance[m]
             if steps < best:
                 best, toward = steps, d
+            # Walk up again and note the distances, so that no way is walked twice in this step.
             m = np.uint64(j)
             while mark[m] != time:
                 mark[m], distance[m] = time, steps
@@ -316,6 +368,7 @@ def reattach_orphans(
         if toward != _NONE:
             parent[i], up[i], mark[i], distance[i] = toward, i + offset[toward], time, best + 1
             continue
+        # Free it: neighbors that could reach it become active, its children become orphans.
         tree[i], parent[i] = 0, _NONE
         for d in range(4):
             j = i + offset[d]
@@ -352,6 +405,7 @@ def cut_links(choices: Float64x4, fixed_old: Boolx2, fixed_new: Boolx2) -> Boolx
     height, width = fixed_old.shape
     stride = width + 2
     residual, terminal = np.zeros((4, (height + 2) * stride)), np.zeros((height + 2) * stride)
+    # Capacities between pixels and to the terminals, by the formulas above. The grid has a ring of nodes without links.
     for j in range(height):
         for i in range(width):
             node = (j + 1) * stride + i + 1
@@ -369,6 +423,7 @@ def cut_links(choices: Float64x4, fixed_old: Boolx2, fixed_new: Boolx2) -> Boolx
             elif fixed_old[j, i]:
                 terminal[node] = -np.inf
     tree = grow_trees(residual, terminal, stride)
+    # New are the pixels on the source's side.
     new = np.empty((height, width), np.bool_)
     for j in range(height):
         for i in range(width):
@@ -438,7 +493,7 @@ def link_costs(old: Float32x3, new: Float32x3, squared: bool) -> Float64x3:
     For the pixels s and t of a link the cost is ``|old(s) - new(s)| + |old(t) - new(t)|``, Euclidean over the channels
     (Kwatra et al. 2003, equation 1), over the sum of the gradients of both pictures at s and t along the link (section
     5) plus one gray level. Divided by gradients, a seam follows the outlines in the texture instead of crossing flat
-    regions. Gradients are central differences, one-sided at the edges. Links that lead out cost 0. O(h w).
+    regions. Gradients are central differences, one-sided at the edges. Links that lead out cost 0.
 
     Parameters
     ----------
@@ -446,10 +501,19 @@ def link_costs(old: Float32x3, new: Float32x3, squared: bool) -> Float64x3:
         ``(h, w, C)``.
     squared
         Square the differences: one large step costs more than several small ones. The paper does not.
+
+    Notes
+    -----
+    With d(s) = |old(s) - new(s)| and g(s), the sum of both gradients along the link, the cost is ::
+
+        (d(s) + d(t))^p / (g(s) + g(t) + 1/255),  p = 2 if squared, else 1
+
+    O(h w).
     """
     height, width, channels = old.shape
     difference = np.zeros((height, width))
     gradient = np.zeros((2, height, width))
+    # d and g of each pixel.
     for y in range(height):
         above, below = max(y - 1, 0), min(y + 1, height - 1)
         for x in range(width):
@@ -464,6 +528,7 @@ def link_costs(old: Float32x3, new: Float32x3, squared: bool) -> Float64x3:
             difference[y, x] = np.sqrt(apart)
             gradient[0, y, x] = (np.sqrt(old_x) + np.sqrt(new_x)) / max(right - left, 1)
             gradient[1, y, x] = (np.sqrt(old_y) + np.sqrt(new_y)) / max(below - above, 1)
+    # The costs of the links.
     costs = np.zeros((2, height, width))
     for axis in range(2):
         for y in range(height - axis):

@@ -355,7 +355,7 @@ class BlockPlacer:
         """Return the patch of a gap, blended with those of its neighbors over its border."""
         border, (layers, sources) = gap.border, self._layers(gap)
         layers[OWN], sources[OWN] = patch
-        image, source = layers[OWN].copy(), sources[OWN].copy()
+        image, source = patch[0].copy(), patch[1]
         x, y = border.pixels.T
         image[y, x] = np.einsum("ln,lnc->nc", border.weights, layers[border.layers, y, x])
         main, every = border.weights.argmax(0), np.arange(len(x))

@@ -97,7 +97,18 @@ def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int)
     NDArray
         ``(2, 3, h, w)``: for the link to the right of each pixel and the link below it, the costs in the cases
         :data:`STAY`, :data:`SECOND` and :data:`FIRST`. 0 if there is no link, or if a pixel that stays is unknown.
-        The time is O(h w F).
+
+    Notes
+    -----
+    Kwatra et al. 2003, equation 1. Let the link's pixels s and t show patches A and B, and let N be the new patch. With
+    M(s, t, P, Q) = |P(s) - Q(s)| + |P(t) - Q(t)| the costs are ::
+
+        STAY:   M(s, t, A, B)      both pixels stay
+        SECOND: M(s, t, A, N)      only t becomes new
+        FIRST:  M(s, t, N, B)      only s becomes new
+
+    each divided by the gradients if the costs are normalized. Most links lie inside one patch, A = B: then STAY is 0,
+    and both others follow from the distances that :func:`measure_pixels` has written. O(h w F).
     """
     height, width = known.shape
     costs, apart = np.zeros((2, 3, height, width)), np.zeros((height, width))
@@ -111,11 +122,13 @@ def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int)
                 first, second = known[j, i], known[n, m]
                 ay, ax = source[j, i, 1], source[j, i, 0]
                 by, bx = source[n, m, 1] - down, source[n, m, 0] - right
+                # Inside one patch.
                 if first and second and ay == by and ax == bx:
                     if ay != y + j or ax != x + i:
                         cost = seam_cost(rule, apart[j, i] + apart[n, m], busy[axis, j, i] + busy[axis, n, m])
                         costs[axis, SECOND, j, i] = costs[axis, FIRST, j, i] = cost
                     continue
+                # Between two patches, or beside unknown pixels.
                 if first and second:
                     costs[axis, STAY, j, i] = step_cost(rule, axis, ay, ax, by, bx)
                 if first:
@@ -150,8 +163,17 @@ def feather_seams(
     blended
         ``(H, W, C)``. Pixels around which all neighbors show one patch are copies.
     source
-        ``(H, W, 3)``: the (x, y) in the sample of the patch of the largest weight, and its share of the weights. The
-        time is O(H W r^2).
+        ``(H, W, 3)``: the (x, y) in the sample of the patch of the largest weight, and its share of the weights.
+
+    Notes
+    -----
+    Kwatra et al. 2003, section 5, "feathering". For each pixel p::
+
+        for each neighbor q up to r px away, which shows the sample's pixel o(q):
+            the patch of q shows o(q) + p - q at p; if the sample has it, its share grows by the weight of q - p
+        p becomes the mean of what these patches show, weighted by their shares
+
+    O(H W r^2).
     """
     height, width, channels = image.shape
     rows, columns = sample.shape[:2]
@@ -162,6 +184,7 @@ def feather_seams(
         for x in range(width):
             places[0, 0], places[0, 1], shares[0] = origin[y, x, 0], origin[y, x, 1], 0.0
             count = 1
+            # The share of each patch around; the first one is the pixel's own.
             for j in range(max(y - reach, 0), min(y + reach + 1, height)):
                 for i in range(max(x - reach, 0), min(x + reach + 1, width)):
                     u, v = origin[j, i, 0] + x - i, origin[j, i, 1] + y - j
@@ -177,6 +200,7 @@ def feather_seams(
             source[y, x, 0], source[y, x, 1] = places[0, 0], places[0, 1]
             if count == 1:
                 continue
+            # The mean of what they show, and the one of the largest share.
             total, best = 0.0, 0
             for k in range(count):
                 total += shares[k]

@@ -31,6 +31,12 @@ def quintic_at(coefficients: Float64x3, points: Float64x2) -> Float32x2:
     -------
     NDArray
         ``float32 (n, C)``.
+
+    Notes
+    -----
+    The value at t px behind a pixel is the sum of six coefficients, from 2 px before it to 3 px behind it, weighted by
+    the basis spline of degree 5 (Unser, Aldroubi and Eden 1993) at the distances 2 + t, 1 + t, t, 1 - t, 2 - t and
+    3 - t. Rows are summed first, for all channels, then columns.
     """
     rows, columns, channels = coefficients.shape
     flat = coefficients.reshape(rows, columns * channels)
@@ -38,6 +44,7 @@ def quintic_at(coefficients: Float64x3, points: Float64x2) -> Float32x2:
     weights, column_sums = np.empty((2, 6)), np.empty(width)
     values = np.empty((len(points), channels), np.float32)
     for n in range(len(points)):
+        # Along each axis: the place, mirrored into the image, and the weights of six coefficients there.
         first = np.empty(2, np.int64)
         for axis in range(2):
             last = (columns if axis == 0 else rows) - 2 * PAD - 1
@@ -53,6 +60,7 @@ def quintic_at(coefficients: Float64x3, points: Float64x2) -> Float32x2:
             weights[axis, 4] = far * (far * (far * (far * (far / 24 - 0.375) + 1.25) - 1.75) + 0.625) + 0.425
             weights[axis, 5] = t * t * t * t * t / 120
             first[axis] = low + PAD - 2
+        # The weighted sum of six rows, then of six columns.
         start = first[0] * channels
         column_sums[:] = 0
         for row in range(6):

@@ -50,7 +50,7 @@ BAD = {
     "run core -m nosuch": "method 'nosuch' is not known",
     "run core -t nosuch*": "matches no texture",
     "run core --lattice somewhere": "--lattice 'somewhere' is not known",
-    "plan core --lattice 3,0,6,0": "parallel",
+    "plan core -t brick-mild --lattice 3,0,6,0": "parallel",
     "run core --size 9x": "write WIDTHxHEIGHT",
     "run core --jobs many": "is not a valid integer",
     "run core -t brick-mild --out brick.png": "is a file; pass another --out",

@@ -40,23 +40,23 @@ from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import pixels_hash
 
 
-def _answer(path: Path, sheet: LabelPage, answers: Sequence[Sequence[str]]) -> Path:
+def _answer(path: Path, label_page: LabelPage, answers: Sequence[Sequence[str]]) -> Path:
     """Write a file with the answers to all questions about each item, as a page saves it."""
     rows = [
         [item.id, question, answer, 1.5, i, "person"]
-        for i, (item, said) in enumerate(zip(sheet.items, answers, strict=True), 1)
-        for question, answer in zip(sheet.questions, said, strict=True)
+        for i, (item, said) in enumerate(zip(label_page.items, answers, strict=True), 1)
+        for question, answer in zip(label_page.questions, said, strict=True)
     ]
     with path.open("w", newline="") as file:
         csv.writer(file).writerows([["item", "question", "answer", "seconds", "order", "labeled_by"], *rows])
     return path
 
 
-def _verdicts(run: Run, sheet: LabelPage) -> list[list[str]]:
+def _verdicts(run: Run, label_page: LabelPage) -> list[list[str]]:
     """Return the automatic answers to the questions about each item; ``cannot say`` where there is none."""
     records = {record.key: record for record in run.cells}
-    questions = [QUESTIONS[name] for name in sheet.questions]
-    return [[one.automatic_answer(records[item.cell]) or ANSWERS[2] for one in questions] for item in sheet.items]
+    questions = [QUESTIONS[name] for name in label_page.questions]
+    return [[one.automatic_answer(records[item.cell]) or ANSWERS[2] for one in questions] for item in label_page.items]
 
 
 def _with_scores(record: CellRecord, **values: float | bool | None) -> CellRecord:
@@ -65,15 +65,15 @@ def _with_scores(record: CellRecord, **values: float | bool | None) -> CellRecor
 
 def test_every_output_is_shown_and_a_share_twice(run: Run) -> None:
     """Each output of a texture with a lattice comes once, the share again, never twice in a row."""
-    sheet = make_page(run, repeat=0.25, seed=1)
-    first = [item.cell for item in sheet.items if not item.again]
-    again = [item.cell for item in sheet.items if item.again]
+    label_page = make_page(run, repeat=0.25, seed=1)
+    first = [item.cell for item in label_page.items if not item.again]
+    again = [item.cell for item in label_page.items if item.again]
     assert sorted(first) == sorted(record.key for record in labelled_cells(run)) and len(first) == 12
     assert len(again) == len(set(again)) == 3
-    places = [item.cell for item in sheet.items]
+    places = [item.cell for item in label_page.items]
     assert all(a != b for a, b in itertools.pairwise(places))
     seconds = {cell: [i for i, other in enumerate(places) if other == cell] for cell in again}
-    assert all(not sheet.items[one[0]].again and sheet.items[one[1]].again for one in seconds.values())
+    assert all(not label_page.items[one[0]].again and label_page.items[one[1]].again for one in seconds.values())
 
 
 @pytest.mark.parametrize("repeat", [0.0, 0.5, 1.0])
@@ -150,8 +150,8 @@ def test_more_of_the_same_has_no_automatic_answer(run: Run) -> None:
 
 def test_the_page_hides_what_it_shows(run: Run) -> None:
     """No method, texture, key or path stands in the page; pictures hold pixels only; nothing is fetched."""
-    sheet = make_page(run)
-    page = page_html(run.root, sheet)
+    label_page = make_page(run)
+    page = page_html(run.root, label_page)
     content = json.loads(re.search(r'id="content">(.*?)</script>', page, re.S)[1])  # type: ignore[index]
     rest = page.replace(json.dumps(content["pictures"], separators=(",", ":")), "")
     for record in run.cells:
@@ -177,17 +177,17 @@ def test_a_bare_picture_keeps_its_pixels(tmp_path: Path) -> None:
 
 def test_answers_come_back(run: Run, tmp_path: Path) -> None:
     """What a page saved is read back cell by cell, with a byte order mark and without unanswered items too."""
-    sheet = make_page(run, repeat=0.25)
-    write_key(run.root, sheet)
-    said = [[ANSWERS[(i + i * k) % 3] for k in range(3)] for i in range(len(sheet.items))]
-    path = _answer(tmp_path / "ada.csv", sheet, said)
+    label_page = make_page(run, repeat=0.25)
+    write_key(run.root, label_page)
+    said = [[ANSWERS[(i + i * k) % 3] for k in range(3)] for i in range(len(label_page.items))]
+    path = _answer(tmp_path / "ada.csv", label_page, said)
     path.write_text("\ufeff" + "\n".join(path.read_text().splitlines()[:-2]), "utf-8")
     (person,) = read_labelers(run, [path])
     assert person.name == "ada"
     assert [one.answer for one in person.answers] == [answer for three in said for answer in three][:-2]
     assert [one.question for one in person.answers] == (list(QUESTIONS) * len(said))[:-2]
     for k, question in enumerate(QUESTIONS):
-        answered = list(zip(sheet.items, said, strict=True))[: None if k == 0 else -1]
+        answered = list(zip(label_page.items, said, strict=True))[: None if k == 0 else -1]
         assert person.by_cell(question) == {item.cell: three[k] for item, three in answered if not item.again}
         assert person.by_cell(question, again=True) == {i.cell: three[k] for i, three in answered if i.again}
 
@@ -196,9 +196,9 @@ def test_files_of_pages_with_other_questions_can_be_joined(run: Run, tmp_path: P
     """The rows of two pages that asked other questions, in one file, are the answers of one person."""
     texts = []
     for name in ("elements", "more"):
-        sheet = make_page(run, questions=[name])
-        write_key(run.root, sheet)
-        path = _answer(tmp_path / f"{name}.csv", sheet, [["yes"]] * len(sheet.items))
+        label_page = make_page(run, questions=[name])
+        write_key(run.root, label_page)
+        path = _answer(tmp_path / f"{name}.csv", label_page, [["yes"]] * len(label_page.items))
         texts.append(path.read_text().splitlines())
     (tmp_path / "ada.csv").write_text("\n".join([*texts[0], *texts[1][1:]]))
     (person,) = read_labelers(run, [tmp_path / "ada.csv"])
@@ -228,9 +228,9 @@ BAD = {
 @pytest.mark.parametrize("content", BAD)
 def test_a_bad_file_is_one_line_and_exit_2(content: str, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     """A file that no page saved is refused by name, before any report is written."""
-    sheet = make_page(run)
-    write_key(run.root, sheet)
-    Path("p.csv").write_text(content.replace("ITEM", sheet.items[0].id))
+    label_page = make_page(run)
+    write_key(run.root, label_page)
+    Path("p.csv").write_text(content.replace("ITEM", label_page.items[0].id))
     assert call("report run --labels p.csv") == 2
     error = capsys.readouterr().err
     assert len(error.splitlines()) == 1 and "p.csv" in error and BAD[content] in error
@@ -239,8 +239,8 @@ def test_a_bad_file_is_one_line_and_exit_2(content: str, run: Run, capsys: pytes
 
 def test_answers_to_another_run_are_refused(run: Run, tmp_path: Path) -> None:
     """Without a page of this run, or with the answers to another, the error says what to do."""
-    sheet = make_page(run)
-    path = _answer(tmp_path / "p.csv", sheet, _verdicts(run, sheet))
+    label_page = make_page(run)
+    path = _answer(tmp_path / "p.csv", label_page, _verdicts(run, label_page))
     with pytest.raises(BadInput, match="make one by `nrbench label"):
         read_labelers(run, [path])
     write_key(run.root, make_page(run, seed=7))
@@ -278,9 +278,9 @@ def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFix
     Two labelers with pages of their own are compared output by output.
     """
     for seed, name in enumerate("ab"):
-        sheet = make_page(run, seed=seed)
-        write_key(run.root, sheet)
-        _answer(Path(f"{name}.csv"), sheet, _verdicts(run, sheet))
+        label_page = make_page(run, seed=seed)
+        write_key(run.root, label_page)
+        _answer(Path(f"{name}.csv"), label_page, _verdicts(run, label_page))
     assert call("report run --format html,csv --labels a.csv b.csv") == 0
     with Path("run/tables/agreement.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -296,7 +296,7 @@ def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFix
     assert {row["kappa"] for row in rows} == {""}
     with Path("run/tables/labels.csv").open() as file:
         labels = list(csv.DictReader(file))
-    assert len(labels) == 2 * 3 * len(sheet.items)
+    assert len(labels) == 2 * 3 * len(label_page.items)
     assert {row["judge"] for row in labels if row["question"] == "more"} == {""}
     hashes = {record.key: pixels_hash(read_image(record.folder / "output.png")) for record in run.cells}
     assert all(row["pixels"] == hashes[row["key"]] for row in labels)

@@ -21,10 +21,10 @@ class Labeller:
     """A person in front of a labelling page."""
 
     def __init__(self, context: Any, run: Run, **choices: Any) -> None:
-        self.run, self.sheet = run, make_page(run, **choices)
-        write_key(run.root, self.sheet)
+        self.run, self.label_page = run, make_page(run, **choices)
+        write_key(run.root, self.label_page)
         file = run.root / "page.html"
-        file.write_text(page_html(run.root, self.sheet), "utf-8")
+        file.write_text(page_html(run.root, self.label_page), "utf-8")
         self.page = context.new_page()
         self.page.goto(file.as_uri())
 
@@ -123,7 +123,7 @@ def test_three_questions_are_asked_in_turn(label: Callable[..., Labeller], tmp_p
     expected = ["yes", "cannot say", "no", "cannot say", "yes", "yes"] + ["yes"] * 30
     assert [one.answer for one in person.answers] == expected
     assert [(one.item, one.question) for one in person.answers] == [
-        (i, q) for i in labeller.sheet.items for q in QUESTIONS
+        (i, q) for i in labeller.label_page.items for q in QUESTIONS
     ]
     assert [one.order for one in person.answers] == [i for i in range(1, 13) for _ in QUESTIONS]
     assert 0.3 <= person.answers[2].seconds < 60 and all(0 <= one.seconds < 60 for one in person.answers)

@@ -56,13 +56,13 @@ def _automatic_answers(run: Run, question: str) -> dict[str, str]:
     return {record.key: QUESTIONS[question].automatic_answer(record) or "yes" for record in run.cells}
 
 
-def _file(path: Path, sheet: LabelPage, answers: Sequence[str]) -> Path:
+def _file(path: Path, label_page: LabelPage, answers: Sequence[str]) -> Path:
     """Write the answers to the only question of a page."""
-    (question,) = sheet.questions
+    (question,) = label_page.questions
     with path.open("w", newline="") as file:
         rows = [
             [item.id, question, answer, 1.0, i, "person"]
-            for i, (item, answer) in enumerate(zip(sheet.items, answers, strict=True), 1)
+            for i, (item, answer) in enumerate(zip(label_page.items, answers, strict=True), 1)
         ]
         csv.writer(file).writerows([["item", "question", "answer", "seconds", "order", "labeled_by"], *rows])
     return path
@@ -76,11 +76,11 @@ def _person(
     question: str = "lattice",
 ) -> Path:
     """Write the answers of a person who repeats the verdicts unless ``wrong(number, again)`` gives another answer."""
-    sheet = make_page(run, repeat=repeat, questions=[question])
-    write_key(run.root, sheet)
+    label_page = make_page(run, repeat=repeat, questions=[question])
+    write_key(run.root, label_page)
     verdicts = _automatic_answers(run, question)
-    answers = [wrong(i, item.again) or verdicts[item.cell] for i, item in enumerate(sheet.items)]
-    return _file(path, sheet, answers)
+    answers = [wrong(i, item.again) or verdicts[item.cell] for i, item in enumerate(label_page.items)]
+    return _file(path, label_page, answers)
 
 
 def _compare(run: Run, *files: Path, question: str = "lattice") -> QuestionComparison:
@@ -101,12 +101,12 @@ def test_full_agreement_is_one(judged: Run, tmp_path: Path) -> None:
 def test_known_kappa(judged: Run, tmp_path: Path) -> None:
     """A person who reverses 10 of 40 balanced verdicts has 0.75 equal answers and kappa 0.5."""
     verdicts = _automatic_answers(judged, "lattice")
-    sheet = make_page(judged, repeat=0, questions=["lattice"])
+    label_page = make_page(judged, repeat=0, questions=["lattice"])
     turned = {"yes": "no", "no": "yes"}
-    kinds = {word: [i for i, item in enumerate(sheet.items) if verdicts[item.cell] == word] for word in turned}
+    kinds = {word: [i for i, item in enumerate(label_page.items) if verdicts[item.cell] == word] for word in turned}
     chosen = {*kinds["yes"][:5], *kinds["no"][:5]}
     path = _person(
-        judged, tmp_path / "a.csv", lambda i, again: turned[verdicts[sheet.items[i].cell]] if i in chosen else None
+        judged, tmp_path / "a.csv", lambda i, again: turned[verdicts[label_page.items[i].cell]] if i in chosen else None
     )
     comparison = _compare(judged, path)
     assert comparison.with_verdict[0].kappa.value == pytest.approx(0.5)
@@ -128,8 +128,8 @@ def test_self_agreement_counts_second_showings_only(judged: Run, tmp_path: Path)
     """A person who reverses all second answers agrees with every verdict and never with themself."""
     other = {"yes": "no", "no": "yes"}
     verdicts = _automatic_answers(judged, "lattice")
-    sheet = make_page(judged, repeat=0.5, questions=["lattice"])
-    answers = lambda i, again: other[verdicts[sheet.items[i].cell]] if again else None  # noqa: E731
+    label_page = make_page(judged, repeat=0.5, questions=["lattice"])
+    answers = lambda i, again: other[verdicts[label_page.items[i].cell]] if again else None  # noqa: E731
     comparison = _compare(judged, _person(judged, tmp_path / "a.csv", answers, repeat=0.5))
     assert comparison.with_verdict[0].equal == 1.0
     assert (comparison.selves[0].n, comparison.selves[0].equal) == (20, 0.0)
@@ -158,8 +158,8 @@ def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
 def _answers_by_method(judged: Run, path: Path, answers: Mapping[str, str]) -> Path:
     """Write the answers of a person who answers the question ``more`` by the method."""
     methods = {record.key: record.method for record in judged.cells}
-    sheet = make_page(judged, repeat=0, questions=["more"])
-    return _person(judged, path, lambda i, again: answers[methods[sheet.items[i].cell]], question="more")
+    label_page = make_page(judged, repeat=0, questions=["more"])
+    return _person(judged, path, lambda i, again: answers[methods[label_page.items[i].cell]], question="more")
 
 
 def test_more_of_the_same_is_compared_by_rank(judged: Run, tmp_path: Path) -> None:

@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from nrbench import plugins
 from nrbench.errors import BadInput
@@ -29,6 +31,7 @@ from nrbench.reports.latex import LatexTables, escape_latex
 from nrbench.reports.markdown import MarkdownTables, escape_markdown
 from nrbench.reports.statistics import format as text_format
 from nrbench.reports.statistics.estimates import Estimate
+from nrbench.reports.statistics.frames import PrintedTable
 from nrbench.reports.text import TextTable
 from nrbench.runs.records import Run
 
@@ -409,3 +412,18 @@ def test_counts_say_what_was_left_out() -> None:
     """A success rate says k of n, and how many textures it leaves out."""
     assert text_format.format_successes(Estimate(0.875, 0.5, 1.0, 8, 8)) == "7 of 8"
     assert text_format.format_successes(Estimate(0.875, 0.5, 1.0, 8, 9)) == "7 of 8, 1 left out"
+
+
+@given(st.lists(st.floats(1, 50), min_size=3, max_size=12), st.integers(1, 5))
+def test_a_table_is_split_where_it_must(widths: list[float], most: int) -> None:
+    """Each column stands in one part, in order; a part of several columns fits, and the next one would not have."""
+    table = PrintedTable("table", [*map(str, range(len(widths)))], [], splits=True)
+    parts = table.split(widths, 60.0, most)
+    assert [column for part in parts for column in part] == [*range(len(widths) - 1)]
+    wide = [widths[0] + sum(widths[1 + column] for column in part) for part in parts]
+    assert all(width <= 60 + 1e-6 for width, part in zip(wide, parts, strict=True) if len(part) > 1)
+    assert all(
+        len(part) == most or width + widths[1 + after[0]] > 60 - 1e-6
+        for width, part, after in zip(wide, parts, parts[1:], strict=False)
+    )
+    assert table.pick(parts[0]).heads == ["0", *(str(1 + column) for column in parts[0])]

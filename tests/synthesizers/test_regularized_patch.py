@@ -16,10 +16,18 @@ from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Geometry, Observation, Refused, Synthesis, Task, Texture
 from nrbench.running.output_checks import check_source
-from nrbench.synthesizers.regularized_patch import RegularizedPatch
+from nrbench.synthesizers.regularized_patch import (
+    NEIGHBORS,
+    RegularizedPatch,
+    TexelMosaic,
+    TexelReader,
+    TexelShape,
+    TexelStock,
+    growth_order,
+    parallelogram,
+    quiet_texels,
+)
 from nrbench.synthesizers.sampling.patches import Patches
-from nrbench.synthesizers.texel_pasting.quiet_borders import parallelogram, quiet_texels
-from nrbench.synthesizers.texel_pasting.texel_mosaic import NEIGHBORS, TexelMosaic, TexelShape, TexelStock, growth_order
 
 
 def bent(bend: float, model: str = "brick", seed: int = 0, **departures: float) -> Texture:
@@ -175,11 +183,7 @@ def test_the_lattice_grows_from_its_middle() -> None:
 
 def stock_of(image: np.ndarray, lattice: Lattice, zone: float = 4.0) -> TexelStock:  # type: ignore[type-arg]
     """Return the parallelograms of an image."""
-    patches, last = Patches(image), np.array(image.shape[1::-1]) - 0.5
-    shape = TexelShape.of(*parallelogram(lattice), zone)
-    return TexelStock.of(
-        shape, (-last, 2 * last), lambda at: ((at >= -0.5) & (at <= last)).all(-1), patches.read_points
-    )
+    return TexelStock.of(TexelShape.of(*parallelogram(lattice), zone), TexelReader(image))
 
 
 def test_differences_of_neighbors_equal_brute_force() -> None:

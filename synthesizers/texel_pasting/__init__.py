@@ -1,1 +1,0 @@
-"""Texels: parallelograms of a sample on its lattice, chosen for an output and pasted with feathered borders."""
