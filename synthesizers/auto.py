@@ -14,8 +14,8 @@ from nrbench.plugins.forms import Geometry, Synthesis, Synthesizer, Task, find_l
 from nrbench.plugins.registry import NamedDetector
 
 from .ann_pixel import AnnPixel
+from .lattice_places.equal_places import shows_two_periods
 from .rsgf import Rsgf
-from .sampling.equal_places import shows_two_periods
 from .tile_set import TileSet
 
 

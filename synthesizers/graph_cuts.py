@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.errors import require, require_ranges
-from nrbench.imaging.box_sums import box_sums
+from nrbench.imaging.boxes import box_sums
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
 from .canvas.canvas import Mask, Window
+from .matching.frame_matching import FourierProducts, Spectra
 from .patchwork.patchwork import (
     Costs,
     Features,
@@ -26,7 +27,6 @@ from .patchwork.patchwork import (
     summed_variance,
     to_gray_levels,
 )
-from .sampling.fourier_products import FourierProducts, Spectra
 
 Refine = Literal["worst", "random", "minima", "extremes"]
 

@@ -16,7 +16,7 @@ from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
 from .canvas.canvas import Box, Canvas, Patch, feather_weights
-from .gap_filling.matching import FrameMatcher, frame_mask
+from .matching.frame_matching import FrameMatcher, frame_mask
 from .patch_laying.raster_order import (
     LARGEST_SHARE,
     Place,

@@ -17,7 +17,7 @@ from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Again, Refused, Shape, Synthesis, Task, Texture
 from nrbench.plugins.parameters import nearest
 
-from .sampling.equal_places import EqualPlaces, pixel_grid
+from .lattice_places.equal_places import EqualPlaces, pixel_grid
 
 Field = NDArray[np.intp]
 """``(H, W, 2)``: how far, (x, y) whole px, the content at each pixel has moved."""

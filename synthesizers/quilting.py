@@ -13,7 +13,7 @@ from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
 from .canvas.canvas import Box, Canvas, Patch, cut_closed_seam, edge_mask, find_paths
-from .gap_filling.matching import FrameMatcher
+from .matching.frame_matching import FrameMatcher
 from .patch_laying.raster_order import (
     LARGEST_SHARE,
     Place,

@@ -19,9 +19,8 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Geometry, Refused, Shape, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .sampling.cell_torus import CellTorus
-from .sampling.equal_places import pixel_grid, require_two_periods
-from .sampling.patches import Patches, round_places
+from .lattice_places.equal_places import CellTorus, pixel_grid, require_two_periods
+from .sample_reading.patches import Patches, round_places
 
 TexelKind = Literal["quadrilateral", "hexagon"]
 STEPS: Final = 16

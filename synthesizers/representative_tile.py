@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from nrbench.detectors.ssdn import Ssdn
 from nrbench.errors import require, require_ranges
-from nrbench.imaging.box_sums import box_sums
+from nrbench.imaging.boxes import box_sums
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Integers, Lattice, Points, integers_within
 from nrbench.plugins.forms import Geometry, Refused, Shape, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .sampling.equal_places import PERIOD_SLACK, pixel_grid, require_two_periods
-from .sampling.patches import Patches, resample
+from .lattice_places.equal_places import PERIOD_SLACK, pixel_grid, require_two_periods
+from .sample_reading.patches import Patches, resample
 
 Values = NDArray[np.float32]
 """``float32 (H, W, C)``, any range."""

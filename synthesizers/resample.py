@@ -15,12 +15,11 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .lattice_places.equal_places import CellTorus, require_two_periods
 from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
 from .resampling.element_colors import ElementColors
 from .resampling.element_detail import ElementDetail
 from .resampling.element_map import FEWEST, map_grid, segment
-from .sampling.cell_torus import CellTorus
-from .sampling.equal_places import require_two_periods
 from .tile_set import TileSet
 
 MOST_VARIATION: Final = 4.0

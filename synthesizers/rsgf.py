@@ -20,9 +20,9 @@ from nrbench.plugins.forms import FoundLattice, Geometry, Refused, Synthesis, Ta
 from nrbench.plugins.registry import NamedDetector
 
 from .gap_filling.blocks import Block, BlockGrid, BlockPlacer, SeamMethod, check_border
-from .gap_filling.matching import FrameMatcher, Match, align_patch
-from .sampling.equal_places import EqualPlaces, Pixels, SearchShape, nearby_pixels, nearest_pixels
-from .sampling.patches import Patches, round_places
+from .lattice_places.equal_places import EqualPlaces, Pixels, SearchShape, nearby_pixels, nearest_pixels
+from .matching.frame_matching import FrameMatcher, Match, align_patch
+from .sample_reading.patches import Patches, round_places
 
 Search = Literal["lattice", "everywhere", "stochastic"]
 Finder = Literal["consensus", "gncc", "gncc:preset=paper"]

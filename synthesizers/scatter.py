@@ -8,7 +8,7 @@ from typing import ClassVar
 from nrbench.plugins.forms import Kind, Synthesis, Task
 
 from .gap_filling.blocks import BlockGrid, BlockPlacer, check_border
-from .sampling.patches import Patches
+from .sample_reading.patches import Patches
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Task
 
 from .baselines.lattice_baseline import OFFSET, LatticeBaseline, edge_points, half_extent, whole_cell_centers
-from .sampling.cell_torus import CellTorus
+from .lattice_places.equal_places import CellTorus
 
 _STEPS = 24
 """Number of places of the cell, along each vector, that are tried for the cuts."""

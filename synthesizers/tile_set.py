@@ -17,7 +17,7 @@ from nrbench.plugins.forms import Geometry, Refused, Synthesis, Task, require_la
 from nrbench.plugins.registry import NamedDetector
 
 from .canvas.canvas import Canvas, Window, find_paths
-from .sampling.equal_places import require_two_periods
+from .lattice_places.equal_places import require_two_periods
 from .tile_laying.tile_kernels import FEATHER, Under, blend_weights, cut_tile, error_surface
 from .tile_laying.tiles import (
     AnchorKind,

@@ -16,7 +16,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Task
 
 from .baselines.lattice_baseline import OFFSET, LatticeBaseline, half_extent, whole_cell_centers
-from .sampling.equal_places import pixel_grid
+from .lattice_places.equal_places import pixel_grid
 
 
 @dataclass(frozen=True)

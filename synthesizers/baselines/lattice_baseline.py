@@ -11,8 +11,8 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Kind, Refused, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from ..sampling.equal_places import pixel_grid
-from ..sampling.patches import resample
+from ..lattice_places.equal_places import pixel_grid
+from ..sample_reading.patches import resample
 
 OFFSET: Final = (0.0011, 0.0007)
 """Offset of a cell's center in px. It keeps pixels off the cell's border, where rounding would decide their side."""

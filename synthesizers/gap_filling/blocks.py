@@ -24,8 +24,8 @@ from nrbench.plugins.forms import Refused
 
 from ..canvas.canvas import Box, Canvas, Mask, Patch, Sides, Source, Window, cut_closed_seam, edge_mask
 from ..canvas.seam_kernels import link_costs
-from ..sampling.equal_places import SearchShape, search_shape
-from ..sampling.patches import Patches
+from ..lattice_places.equal_places import SearchShape, search_shape
+from ..sample_reading.patches import Patches
 
 _STEPS: Final = ((-1, 0), (0, -1), (1, 0), (0, 1))
 """(x, y) from a block to each neighbor, in blocks."""

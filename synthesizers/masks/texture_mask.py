@@ -20,7 +20,7 @@ from nrbench.plugins.forms import Geometry, Refused, Shape, Synthesis, Task
 from nrbench.plugins.parameters import append_parameters
 from nrbench.spectra.harmonics import Channels, Harmonic, Signal, WaveAnalysis, analyze
 
-from ..sampling.equal_places import shows_two_periods
+from ..lattice_places.equal_places import shows_two_periods
 
 FINEST = 2.5
 """px: lattices with s up to this are ignored. They have at most one wave well below the Nyquist frequency."""

@@ -15,12 +15,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.box_sums import Table, box_sums, box_sums_from, integral_image
+from nrbench.imaging.boxes import Table, box_sums, box_sums_from, integral_image
 from nrbench.imaging.convert import Image
 
 from ..canvas.canvas import Canvas, Mask, Source, Window, copy_patch
 from ..canvas.seam_kernels import FIRST, SECOND, cut_links
-from ..sampling.fourier_products import FourierProducts, Spectra
+from ..matching.frame_matching import FourierProducts, Spectra
 from .patchwork_kernels import UNIT, feather_seams, link_choices
 
 Features = NDArray[np.int32]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.mean_tile import Values, cell_coordinates
 from nrbench.plugins.forms import Shape
 
-from ..sampling.cell_torus import CellTorus
+from ..lattice_places.equal_places import CellTorus
 from .element_map import ElementMap, Numbers
 
 _PLACES = 20

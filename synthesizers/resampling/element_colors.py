@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.mean_tile import Values, fold
 from nrbench.plugins.forms import Shape
 
-from ..sampling.cell_torus import CellTorus
+from ..lattice_places.equal_places import CellTorus
 from .element_map import ElementMap, ElementShares, InstanceColors, Lag, Numbers
 
 Table = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nrbench.plugins.forms import Shape
 
-from ..sampling.cell_torus import CellTorus
+from ..lattice_places.equal_places import CellTorus
 from .element_map import WHOLE, ElementMap, ElementShares, Lag, Numbers
 
 Colors = tuple[NDArray[np.float64], NDArray[np.float64]]

@@ -16,8 +16,8 @@ from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 
 from ..canvas.canvas import Mask, Patch, Pixels, Source
-from ..sampling.equal_places import pixel_grid
-from ..sampling.patches import Patches
+from ..lattice_places.equal_places import pixel_grid
+from ..sample_reading.patches import Patches
 from .tile_kernels import Overlap, absolute_differences, best_move, gather, nearest_places
 
 TileKind = Literal["upright", "lattice", "rectangle", "cell"]

@@ -13,8 +13,8 @@ from synthesis_cases import noise
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.synthesizers.canvas.canvas import Box, Mask, Sides, cut_closed_seam, edge_mask
 from nrbench.synthesizers.gap_filling.blocks import OWN, BlockGrid, BlockPlacer, SeamMethod, gap_border
-from nrbench.synthesizers.gap_filling.matching import FrameMatcher, Match, align_patch
-from nrbench.synthesizers.sampling.patches import Patches
+from nrbench.synthesizers.matching.frame_matching import FrameMatcher, Match, align_patch
+from nrbench.synthesizers.sample_reading.patches import Patches
 
 ALL: Sides = (True, True, True, True)
 sides = st.tuples(*[st.booleans()] * 4)

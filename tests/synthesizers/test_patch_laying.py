@@ -13,7 +13,7 @@ from nrbench.plugins.forms import Refused
 from nrbench.synthesizers import patch_based
 from nrbench.synthesizers.canvas.canvas import Box, Canvas, Patch, Weights, copy_patch, feather_weights
 from nrbench.synthesizers.gap_filling.blocks import box_slices
-from nrbench.synthesizers.gap_filling.matching import FrameMatcher, frame_mask
+from nrbench.synthesizers.matching.frame_matching import FrameMatcher, frame_mask
 from nrbench.synthesizers.patch_based import PatchBased, Search, ZoneTree
 from nrbench.synthesizers.patch_laying.raster_order import RasterGrid, draw_within
 from nrbench.synthesizers.quilting import Quilting

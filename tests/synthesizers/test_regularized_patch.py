@@ -27,7 +27,7 @@ from nrbench.synthesizers.regularized_patch import (
     parallelogram,
     quiet_texels,
 )
-from nrbench.synthesizers.sampling.patches import Patches
+from nrbench.synthesizers.sample_reading.patches import Patches
 
 
 def bent(bend: float, model: str = "brick", seed: int = 0, **departures: float) -> Texture:

@@ -13,12 +13,12 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import fold, interpolate
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Texture
+from nrbench.synthesizers.lattice_places.equal_places import CellTorus
 from nrbench.synthesizers.resample import Resample, VariationModel
 from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
 from nrbench.synthesizers.resampling.element_colors import draw_field, link_threads, match_distribution
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
-from nrbench.synthesizers.sampling.cell_torus import CellTorus
 from nrbench.synthesizers.tile_set import TileSet
 
 

@@ -17,7 +17,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Observation, Refused, Task
 from nrbench.synthesizers.gap_filling.blocks import Places
 from nrbench.synthesizers.rsgf import REMEMBERED, GapFiller, PlaceSampler, Rsgf, best_places
-from nrbench.synthesizers.sampling.patches import PLACE_STEP
+from nrbench.synthesizers.sample_reading.patches import PLACE_STEP
 
 
 def test_the_papers_detector_stretches_the_weave() -> None:

@@ -10,15 +10,15 @@ from scipy import ndimage
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.synthesizers.sampling.equal_places import (
+from nrbench.synthesizers.lattice_places.equal_places import (
     EqualPlaces,
     nearby_pixels,
     nearest_pixels,
     pixel_grid,
     search_shape,
 )
-from nrbench.synthesizers.sampling.patches import Patches, round_places
-from nrbench.synthesizers.sampling.quintic_kernels import PAD, quintic_at
+from nrbench.synthesizers.sample_reading.patches import Patches, round_places
+from nrbench.synthesizers.sample_reading.quintic_kernels import PAD, quintic_at
 
 
 def waves(x: np.ndarray, y: np.ndarray, period: float = 7.3) -> Image:  # type: ignore[type-arg]

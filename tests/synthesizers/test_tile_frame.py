@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Integers, Lattice, Points
 from nrbench.plugins.forms import Refused
+from nrbench.synthesizers.lattice_places.equal_places import pixel_grid
 from nrbench.synthesizers.representative_tile import (
     TileFrame,
     count_rectangle_cells,
@@ -14,7 +15,6 @@ from nrbench.synthesizers.representative_tile import (
     find_tile_frame,
     find_upright_rectangle,
 )
-from nrbench.synthesizers.sampling.equal_places import pixel_grid
 
 SHAPE = (128, 150, 3)
 

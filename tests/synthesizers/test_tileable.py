@@ -10,7 +10,7 @@ from nrbench import plugins
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.closing import close_lattice
 from nrbench.synthesizers.canvas.canvas import Canvas
-from nrbench.synthesizers.sampling.cell_torus import CellTorus
+from nrbench.synthesizers.lattice_places.equal_places import CellTorus
 
 SHAPE = (306, 231)
 OTHERS = {"fftm-patch", "fftm-pixel", "representative-tile"}

@@ -16,7 +16,7 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Task
 
-from .equal_places import pixel_grid
+from ..lattice_places.equal_places import pixel_grid
 from .quintic_kernels import PAD, quintic_at
 
 ORDER: Final = 5

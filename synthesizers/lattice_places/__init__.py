@@ -1,0 +1,1 @@
+"""The places and the cells that a lattice makes equal."""

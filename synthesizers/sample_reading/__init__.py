@@ -1,0 +1,1 @@
+"""Read a sample at real-valued places, and record where each pixel comes from."""
