@@ -177,8 +177,10 @@ class KdTree:
         leading = points.shape[1] if leading is None else leading
         return cls(TreeArrays(np.ascontiguousarray(points[order]), placed, nodes, roots, lows, highs, leading), order)
 
-    def nearest(self, queries: TreePoints, k: int = 1, groups: Integers | None = None) -> tuple[Integers, Integers]:
-        """Find the k points nearest to each query, the nearest first; ranks break ties.
+    def nearest(
+        self, queries: TreePoints, k: int = 1, eps: float = 0.0, groups: Integers | None = None
+    ) -> tuple[Integers, Integers]:
+        """Find the k points nearest to each query, the nearest first.
 
         Parameters
         ----------
@@ -186,6 +188,9 @@ class KdTree:
             ``(q, d)``.
         k
             Number of points.
+        eps
+            The distance of each returned point is at most (1 + eps) times the exact one. 0: the search is exact, and
+            ranks break ties.
         groups
             ``(q,)``: the group to search. None: the first.
 
@@ -198,5 +203,5 @@ class KdTree:
         """
         keys, places = np.full((len(queries), k), UNBOUNDED), np.full((len(queries), k), -1, np.int64)
         labels = np.zeros(len(queries), np.int64) if groups is None else groups
-        search_queries(self.arrays, labels, queries, keys, places)
+        search_queries(self.arrays, labels, queries, (1.0 + eps) ** 2, keys, places)
         return np.where(places < 0, -1, self.order[places]), np.where(places < 0, -1, keys >> 32)

@@ -334,7 +334,9 @@ def push(stack: Int64x2, row: int, node: int, distance: int, axis: int, gap: int
 
 
 @step_kernel
-def search_tree(tree: TreeArrays, group: int, query: Int16x1, found: NearestPoints, buffers: SearchBuffers) -> None:
+def search_tree(
+    tree: TreeArrays, group: int, query: Int16x1, shrink: float, found: NearestPoints, buffers: SearchBuffers
+) -> None:
     """Find the points of one group that are nearest to a query, and nearer than the known ones.
 
     Parameters
@@ -343,6 +345,8 @@ def search_tree(tree: TreeArrays, group: int, query: Int16x1, found: NearestPoin
         The tree, and the number of the group.
     query
         ``(d,)``.
+    shrink
+        (1 + eps)^2: the squared distance of a box is multiplied by this before it is compared. 1: the search is exact.
     found
         Input: the keys of the known points. Output: the nearest points; places of known points are shifted along.
     buffers
@@ -376,7 +380,7 @@ def search_tree(tree: TreeArrays, group: int, query: Int16x1, found: NearestPoin
         top -= 1
         at, distance = stack[top, NODE], stack[top, DISTANCE]
         gaps[stack[top, CUT_AXIS]] = stack[top, GAP]
-        if at < 0 or distance > found.keys[last] >> 32:
+        if at < 0 or distance * shrink > found.keys[last] >> 32:
             continue
         while nodes[at, AXIS] >= 0:
             axis = nodes[at, AXIS]
@@ -386,7 +390,7 @@ def search_tree(tree: TreeArrays, group: int, query: Int16x1, found: NearestPoin
             if to_left + to_right <= 0:
                 near, far, gap = far, near, to_left * to_left
             farther = distance - gaps[axis] + gap
-            if farther <= found.keys[last] >> 32:
+            if farther * shrink <= found.keys[last] >> 32:
                 push(stack, top, -1, 0, axis, gaps[axis])
                 push(stack, top + 1, far, farther, axis, gap)
                 top += 2
@@ -396,11 +400,13 @@ def search_tree(tree: TreeArrays, group: int, query: Int16x1, found: NearestPoin
 
 
 @kernel
-def search_queries(tree: TreeArrays, groups: Int64x1, queries: Int16x2, keys: Int64x2, places: Int64x2) -> None:
+def search_queries(
+    tree: TreeArrays, groups: Int64x1, queries: Int16x2, shrink: float, keys: Int64x2, places: Int64x2
+) -> None:
     """Run :func:`search_tree` for each of ``queries (q, d)`` in its group; keys and places are ``(q, k)``."""
     buffers = SearchBuffers(np.empty((DEEPEST, 4), np.int64), np.empty(queries.shape[1], np.int64))
     for q in range(queries.shape[0]):
-        search_tree(tree, groups[q], queries[q], NearestPoints(keys[q], places[q]), buffers)
+        search_tree(tree, groups[q], queries[q], shrink, NearestPoints(keys[q], places[q]), buffers)
 
 
 @step_kernel
@@ -530,7 +536,7 @@ def choose_source(
     if everywhere or (near.places[0] < 0 and other.places[0] < 0):
         if factor > 0 and near.places[0] >= 0:
             other.keys[0] = np.int64(math.ceil((near.keys[0] >> 32) / factor)) << 32
-        search_tree(sample.tree, group, point, other, buffers.search)
+        search_tree(sample.tree, group, point, 1.0, other, buffers.search)
     elif near.keys[0] < other.keys[0] or (factor > 0 and (near.keys[0] >> 32) <= factor * (other.keys[0] >> 32)):
         other.places[0] = -1
     place: int = other.places[0] if other.places[0] >= 0 else near.places[0]

@@ -308,7 +308,7 @@ SETS = st.tuples(st.integers(1, 120), st.integers(1, 20), st.sampled_from([0, 1,
 def test_the_nearest_are_those_of_brute_force(
     drawing: tuple[int, int, int, int], k: int, leaf: int, number: int
 ) -> None:
-    """The k nearest of a group are found, ties by rank, whatever the leaves; -1 where there are fewer."""
+    """With eps 0 the k nearest of a group are found, ties by rank, whatever the leaves; -1 where there are fewer."""
     count, axes, spread, seed = drawing
     points, queries = draw_points(count, axes, spread, seed), draw_points(20, axes, spread, seed + 1)
     rng = np.random.default_rng(seed)
@@ -353,6 +353,16 @@ def test_the_papers_norms_choose_another_source() -> None:
         numbers, _ = index.tree.nearest(index._projection.points(query))
         assert numbers.tolist() == [[due]]
     assert FftmPixel(**FftmPixel.presets["paper"]).distance == "norms"
+
+
+@settings(max_examples=100)
+@given(SETS, st.sampled_from([0.1, 0.5, 1.0, 3.0]))
+def test_with_eps_none_is_farther_than_it_may_be(drawing: tuple[int, int, int, int], eps: float) -> None:
+    """What is found is at most (1 + eps) times as far as the nearest."""
+    count, axes, spread, seed = drawing
+    points, queries = draw_points(count, axes, spread, seed), draw_points(30, axes, spread, seed + 1)
+    _, apart = KdTree.build(points, leaf=2).nearest(queries, eps=eps)
+    assert (apart[:, 0] <= distances(points, queries).min(1) * (1 + eps) ** 2).all()
 
 
 @pytest.mark.parametrize("coordinate", [-16000, 0, 16000])
