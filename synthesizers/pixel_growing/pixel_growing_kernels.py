@@ -523,8 +523,9 @@ def choose_source(
         source = c  if d(c) <= factor d(o), else o
 
     The tree is searched for points nearer than d(c) / factor alone: if there is none, c is the source. M. Ashikhmin,
-    "Synthesizing natural textures", I3D 2001, section 3 (continuations); X. Tong and others, "Synthesis of
-    bidirectional texture functions on arbitrary surfaces", SIGGRAPH 2002, section 4 (similar places).
+    "Synthesizing natural textures", I3D 2001 (continuations); A. Hertzmann and others, "Image analogies", SIGGRAPH 2001
+    (their preference); X. Tong and others, "Synthesis of bidirectional texture functions on arbitrary surfaces",
+    SIGGRAPH 2002 (similar places).
     """
     factor, everywhere = preference
     near, other, point = buffers.near, buffers.other, buffers.point
