@@ -105,7 +105,8 @@ class Canvas:
         for canvas, new in zip((self.image, self.source), patch, strict=True):
             old = canvas[pixels]
             np.copyto(_whole_pixels(old), _whole_pixels(new), where=mask)
-            canvas[pixels] = old
+            if old.base is not canvas:  # a copy across an edge
+                canvas[pixels] = old
         self.known[pixels] |= mask
 
     def blend(self, window: Window, patch: Patch, weights: Weights, full: float = 1.0) -> None:
