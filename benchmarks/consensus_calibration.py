@@ -4,9 +4,9 @@ Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/consensus_calibratio
 draws are of 25 models at random departures, from none to beyond recognition, 64 to 256 px a side, of noise, and of
 kinds of texture that the models lack (``benchmarks/texture_kinds.py``).
 
-The script prints the weights that belong into ``nrbench/detectors/consensus_rating/weights.py``, the mean loss of the
-choice (nats for each image and level) on the draws of the fit, on families that were left out, and on fresh draws. For
-the weights as shipped it prints how often answers of each confidence are right on fresh draws.
+The script prints the weights that belong into ``nrbench/detectors/candidate_search/candidates.py``, the mean loss of
+the choice (nats for each image and level) on the draws of the fit, on families that were left out, and on fresh draws.
+For the weights as shipped it prints how often answers of each confidence are right on fresh draws.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ import scipy
 from numpy.typing import NDArray
 from texture_kinds import Case, draw_kinds, draw_models
 
+from nrbench.detectors.candidate_search.candidates import Traits, classify
 from nrbench.detectors.consensus import Consensus, rate_levels
-from nrbench.detectors.consensus_rating.candidates import Traits, classify
 from nrbench.imaging.convert import quantize
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice

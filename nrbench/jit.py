@@ -2,7 +2,8 @@
 
 The first call of a kernel, or :func:`load_kernels`, imports numba and compiles the kernel or reads it from the cache.
 The annotations of a kernel are the types that it is compiled for. ``Float64x2`` is an array of float64 with two
-dimensions, contiguous in memory; a ``Float64View2`` need not be contiguous.
+dimensions, contiguous in memory; a ``Float64View2`` need not be contiguous. A subclass of :class:`typing.NamedTuple` is
+a record of several such values.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ Boolx1 = Annotated[NDArray[np.bool_], "boolean[::1]"]
 Boolx2 = Annotated[NDArray[np.bool_], "boolean[:, ::1]"]
 BoolView2 = Annotated[NDArray[np.bool_], "boolean[:, :]"]
 
-_SCALARS = {float: "float64", int: "int64", bool: "boolean", type(None): "void"}
+_SCALARS: dict[Any, str] = {float: "float64", int: "int64", bool: "boolean", type(None): "void"}
 
 KERNELS: list[Kernel[..., Any]] = []
 """Every kernel declared so far."""
@@ -103,20 +104,22 @@ def inlined_kernel(function: Callable[P, R]) -> Kernel[P, R]:
     return Kernel(function, inlined=True)
 
 
-def find_signature(function: Callable[..., Any]) -> str:
-    """Return the signature that numba compiles a function for, as ``"float64(float64[::1], int64)"``."""
-    types = {name: _name_type(hint) for name, hint in get_type_hints(function, include_extras=True).items()}
-    returned = types.pop("return")
-    return f"{returned}({', '.join(types.values())})"
+def find_signature(function: Callable[..., Any]) -> Any:
+    """Return the signature that numba compiles a function for, from its annotations."""
+    numba: Any = importlib.import_module("numba")
+    types = {name: _find_type(numba, hint) for name, hint in get_type_hints(function, include_extras=True).items()}
+    return numba.core.typing.signature(types.pop("return"), *types.values())
 
 
-def _name_type(hint: Any) -> str:
-    """Return numba's name of the type of an annotation."""
-    if get_origin(hint) is Annotated:
-        return str(get_args(hint)[1])
+def _find_type(numba: Any, hint: Any) -> Any:
+    """Return numba's type of an annotation."""
+    if hasattr(hint, "_fields"):
+        fields = get_type_hints(hint, include_extras=True).values()
+        return numba.types.BaseTuple.from_types([_find_type(numba, field) for field in fields], hint)
     if get_origin(hint) is tuple:
-        return f"Tuple(({', '.join(map(_name_type, get_args(hint)))},))"
-    return _SCALARS.get(hint) or str(hint.__name__)
+        return numba.types.BaseTuple.from_types([_find_type(numba, part) for part in get_args(hint)])
+    name = get_args(hint)[1] if get_origin(hint) is Annotated else _SCALARS.get(hint, hint.__name__)
+    return numba.core.sigutils.normalize_signature(f"({name},)")[0][0]
 
 
 def load_kernels(compiling: Callable[[], None] = lambda: None) -> None:
@@ -221,7 +224,7 @@ def _compile(declared: Kernel[P, R]) -> Callable[P, R]:
     return _njit(numba, _link_kernels(function), signature, folder, declared.allocates)
 
 
-def _njit(numba: Any, function: Callable[P, R], signature: str, folder: Path, allocates: bool) -> Callable[P, R]:
+def _njit(numba: Any, function: Callable[P, R], signature: Any, folder: Path, allocates: bool) -> Callable[P, R]:
     # The folder is numba's global setting, read while it decorates. It is put back, so that the user's setting stays.
     # Reassociated sums use vector instructions. Results are equal on one type of machine. Across processors, kernels
     # that sum floats may differ in the last bit.

@@ -16,8 +16,8 @@ from .pixel_growing.pixel_growth import (
     SEARCH_OF_THE_PAPER,
     Growth,
     Neighborhood,
+    NeighborhoodIndex,
     SearchParameters,
-    Stock,
     list_candidates,
     scatter_pixels,
     stack_layers,
@@ -82,9 +82,9 @@ class AnnPixel(SearchParameters):
         else:
             start = scatter_pixels(layers, (height + top + bottom, width + left + right), task.rng)
         growth = Growth(task, start, (top, left), task.tileable)
-        growth.grow(Stock(layers, candidates, neighborhood, self), range(height), range(width))
+        growth.grow(NeighborhoodIndex(layers, candidates, neighborhood, self), range(height), range(width))
         if task.tileable:
-            growth.grow_edges(Stock(layers, candidates, around, self), self.neighborhood)
+            growth.grow_edges(NeighborhoodIndex(layers, candidates, around, self), self.neighborhood)
         image, source = growth.result()
         task.progress(1.0)
         return Synthesis(image, source=source)

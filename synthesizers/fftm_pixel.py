@@ -21,8 +21,8 @@ from .pixel_growing.pixel_growth import (
     Growth,
     Layers,
     Neighborhood,
+    NeighborhoodIndex,
     SearchParameters,
-    Stock,
     list_candidates,
     stack_layers,
 )
@@ -137,11 +137,13 @@ class FftmPixel(MaskParameters, SearchParameters):
             groups = clusters.label_output(growth.layers, task.shape, growth.corner)
         masked = self.match == "full"
         norms = masked and self.distance == "norms"
-        stock = Stock(layers, candidates, Neighborhood.first_pass(size, masked), self, self.weight, norms)
-        growth.grow(stock, range(height), range(width), groups)
+        index = NeighborhoodIndex(layers, candidates, Neighborhood.first_pass(size, masked), self, self.weight, norms)
+        growth.grow(index, range(height), range(width), groups)
         if self.tileable:
-            stock = Stock(layers, candidates, Neighborhood.second_pass(size, masked), self, self.weight, norms)
-            growth.grow_edges(stock, size, groups)
+            index = NeighborhoodIndex(
+                layers, candidates, Neighborhood.second_pass(size, masked), self, self.weight, norms
+            )
+            growth.grow_edges(index, size, groups)
         image, source = growth.result()
         task.progress(1.0)
         return Synthesis(image, mask.lattice, source, {"mask": bordered[top : top + height, left : left + width]})

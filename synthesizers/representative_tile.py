@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nrbench.detectors.ssdn import Ssdn
 from nrbench.errors import require, require_ranges
-from nrbench.imaging.box_sums import box_sums
+from nrbench.imaging.boxes import box_sums
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Integers, Lattice, Points, integers_within
 from nrbench.plugins.forms import Geometry, Refused, Shape, SourceMap, Synthesis, Task, require_lattice

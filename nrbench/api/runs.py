@@ -513,6 +513,8 @@ def report(
     format: Formats = (),
     *,
     labels: AnswerFiles = (),
+    single_file: Switch = False,
+    population: Switch = False,
     progress: Callable[[int, int, str], None] | None = None,
     tell_failure: Callable[[str], None] = warnings.warn,
     **parameters: Any,
@@ -529,12 +531,16 @@ def report(
         As ``"html,latex:width=column"`` or as a list of such texts.
     labels
         Files with answers to pages, one for each labeler. The reports then compare the verdicts with them.
+    single_file
+        Embed all pixels of all pictures in the HTML page.
+    population
+        Intervals over a population of textures, of which the suite is a sample.
     progress
         Called after each report with the number of reports done, of all, and the name of the last one.
     tell_failure
         Called with a sentence about each report that fails; by default a warning.
     **parameters
-        Parameters of all reports that have them: ``single_file``, ``tests``, ``population``, and so on.
+        Parameters of all reports that have them, such as ``tests``.
 
     Returns
     -------
@@ -556,7 +562,7 @@ def report(
     read, files = as_run(run), tuple(map(Path, labels))
     read_labelers(read, files)
     wanted = parse_formats(list_of(format)) if format else None
-    shared = {"labels": files, **parameters}
+    shared = {"labels": files, "single_file": single_file, "population": population, **parameters}
     return write_reports(read, wanted, False, shared, progress, tell_failure)
 
 

@@ -13,8 +13,8 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
+from nrbench.imaging.boxes import largest_box
 from nrbench.imaging.convert import Image
-from nrbench.imaging.largest_box import largest_box
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import (

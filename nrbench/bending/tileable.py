@@ -8,8 +8,8 @@ import numpy as np
 
 from nrbench import plugins
 from nrbench.errors import BadInput
+from nrbench.imaging.boxes import largest_box
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.largest_box import largest_box
 from nrbench.lattice.closing import MOST_STRAIN, close_lattice, closing_strain, nearest_closing_shape
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice

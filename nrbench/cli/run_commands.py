@@ -148,9 +148,7 @@ def report_command(
     options: Options,
     labels: tuple[Path, ...],
     more: More = (),
-    single_file: Switch = False,
     no_tests: Switch = False,
-    population: Switch = False,
 ) -> int:
     """Write the reports of RUN again from its files. No cell is run.
 
@@ -158,17 +156,12 @@ def report_command(
 
     Parameters
     ----------
-    single_file
-        Embed all pixels of all pictures in the HTML page.
     no_tests
         Make no statistical tests: no leading group, no p-values.
-    population
-        Intervals over a population of textures, of which the suite is a sample.
     """
     if more and not labels:
         raise click.UsageError(f"{more[0]}: only one run is reported; files of answers come after --labels")
-    given = {"single_file": single_file, "tests": not no_tests, "population": population}
-    chosen = {name: value for name, value in given.items() if value != (name == "tests")}
+    chosen = {"tests": False} if no_tests else {}
     failures = Failures()
     with live_progress(patience=True) as progress:
         written = call(labels=(*labels, *more), progress=progress, tell_failure=failures.add, **chosen)

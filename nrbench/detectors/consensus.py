@@ -10,8 +10,9 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.detectors.autocorrelation.lattice_evidence import LatticeEvidence, highest_added
 from nrbench.detectors.autocorrelation.surrogates import require_texture
-from nrbench.detectors.consensus_rating.candidates import (
+from nrbench.detectors.candidate_search.candidates import (
     SHARE,
     TOLERANCE,
     Candidate,
@@ -19,18 +20,16 @@ from nrbench.detectors.consensus_rating.candidates import (
     rate_candidates,
     relate_bases,
 )
-from nrbench.detectors.consensus_rating.lattice_evidence import LatticeEvidence
-from nrbench.detectors.consensus_rating.self_similarity_map import (
+from nrbench.detectors.candidate_search.self_similarity_map import (
     SIDE,
     SimilarityMap,
     compute_self_similarity,
     make_view,
     view_factors,
 )
-from nrbench.detectors.consensus_rating.sublattice_search import (
+from nrbench.detectors.candidate_search.sublattice_search import (
     MIN_CONTRAST,
     find_stable,
-    highest_added,
     propose_lattices,
     ridge_height,
 )
@@ -74,17 +73,17 @@ class Consensus:
 
     1. Slow lighting is removed from the image. Its colors, slopes and edges are correlated with their shifted copies.
        The mean of the three correlations is the self-similarity map
-       (:mod:`nrbench.detectors.consensus_rating.self_similarity_map`).
+       (:mod:`nrbench.detectors.candidate_search.self_similarity_map`).
     2. Pairs of its most prominent peaks propose lattices, and so do the detectors ``gncc`` and ``frdft``, without their
        tests against chance. Each lattice is fitted to sub-pixel precision at all its multiples at once
-       (:class:`nrbench.detectors.consensus_rating.lattice_evidence.LatticeEvidence`). Its merit is the share of the
+       (:class:`nrbench.detectors.autocorrelation.lattice_evidence.LatticeEvidence`). Its merit is the share of the
        variance that is explained if each tile is predicted from all others. Supercells have a low merit because they
        have few tiles; wrong vectors have a low merit because their tiles differ.
     3. The best lattices are replaced by finer ones as long as the vectors that these add agree as well. A lattice that
-       lies on a ridge is discarded (:mod:`nrbench.detectors.consensus_rating.sublattice_search`).
+       lies on a ridge is discarded (:mod:`nrbench.detectors.candidate_search.sublattice_search`).
     4. The remaining lattices, their coarser and finer neighbors, and the proposals of the other detectors are the
        candidates. A conditional logit computes from six traits of each candidate how probable it is that it is exact
-       (:mod:`nrbench.detectors.consensus_rating.candidates`). The most probable one is returned.
+       (:mod:`nrbench.detectors.candidate_search.candidates`). The most probable one is returned.
     5. If this lattice is not certain, the image is shrunk to half, a quarter ... of its size, as far as that leaves
        14 px a period, and the same is done again: fine grain that does not repeat hides the lattice of large elements.
        The most certain of these lattices is returned.

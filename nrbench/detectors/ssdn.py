@@ -12,13 +12,12 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.peak_kernels import inner_relief
-from nrbench.detectors.autocorrelation.peaks import quantize_correlation
+from nrbench.detectors.autocorrelation.peaks import find_vertex, quantize_correlation
 from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import FLAT, Correlation, half_autocorrelation
 from nrbench.imaging.mean_tile import Values, fold
-from nrbench.imaging.subpixel import find_vertex
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Curve, Detection, NoLatticeFound
 

@@ -158,12 +158,10 @@ class Supervisor:
     warm
         Whether the worker imports plugins before it forks the children. One that does not is ready at once, and its
         children begin with a plugin's import; this is best for a few requests.
-    forks
-        Whether requests run in forked children where that is safe; otherwise each one runs in a fresh interpreter.
     """
 
-    def __init__(self, tell: Callable[[str], None] = print_notice, *, warm: bool = True, forks: bool = True) -> None:
-        self._tell, self._warm, self._forks = tell, warm, forks
+    def __init__(self, tell: Callable[[str], None] = print_notice, *, warm: bool = True) -> None:
+        self._tell, self._warm = tell, warm
         self._imports: tuple[list[str], list[tuple[str, str]]] = ([], [])
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
@@ -210,7 +208,7 @@ class Supervisor:
         folder = self._stack.enter_context(temporary_folder())
         (files, named), known = self._imports, plugins.inventory("synthesizers")
         methods = [("synthesizers", plugin.name) for plugin in known if plugin.own and plugin.is_loaded]
-        content: dict[str, Any] = {"once": False, "warm": self._warm, "fresh": not self._forks, "folder": str(folder)}
+        content: dict[str, Any] = {"once": False, "warm": self._warm, "folder": str(folder)}
         content |= {"files": files, "imports": [*named, *methods]}
         self._worker = start_worker(content, stderr=subprocess.DEVNULL, env=worker_environment())
         self._lines, self._reader = read_lines(self._worker)

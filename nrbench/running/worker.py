@@ -395,7 +395,6 @@ def run_worker() -> None:
     The argument of the process is a mapping in JSON:
 
     - ``once``: whether a single request is run in this process.
-    - ``fresh``: whether no child is forked.
     - ``warm``: whether it imports plugins and loads kernels before it forks.
     - ``files``, ``imports``: the plugins that it imports then: files, and kind and name of others.
     - ``folder``: an empty folder for temporary files.
@@ -413,7 +412,7 @@ def run_worker() -> None:
     if options["once"]:
         _run_fresh(cast("Send", write))
     guard.go_on_in_child(sys.stdin.fileno(), options["folder"])
-    home, forks = os.getcwd(), may_fork() and not options["fresh"]  # noqa: PTH109
+    home, forks = os.getcwd(), may_fork()  # noqa: PTH109
     if forks and options["warm"]:
         leave_user_folder(Path(home), Path(options["folder"], "imports"))
         for file in options["files"]:

@@ -230,12 +230,14 @@ class CellFolder:
 
     def lost_files(self, result: Result) -> list[str]:
         """Return the files of a result that are not in the folder any more."""
-        return [name for name in _made(result) if not (self.path / name).is_file()]
+        return [name for name in result.get("made", {}) if not (self.path / name).is_file()]
 
     def cut_files(self, result: Result) -> list[str]:
         """Return the files of a result that are lost, or have another size than when they were written."""
         lost = self.lost_files(result)
-        return lost or [name for name, size in _made(result).items() if (self.path / name).stat().st_size != size]
+        return lost or [
+            name for name, size in result.get("made", {}).items() if (self.path / name).stat().st_size != size
+        ]
 
     def score_file(self, metric: str) -> Path:
         """Return the file that holds a metric's score of this cell."""
@@ -286,12 +288,6 @@ class CellFolder:
                 return "\n".join(text.splitlines()[-lines:])
         except FileNotFoundError:
             return ""
-
-
-def _made(result: Result) -> dict[str, int]:
-    """Return the sizes of the files of a result; of one that does not tell them, or not correctly, none."""
-    made: object = result.get("made")
-    return made if isinstance(made, dict) and all(isinstance(size, int) for size in made.values()) else {}
 
 
 def _is_score(content: Mapping[str, Any], metric: str) -> bool:

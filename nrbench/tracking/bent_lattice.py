@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from nrbench.imaging.boxes import largest_box
 from nrbench.imaging.convert import Image
-from nrbench.imaging.largest_box import largest_box
 from nrbench.imaging.mean_tile_kernels import spline_coefficients, spline_windows
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.tracking.growth import Knots

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.box_sums import box_sums_from, integral_image
+from nrbench.imaging.boxes import box_sums_from, integral_image
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.lattice.geometry import Points
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Shape
 
-from .neighbor_field_kernels import add_votes, improve_matches
+from .neighbor_field_kernels import FieldArrays, add_votes, improve_matches
 
 DRAWS: Final = 1 << 16
 """Number of random numbers that one search uses again and again."""
@@ -123,8 +123,9 @@ class NeighborField:
         """
         factors = np.ones(self.places, np.float32) if factors is None else factors
         draws, channels = rng.random(DRAWS, np.float32), image.shape[2]
-        pictures = _flatten(wrap_around(image, self.size) if self.wrap else image), _flatten(other)
-        improve_matches(*pictures, self.grid, channels, self.size, factors, self.matches, self.costs, draws, sweeps)
+        queries, keys = _flatten(wrap_around(image, self.size) if self.wrap else image), _flatten(other)
+        field = FieldArrays(queries, keys, *self.grid, channels, self.size, factors, self.matches, self.costs)
+        improve_matches(field, draws, sweeps)
 
     def average(self, other: Image, shape: Shape, weights: NDArray[np.float32], falloff: NDArray[np.float32]) -> Image:
         """Return the image whose pixels are the weighted means of the matches that cover them.

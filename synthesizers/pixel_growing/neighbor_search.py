@@ -133,15 +133,12 @@ class KdTree:
     Parameters
     ----------
     arrays
-        The arrays of the tree for compiled loops, see :data:`~.pixel_growing_kernels.TreeArrays`.
-    roots
-        ``(g,)``: the root node of each group.
+        The arrays of the tree for compiled loops.
     order
         ``(n,)``: the number of the point at each place of the tree.
     """
 
     arrays: TreeArrays
-    roots: Integers
     order: Integers
 
     @classmethod
@@ -178,7 +175,7 @@ class KdTree:
         nodes = build_tree(points, order, bounds, roots, leaf)
         placed = (np.arange(n) if ranks is None else ranks)[order]
         leading = points.shape[1] if leading is None else leading
-        return cls((np.ascontiguousarray(points[order]), placed, nodes, lows, highs, leading), roots, order)
+        return cls(TreeArrays(np.ascontiguousarray(points[order]), placed, nodes, roots, lows, highs, leading), order)
 
     def nearest(
         self, queries: TreePoints, k: int = 1, eps: float = 0.0, groups: Integers | None = None
@@ -206,5 +203,5 @@ class KdTree:
         """
         keys, places = np.full((len(queries), k), UNBOUNDED), np.full((len(queries), k), -1, np.int64)
         labels = np.zeros(len(queries), np.int64) if groups is None else groups
-        search_queries(self.arrays, self.roots, labels, queries, (1.0 + eps) ** 2, keys, places)
+        search_queries(self.arrays, labels, queries, (1.0 + eps) ** 2, keys, places)
         return np.where(places < 0, -1, self.order[places]), np.where(places < 0, -1, keys >> 32)

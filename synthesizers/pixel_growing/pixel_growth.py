@@ -15,7 +15,7 @@ from nrbench.plugins.forms import Refused, SourceMap, Task
 from nrbench.plugins.parameters import append_parameters
 
 from .neighbor_search import Integers, KdTree, Projection
-from .pixel_growing_kernels import CanvasArrays, QueryArrays, StockArrays, grow_box
+from .pixel_growing_kernels import CanvasArrays, NeighborhoodArrays, SampleArrays, grow_box
 
 Search = Literal["ann", "exhaustive", "k-coherence"]
 Layers = NDArray[np.uint8]
@@ -196,7 +196,7 @@ def list_candidates(layers: Layers, neighborhood: Neighborhood, rng: np.random.G
     return Candidates(pixels, rng.permutation(len(pixels)))
 
 
-class Stock:
+class NeighborhoodIndex:
     """The neighborhoods of candidates in a search tree, which is built in O(n D dimensions + n log n).
 
     Parameters
@@ -219,7 +219,7 @@ class Stock:
     tree
         The tree of the points of ``candidates``.
     arrays
-        The arrays of the stock for compiled loops.
+        The arrays of the sample for compiled loops.
     """
 
     def __init__(
@@ -246,12 +246,14 @@ class Stock:
         placed = candidates.pixels[self.tree.order]
         places = np.full(height * width, -1, np.int64)
         places[placed] = np.arange(len(placed))
-        self.arrays: StockArrays = layers[0].reshape(-1, channels), placed, places, similar, width
+        colors = layers[0].reshape(-1, channels)
+        self.arrays = SampleArrays(self.tree.arrays, colors, placed, places, similar, width)
 
-    def query_arrays(self, layers: Layers) -> QueryArrays:
+    def neighborhood_arrays(self, layers: Layers) -> NeighborhoodArrays:
         """Return the arrays of the neighborhood and the projection for compiled loops, for the layers of an output."""
         steps, projection = self.neighborhood.steps(layers), self._projection
-        return steps, projection.matrix, projection.shift, projection.bits, self.neighborhood.texture_offsets
+        offsets = self.neighborhood.texture_offsets
+        return NeighborhoodArrays(steps, projection.matrix, projection.shift, projection.bits, offsets)
 
 
 def _find_similar_places(tree: KdTree, points: NDArray[np.int16], groups: Integers | None) -> Integers:
@@ -288,43 +290,41 @@ class Growth:
     def arrays(self) -> CanvasArrays:
         """The arrays of the output for compiled loops, which read and write them."""
         period = self.task.shape if self.wraps else self.sources.shape
-        return self.layers.reshape(-1), self.sources, np.array([*period, *self.corner])
+        return CanvasArrays(self.layers.reshape(-1), self.sources, np.array([*period, *self.corner]))
 
-    def grow(self, stock: Stock, rows: range, columns: range, groups: Integers | None = None) -> None:
+    def grow(self, index: NeighborhoodIndex, rows: range, columns: range, groups: Integers | None = None) -> None:
         """Synthesize some rows and columns of the output in scan-line order.
 
         Parameters
         ----------
-        stock
+        index
             The candidates for sources.
         rows, columns
             Rows and columns of the output.
         groups
             ``(height, width)`` of the output: the group of each pixel's source. None: there is one group.
         """
-        query, rules = stock.query_arrays(self.layers), stock.rules
+        neighborhood, rules = index.neighborhood_arrays(self.layers), index.rules
         for start in range(rows.start, rows.stop, BAND):
             box = np.array([start, min(start + BAND, rows.stop), columns.start, columns.stop])
             among = np.zeros((box[1] - start, len(columns)), np.int64)
             if groups is not None:
                 among[:] = groups[start : box[1], columns.start : columns.stop]
-            grow_box(
-                self.arrays, stock.arrays, query, stock.tree.arrays, stock.tree.roots, among, box,
-                float(rules.coherence) ** 2, rules.search != "k-coherence",
-            )  # fmt: skip
+            preference = float(rules.coherence) ** 2, rules.search != "k-coherence"
+            grow_box(self.arrays, index.arrays, neighborhood, among, box, preference)
             self.progress = max(self.progress, float(box[1]) / self.task.shape[0])
             self.task.progress(self.progress)
 
-    def grow_edges(self, stock: Stock, reach: int, groups: Integers | None = None) -> None:
+    def grow_edges(self, index: NeighborhoodIndex, reach: int, groups: Integers | None = None) -> None:
         """Synthesize the pixels within ``reach`` px of the edges again, in the order in which tiled copies show them.
 
         Other parameters as in :meth:`grow`.
         """
         height, width = self.task.shape
         for rows in (range(max(height - reach, 0), height), range(min(reach, height))):
-            self.grow(stock, rows, range(width), groups)
+            self.grow(index, rows, range(width), groups)
         for columns in (range(max(width - reach, 0), width), range(min(reach, width))):
-            self.grow(stock, range(height), columns, groups)
+            self.grow(index, range(height), columns, groups)
 
     def result(self) -> tuple[Image, SourceMap]:
         """Return the output and its source map."""

@@ -1,13 +1,15 @@
 import queue
 import threading
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import numpy as np
 import pytest
+from numba.core import sigutils
 
 from nrbench import jit
-from nrbench.jit import Float64x2, Int64x1, UInt8View2
+from nrbench.jit import Float64x2, Int64x1, UInt8View2, kernel
 from nrbench.synthesizers.matching.matching_kernels import correlate_at
 
 
@@ -144,4 +146,23 @@ def test_annotations_are_the_types_of_a_kernel() -> None:
         raise AssertionError  # only its annotations are read
 
     expected = "Tuple((int64[::1], float64,))(float64[:, ::1], uint8[:, :], boolean, int32)"
-    assert jit.find_signature(count) == expected
+    signature = jit.find_signature(count)
+    assert (signature.args, signature.return_type) == sigutils.normalize_signature(expected)
+
+
+class Span(NamedTuple):
+    """A record of two numbers."""
+
+    start: int
+    stop: float
+
+
+@kernel
+def measure_span(span: Span) -> float:
+    """Return the length of a span."""
+    return span.stop - span.start
+
+
+def test_kernels_take_records() -> None:
+    """A kernel takes a named tuple, whose fields have the types of its annotations."""
+    assert measure_span(Span(2, 5.5)) == 3.5

@@ -9,8 +9,8 @@ import pytest
 from scipy import ndimage
 
 from nrbench import texture
+from nrbench.detectors.candidate_search.candidates import Traits, classify, relate_bases
 from nrbench.detectors.consensus import Consensus, rate_levels
-from nrbench.detectors.consensus_rating.candidates import Traits, classify, relate_bases
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error, relate

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from nrbench.detectors.autocorrelation.lattice_evidence import PAD, REACH, LatticeEvidence, finer_bases, highest_added
+from nrbench.detectors.autocorrelation.lattice_evidence_kernels import rate_added_points
 from nrbench.detectors.autocorrelation.vector_pair_kernels import mean_correlations
-from nrbench.detectors.consensus_rating.lattice_evidence import PAD, REACH, LatticeEvidence
-from nrbench.detectors.consensus_rating.lattice_evidence_kernels import between
-from nrbench.detectors.consensus_rating.sublattice_search import finer_bases, highest_added, ridge_height
+from nrbench.detectors.candidate_search.sublattice_search import ridge_height
 from nrbench.imaging.correlation import half_autocorrelation
 from nrbench.lattice.geometry import Lattice, hermite_matrices
 
@@ -81,7 +81,9 @@ def test_a_sample_of_many_lags_has_their_mean(evidence: LatticeEvidence) -> None
     small, cells = BASIS / 4, np.linalg.inv(BASIS)
     for finer in np.concatenate([small[np.newaxis], finer_bases(small, (2, 3))]):
         one = finer[np.newaxis]
-        whole, part = (between(evidence._spline, one, cells, evidence._end, PAD, most)[0] for most in (0, 200))
+        whole, part = (
+            rate_added_points(evidence._spline, one, cells, evidence._end, PAD, most)[0] for most in (0, 200)
+        )
         assert 120 < part[2] < 300 < 1000 < whole[2]
         assert part[0] == pytest.approx(whole[0], abs=4 * np.sqrt(whole[1] / part[2]))
         assert part[1] == pytest.approx(whole[1], rel=0.3)
@@ -90,8 +92,8 @@ def test_a_sample_of_many_lags_has_their_mean(evidence: LatticeEvidence) -> None
 def test_few_of_many_multiples_fit_a_basis(monkeypatch: pytest.MonkeyPatch, evidence: LatticeEvidence) -> None:
     """The fit to a sample of the multiples ends within 0.01 px of the fit to all."""
     start, expected = BASIS + np.array([[0.6, -0.4], [0.3, 0.5]]), evidence.fit(BASIS)
-    monkeypatch.setattr("nrbench.detectors.consensus_rating.lattice_evidence.MOST_FITTED", 20)
-    monkeypatch.setattr("nrbench.detectors.consensus_rating.lattice_evidence.NEAREST", 2)
+    monkeypatch.setattr("nrbench.detectors.autocorrelation.lattice_evidence.MOST_FITTED", 20)
+    monkeypatch.setattr("nrbench.detectors.autocorrelation.lattice_evidence.NEAREST", 2)
     np.testing.assert_allclose(evidence.fit(start), expected, atol=0.01)
     assert not np.array_equal(evidence.fit(start), expected)
 
@@ -99,7 +101,7 @@ def test_few_of_many_multiples_fit_a_basis(monkeypatch: pytest.MonkeyPatch, evid
 def test_no_multiples() -> None:
     """Where a lattice has no multiple within reach, the mean is -1 and the count 0."""
     spline = np.zeros((15, 8 + PAD))
-    found = between(spline, 90 * np.eye(2)[np.newaxis], np.zeros((2, 2)), np.full(2, 5.0), PAD, 0)
+    found = rate_added_points(spline, 90 * np.eye(2)[np.newaxis], np.zeros((2, 2)), np.full(2, 5.0), PAD, 0)
     np.testing.assert_array_equal(found, [[-1, 0, 0]])
 
 

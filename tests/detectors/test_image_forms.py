@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from nrbench import detect_lattice, texture
-from nrbench.detectors.consensus_rating.self_similarity_map import SIDE, _blur, make_view, view_factors
+from nrbench.detectors.candidate_search.self_similarity_map import SIDE, _blur, make_view, view_factors
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Texture

@@ -9,8 +9,7 @@ from synthesis_cases import noise, synthesize
 
 from nrbench import texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
-from nrbench.synthesizers.gpdm import Gpdm
-from nrbench.synthesizers.patch_projections.sliced_distance import SlicedDistance, draw_filters, to_planes
+from nrbench.synthesizers.gpdm import Gpdm, SlicedDistance, draw_filters, to_planes
 from nrbench.synthesizers.quilting import Quilting
 
 

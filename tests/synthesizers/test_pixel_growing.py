@@ -19,7 +19,7 @@ from nrbench.synthesizers.ann_pixel import AnnPixel
 from nrbench.synthesizers.fftm_pixel import FftmPixel
 from nrbench.synthesizers.masks.texture_mask import TextureMask
 from nrbench.synthesizers.pixel_growing.neighbor_search import KdTree, Projection
-from nrbench.synthesizers.pixel_growing.pixel_growth import Candidates, Neighborhood, Stock
+from nrbench.synthesizers.pixel_growing.pixel_growth import Candidates, Neighborhood, NeighborhoodIndex
 
 
 @pytest.mark.parametrize("search", ["ann", "exhaustive", "k-coherence"])
@@ -347,8 +347,10 @@ def test_the_papers_norms_choose_another_source() -> None:
     layers, query = np.stack([texture, mask]), np.full((1, 2), 100, np.uint8)
     pixels = np.array([8, 24])
     for norms, due in ((True, 0), (False, 1)):
-        stock = Stock(layers, Candidates(pixels, np.arange(2)), neighborhood, AnnPixel(dimensions=0), 1.0, norms)
-        numbers, _ = stock.tree.nearest(stock._projection.points(query))
+        index = NeighborhoodIndex(
+            layers, Candidates(pixels, np.arange(2)), neighborhood, AnnPixel(dimensions=0), 1.0, norms
+        )
+        numbers, _ = index.tree.nearest(index._projection.points(query))
         assert numbers.tolist() == [[due]]
     assert FftmPixel(**FftmPixel.presets["paper"]).distance == "norms"
 

@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from nrbench.jit import Boolx1, Boolx2, Float32x2, Float64x1, Float64x2, Int32x1, Int32x2, Int64x1, kernel
+from nrbench.jit import (
+    Boolx1,
+    Boolx2,
+    Float32x2,
+    Float64x1,
+    Float64x2,
+    Int32x1,
+    Int32x2,
+    Int64x1,
+    Int64x2,
+    kernel,
+    step_kernel,
+)
 
 
 @kernel
@@ -55,6 +69,49 @@ def list_saddles() -> Boolx1:
     return out
 
 
+@step_kernel
+def ascend(height: Int32x1, rows: int, columns: int, pixel: int) -> tuple[int, int]:
+    """Return the highest neighbor of a pixel, itself if none is higher, and the set of its higher neighbors as bits.
+
+    ``height`` is as for :func:`neighbor_above`, the bits as for :func:`list_saddles`.
+    """
+    y, x = pixel // columns, pixel % columns
+    best, higher = pixel, 0
+    if 1 < x < columns - 1 and 0 < y < rows - 1:
+        # Inside, neighbors need no mirror. Of equal heights the pixel of the lower index comes first.
+        own = highest = height[pixel]
+        for bit in range(8):
+            step = bit + bit // 4
+            near = pixel + (step // 3 - 1) * columns + step % 3 - 1
+            if height[near] > own or (bit < 4 and height[near] == own):
+                higher |= 1 << bit
+                if height[near] > highest or (height[near] == highest and near < best):
+                    best, highest = near, height[near]
+    else:
+        for bit in range(8):
+            near = neighbor_above(height, rows, columns, pixel, bit + bit // 4)
+            if near >= 0:
+                higher |= 1 << bit
+                if height[near] > height[best] or (height[near] == height[best] and near < best):
+                    best = near
+    return best, higher
+
+
+@step_kernel
+def follow_to_tops(following: Int64x1) -> None:
+    """Replace the next pixel of each path by its last one, which follows itself. Pixels of -1 are on no path."""
+    for pixel in range(following.size):
+        if following[pixel] >= 0:
+            top = pixel
+            while following[top] != top:
+                top = following[top]
+            below = pixel
+            while following[below] != top:
+                above = following[below]
+                following[below] = top
+                below = above
+
+
 @kernel
 def find_basins(surface: Int32x2) -> tuple[Int64x1, Int64x1]:
     """Return the peak to which the steepest ascent from each pixel leads, and the saddles between peaks.
@@ -72,57 +129,32 @@ def find_basins(surface: Int32x2) -> tuple[Int64x1, Int64x1]:
     saddles
         The negative height times 2^32, plus the flat index, of each pixel whose higher neighbors have several parts. In
         ascending order they are the pixels from the highest to the lowest.
+
+    Notes
+    -----
+    Each pixel points to its highest neighbor. Along these steps each ascent ends at a peak, which points to itself.
+    O(pixels): the pixels of an ascent are led to its peak at once. S. Beucher and C. Lantuejoul, "Use of watersheds in
+    contour detection", 1979, define basins and passes in this way.
     """
     rows, columns = surface.shape
     height = surface.copy().ravel()
-    peaks, saddles = np.empty(height.size, np.int64), np.empty(height.size, np.int64)
+    peaks, saddles = np.full(height.size, -1, np.int64), np.empty(height.size, np.int64)
     is_saddle = list_saddles()
     count = 0
     for pixel in range(height.size):
-        y, x = pixel // columns, pixel % columns
-        best, higher = pixel, 0
-        if x == 0 and y < rows // 2:
-            peaks[pixel] = -1
+        if pixel % columns == 0 and pixel // columns < rows // 2:
             continue
-        if 1 < x < columns - 1 and 0 < y < rows - 1:
-            own = highest = height[pixel]
-            for bit in range(8):
-                step = bit + bit // 4
-                near = pixel + (step // 3 - 1) * columns + step % 3 - 1
-                # Of equal heights the pixel of the lower index comes first.
-                if height[near] > own or (bit < 4 and height[near] == own):
-                    higher |= 1 << bit
-                    if height[near] > highest or (height[near] == highest and near < best):
-                        best, highest = near, height[near]
-        else:
-            for bit in range(8):
-                near = neighbor_above(height, rows, columns, pixel, bit + bit // 4)
-                if near >= 0:
-                    higher |= 1 << bit
-                    if height[near] > height[best] or (height[near] == height[best] and near < best):
-                        best = near
-        peaks[pixel] = best
+        peaks[pixel], higher = ascend(height, rows, columns, pixel)
         if is_saddle[higher]:
             saddles[count] = -np.int64(height[pixel]) * 4294967296 + pixel
             count += 1
-    for pixel in range(height.size):
-        if peaks[pixel] >= 0:
-            top = pixel
-            while peaks[top] != top:
-                top = peaks[top]
-            below = pixel
-            while peaks[below] != top:
-                above = peaks[below]
-                peaks[below] = top
-                below = above
+    follow_to_tops(peaks)
     return peaks, saddles[:count].copy()
 
 
 @kernel
 def prominences(surface: Int32x2, peaks: Int64x1, saddles: Int64x1) -> Int32x2:
     """Return the prominence of each peak: its height above the highest pass to a higher peak.
-
-    Basins are joined at the saddles between them, from the highest to the lowest, in a union-find forest.
 
     Parameters
     ----------
@@ -139,6 +171,12 @@ def prominences(surface: Int32x2, peaks: Int64x1, saddles: Int64x1) -> Int32x2:
 
     Notes
     -----
+    Basins are joined in a union-find forest whose roots are the highest peaks of the joined basins::
+
+        for each saddle, from the highest to the lowest, and for each basin that meets another one there:
+            prominence of the lower peak = its height - height of the saddle
+            join the lower peak's basin to the higher peak's
+
     scikit-image and scipy have no prominence of two-dimensional peaks. This one also respects the symmetry. Few pixels
     are saddles, which are sorted much faster than all pixels.
     """
@@ -146,6 +184,7 @@ def prominences(surface: Int32x2, peaks: Int64x1, saddles: Int64x1) -> Int32x2:
     height = surface.copy().ravel()
     parent = np.full(height.size, -1, np.int64)
     found = np.zeros(height.size, np.int32)
+    # The peaks, each the root of its basin; `left` is the number of joins until one basin is left.
     highest, lowest, left = -1, 0, -1
     for pixel in range(height.size):
         if peaks[pixel] == pixel:
@@ -192,6 +231,20 @@ def vertex(before: float, middle: float, after: float) -> float:
     return min(max((after - before) / 2 / max(bend, 1e-12), -0.5), 0.5)
 
 
+@step_kernel
+def find_peak_near(gamma: Float32x2, x: float, y: float) -> tuple[float, float]:
+    """Return the sub-pixel position of the highest of the nine lags around a position."""
+    column, row = int(np.rint(x)), int(np.rint(y))
+    best, best_x, best_y = -np.inf, column - 1, row - 1
+    for step in range(9):
+        value = value_at(gamma, column + step % 3 - 1, row + step // 3 - 1)
+        if value > best:
+            best, best_x, best_y = value, column + step % 3 - 1, row + step // 3 - 1
+    left, right = value_at(gamma, best_x - 1, best_y), value_at(gamma, best_x + 1, best_y)
+    above, below = value_at(gamma, best_x, best_y - 1), value_at(gamma, best_x, best_y + 1)
+    return best_x + vertex(left, best, right), best_y + vertex(above, best, below)
+
+
 @kernel
 def follow_multiples(gamma: Float32x2, vectors: Float64x2, reach: Float64x1, most: int, near: float) -> Float64x2:
     """Fit each vector to the peaks at its multiples, from the nearest one to the first that is missing.
@@ -222,20 +275,22 @@ def follow_multiples(gamma: Float32x2, vectors: Float64x2, reach: Float64x1, mos
             x, y = k * fitted[i, 0], k * fitted[i, 1]
             if not (abs(x) <= reach[0] and abs(y) <= reach[1]):
                 break
-            column, row = int(np.rint(x)), int(np.rint(y))
-            best, best_x, best_y = -np.inf, column - 1, row - 1
-            for step in range(9):
-                value = value_at(gamma, column + step % 3 - 1, row + step // 3 - 1)
-                if value > best:
-                    best, best_x, best_y = value, column + step % 3 - 1, row + step // 3 - 1
-            left, right = value_at(gamma, best_x - 1, best_y), value_at(gamma, best_x + 1, best_y)
-            above, below = value_at(gamma, best_x, best_y - 1), value_at(gamma, best_x, best_y + 1)
-            peak_x, peak_y = best_x + vertex(left, best, right), best_y + vertex(above, best, below)
+            peak_x, peak_y = find_peak_near(gamma, x, y)
             if not (abs(peak_x - x) <= near and abs(peak_y - y) <= near):
                 break
             product_x, product_y, squares = product_x + k * peak_x, product_y + k * peak_y, squares + k * k
             fitted[i, 0], fitted[i, 1] = product_x / squares, product_y / squares
     return fitted
+
+
+@step_kernel
+def find_shifted_root(parent: Int64x1, across: Int64x1, down: Int64x1, node: int) -> tuple[int, int, int]:
+    """Return the root of a node's tree, and the sums of the shifts along the way to it, in tiles along x and y."""
+    shift_x, shift_y = 0, 0
+    while parent[node] != node:
+        shift_x, shift_y = shift_x + across[node], shift_y + down[node]
+        node = parent[node]
+    return node, shift_x, shift_y
 
 
 @kernel
@@ -254,6 +309,16 @@ def highest_ridge(tile: Float32x2, order: Int64x1) -> Float64x1:
     NDArray
         ``(3,)``: the lowest height of the ridge, and the numbers of tiles along x and y between the peaks that it
         joins.
+
+    Notes
+    -----
+    Pixels are added from the highest to the lowest; the regions that they form are joined in a union-find forest. Each
+    region lies in the plane of all tiles, and the shift from a pixel to its parent says in which tile::
+
+        for each pixel, from the highest to the lowest, and each neighbor that was added before:
+            if they are in different regions: join these, with the shift that makes the two pixels neighbors
+            else the region meets itself; if the two ways to its root differ by whole tiles, it meets a copy of itself
+        until the region of the peak meets a copy of itself: the pixel is the lowest of the ridge
     """
     rows, columns = tile.shape
     height = tile.ravel()
@@ -269,23 +334,16 @@ def highest_ridge(tile: Float32x2, order: Int64x1) -> Float64x1:
             near = near_y % rows * columns + near_x % columns
             if parent[near] < 0 or step == 4:
                 continue
-            shift_x, shift_y = near_x // columns, near_y // rows
-            one, other = pixel, near
-            while parent[one] != one:
-                shift_x, shift_y = shift_x - across[one], shift_y - down[one]
-                one = parent[one]
-            while parent[other] != other:
-                shift_x, shift_y = shift_x + across[other], shift_y + down[other]
-                other = parent[other]
+            one, one_x, one_y = find_shifted_root(parent, across, down, pixel)
+            other, other_x, other_y = find_shifted_root(parent, across, down, near)
+            shift_x, shift_y = near_x // columns + other_x - one_x, near_y // rows + other_y - one_y
             if one != other:
                 parent[other], across[other], down[other] = one, -shift_x, -shift_y
                 shift_x, shift_y = met_x[other], met_y[other]
             if met_x[one] == 0 and met_y[one] == 0:
                 met_x[one], met_y[one] = shift_x, shift_y
         if parent[0] >= 0:
-            first = 0
-            while parent[first] != first:
-                first = parent[first]
+            first, _, _ = find_shifted_root(parent, across, down, 0)
             if met_x[first] != 0 or met_y[first] != 0:
                 return np.array((float(height[pixel]), float(met_x[first]), float(met_y[first])))
     return np.array((float(height[order[-1]]), 1.0, 0.0))
@@ -314,7 +372,14 @@ def inner_relief(tile: Int32x2, inside: Boolx2, order: Int64x1) -> float:
 
     Notes
     -----
-    Pixels are added from the highest to the lowest; the regions that they form are joined in a union-find forest.
+    Pixels are added from the highest to the lowest; the regions that they form are joined in a union-find forest, each
+    with its highest inner pixel::
+
+        for each pixel, from the highest to the lowest, and each region that it joins to another one:
+            if one of them holds the corner peak:
+                relief of the other's peak = (its height - the pixel's) / (height of the corner peak - the pixel's)
+            the higher of the two peaks is that of the joined region
+
     O(n log n).
     """
     rows, columns = tile.shape
@@ -336,6 +401,7 @@ def inner_relief(tile: Int32x2, inside: Boolx2, order: Int64x1) -> float:
             one, other = root(parent, pixel), root(parent, near)
             if one == other:
                 continue
+            # `one` is joined to `other`, which is the region of the corner peak if either of them is.
             top = root(parent, corner) if corner >= 0 else corner
             if one == top:
                 one, other = other, one
@@ -348,6 +414,74 @@ def inner_relief(tile: Int32x2, inside: Boolx2, order: Int64x1) -> float:
                 peak[other] = peak[one]
             parent[one] = other
     return relief
+
+
+class PeakGrid(NamedTuple):
+    """Peaks and their mirror images in the boxes of a grid, of which each holds a linked list.
+
+    Parameters
+    ----------
+    first
+        ``(rows, columns)``: the first peak in each box; -1 if there is none.
+    following
+        ``(2 n,)``: the next peak in the box of each; -1 if there is none. Peak i has the number 2 i, its mirror image
+        2 i + 1.
+    box
+        Side of a box, px.
+    x_end, y_end
+        Half sides of the grid, px.
+    """
+
+    first: Int64x2
+    following: Int64x1
+    box: float
+    x_end: float
+    y_end: float
+
+
+@kernel
+def make_peak_grid(peaks: Float64x2) -> PeakGrid:
+    """Return an empty grid that has about as many boxes as there are peaks ``(n, 2)``, n at least 1."""
+    n = peaks.shape[0]
+    x_end, y_end = np.abs(peaks[:, 0]).max(), np.abs(peaks[:, 1]).max()
+    box = max(np.sqrt(2 * x_end * y_end / n), max(x_end, y_end) / n, 1e-6)
+    columns, rows = int(2 * x_end / box) + 1, int(2 * y_end / box) + 1
+    return PeakGrid(np.full((rows, columns), -1, np.int64), np.full(2 * n, -1, np.int64), box, x_end, y_end)
+
+
+@step_kernel
+def nearest_in_box(grid: PeakGrid, peaks: Float64x2, row: int, column: int, x: float, y: float) -> float:
+    """Return the squared distance of a position from the nearest peak in a box; infinite if there is none."""
+    nearest = np.inf
+    k = grid.first[row, column]
+    while k >= 0:
+        sign = 1 - 2 * (k % 2)
+        dx, dy = x - sign * peaks[k // 2, 0], y - sign * peaks[k // 2, 1]
+        nearest = min(nearest, dx * dx + dy * dy)
+        k = grid.following[k]
+    return nearest
+
+
+@step_kernel
+def nearest_distance(grid: PeakGrid, peaks: Float64x2, i: int) -> float:
+    """Return the distance of a peak from the nearest peak of a grid, or from lag 0 if that is nearer.
+
+    The rings of boxes around its own box are searched until no farther box can hold a nearer peak.
+    """
+    x, y = peaks[i, 0], peaks[i, 1]
+    rows, columns = grid.first.shape
+    column, row = int((x + grid.x_end) / grid.box), int((y + grid.y_end) / grid.box)
+    nearest = x * x + y * y
+    ring = 0
+    while ring <= 1 or (ring - 1) * grid.box * (ring - 1) * grid.box <= nearest:
+        for r in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
+            # The top and the bottom row of a ring are whole; of the others only the ends belong to it.
+            step = 1 if abs(r - row) == ring else max(2 * ring, 1)
+            for c in range(column - ring, column + ring + 1, step):
+                if 0 <= c < columns:
+                    nearest = min(nearest, nearest_in_box(grid, peaks, r, c, x, y))
+        ring += 1
+    return float(np.sqrt(nearest))
 
 
 @kernel
@@ -368,33 +502,13 @@ def region_radii(ranked: Float64x2) -> Float64x1:
     radii = np.empty(n)
     if n == 0:
         return radii
-    x_end, y_end = np.abs(ranked[:, 0]).max(), np.abs(ranked[:, 1]).max()
-    box = max(np.sqrt(2 * x_end * y_end / n), max(x_end, y_end) / n, 1e-6)
-    columns, rows = int(2 * x_end / box) + 1, int(2 * y_end / box) + 1
-    first = np.full((rows, columns), -1, np.int64)
-    following = np.full(2 * n, -1, np.int64)
+    grid = make_peak_grid(ranked)
     for i in range(n):
-        x, y = ranked[i, 0], ranked[i, 1]
-        column, row = int((x + x_end) / box), int((y + y_end) / box)
-        nearest = x * x + y * y
-        ring = 0
-        while ring <= 1 or (ring - 1) * box * (ring - 1) * box <= nearest:
-            for r in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
-                step = 1 if abs(r - row) == ring else max(2 * ring, 1)
-                for c in range(column - ring, column + ring + 1, step):
-                    if c < 0 or c >= columns:
-                        continue
-                    k = first[r, c]
-                    while k >= 0:
-                        sign = 1 - 2 * (k % 2)
-                        dx, dy = x - sign * ranked[k // 2, 0], y - sign * ranked[k // 2, 1]
-                        nearest = min(nearest, dx * dx + dy * dy)
-                        k = following[k]
-            ring += 1
-        radii[i] = np.sqrt(nearest)
+        radii[i] = nearest_distance(grid, ranked, i)
         for half in range(2):
             sign = 1 - 2 * half
-            c, r = int((sign * x + x_end) / box), int((sign * y + y_end) / box)
-            following[2 * i + half] = first[r, c]
-            first[r, c] = 2 * i + half
+            c = int((sign * ranked[i, 0] + grid.x_end) / grid.box)
+            r = int((sign * ranked[i, 1] + grid.y_end) / grid.box)
+            grid.following[2 * i + half] = grid.first[r, c]
+            grid.first[r, c] = 2 * i + half
     return radii

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.consensus_rating.lattice_evidence_kernels import (
-    between,
+from nrbench.detectors.autocorrelation.lattice_evidence_kernels import (
     climb_multiples,
     jets,
     list_multiples,
+    rate_added_points,
 )
 from nrbench.imaging.correlation import Correlation
-from nrbench.lattice.geometry import Points, reduce_basis
+from nrbench.lattice.geometry import Points, hermite_matrices, reduce_bases, reduce_basis
 
 REACH = 0.75
 """Lags up to this share of the image's sides are compared. At larger lags the overlap is too small."""
@@ -46,6 +46,8 @@ GROWTH = 1.7
 """Factor by which the radius of a fit grows at each step."""
 STEPS = 14
 """Steps of a fit: enough to cross a hundred cells and to converge."""
+INDICES = (2, 3, 5, 7, 11, 13)
+"""Finer lattices of these indices are compared; other indices are reached in several steps."""
 MAX_SHIFT = 0.2
 """A fit that moves a vector by more than this share of the shorter vector is rejected: it has followed other peaks."""
 
@@ -156,7 +158,8 @@ class LatticeEvidence:
 
     def _read(self, bases: Points, cells: NDArray[np.floating[Any]], most: int) -> list[Agreement]:
         """Return the agreements; ``cells`` is the inverse of the coarser basis, or zero if there is none."""
-        rows = between(self._spline, np.ascontiguousarray(bases), np.asarray(cells, np.float64), self._end, PAD, most)
+        inverse = np.asarray(cells, np.float64)
+        rows = rate_added_points(self._spline, np.ascontiguousarray(bases), inverse, self._end, PAD, most)
         return [Agreement(mean, variance, int(count)) for mean, variance, count in rows.tolist()]
 
     def split(self, basis: Points, changes: NDArray[np.int64]) -> list[Split]:
@@ -234,6 +237,21 @@ class LatticeEvidence:
         fitted = climb_multiples(self._spline, numbers, start, end, far, PAD, GROWTH, STEPS)
         too_far = np.hypot(*(fitted - basis).T).max() > MAX_SHIFT * np.hypot(*basis.T).min()
         return reduce_basis(basis if too_far else fitted)
+
+
+def finer_bases(basis: Points, indices: tuple[int, ...] = INDICES) -> Points:
+    """Return the reduced bases of all finer lattices of these indices, ``(n, 2, 2)``, in that order."""
+    return reduce_bases(_finer_changes(indices) @ basis)
+
+
+@cache
+def _finer_changes(indices: tuple[int, ...]) -> Points:
+    return np.concatenate([hermite_matrices(index) / index for index in indices])
+
+
+def highest_added(evidence: LatticeEvidence, basis: Points, indices: tuple[int, ...] = INDICES) -> float:
+    """Return the highest mean correlation at the vectors that a finer lattice of these indices would add."""
+    return max(added.mean for added in evidence.agreements(finer_bases(basis, indices), basis))
 
 
 def _split_lags(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.detectors.autocorrelation.vector_pair_kernels import row_ends
-from nrbench.jit import Float64x1, Float64x2, Float64x3, Int64x2, kernel
+from nrbench.detectors.autocorrelation.vector_pair_kernels import count_multiples, count_rows, half_row, row_ends
+from nrbench.jit import Float64x1, Float64x2, Float64x3, Int64x2, kernel, step_kernel
 
 
 @kernel
@@ -83,8 +83,31 @@ def height_at(spline: Float64x2, across: float, down: float) -> float:
     return value
 
 
+@step_kernel
+def draw_step(state: int, mean: int) -> tuple[int, int]:
+    """Return the next state of a random generator, and a random step from 1 to 2 ``mean`` - 1.
+
+    The generator is Lehmer's, state = 48271 state mod (2^31 - 1). As 2^31 is 1 by this modulus, the bits above the 31st
+    are added to those below. A division would take longer than all else in the loop.
+    """
+    state *= 48271
+    state = (state & 2147483647) + (state >> 31)
+    if state >= 2147483647:
+        state -= 2147483647
+    return state, 1 + ((state * (2 * mean - 1)) >> 31)
+
+
+@step_kernel
+def is_multiple(inverse: Float64x2, x: float, y: float) -> bool:
+    """Return whether a lag is a point of a lattice, given the inverse of its basis, up to 0.02 of each vector."""
+    u, v = x * inverse[0, 0] + y * inverse[1, 0], x * inverse[0, 1] + y * inverse[1, 1]
+    return bool(max(abs(u - np.rint(u)), abs(v - np.rint(v))) < 0.02)
+
+
 @kernel
-def between(spline: Float64x2, bases: Float64x3, coarser: Float64x2, end: Float64x1, pad: int, most: int) -> Float64x2:
+def rate_added_points(
+    spline: Float64x2, bases: Float64x3, coarser: Float64x2, end: Float64x1, pad: int, most: int
+) -> Float64x2:
     """Return mean and variance of an autocorrelation at those points of each lattice that a coarser lattice lacks.
 
     Parameters
@@ -109,43 +132,41 @@ def between(spline: Float64x2, bases: Float64x3, coarser: Float64x2, end: Float6
 
     Notes
     -----
-    The sample of a lattice is the same in each call. The steps from lag to lag are random, because equal steps would
-    visit some cosets of the coarser lattice more often than others.
+    With w the overlap at a lag and g the correlation there, over the points that are read::
+
+        mean = sum(w g) / sum(w),  variance = sum(w g g) / sum(w) - mean^2
+
+    The points are visited row by row. The sample of a lattice is the same in each call. The steps from point to point
+    are random, because equal steps would visit some cosets of the coarser lattice more often than others. A step beyond
+    the end of a row continues in the next one.
     """
     height, width = (spline.shape[0] + 1) // 2, spline.shape[1] - pad
-    skips = np.abs(coarser).max() > 0
+    has_coarser = np.abs(coarser).max() > 0
     out = np.zeros((bases.shape[0], 3))
     for i in range(bases.shape[0]):
-        x1, y1, x2, y2 = bases[i, 0, 0], bases[i, 0, 1], bases[i, 1, 0], bases[i, 1, 1]
-        area = abs(x1 * y2 - x2 * y1)
-        rows = int((end[1] * abs(x1) + end[0] * abs(y1)) / area)
+        x1, y1, x2, y2 = pair = bases[i, 0, 0], bases[i, 0, 1], bases[i, 1, 0], bases[i, 1, 1]
+        points = 2 * end[0] * end[1] / abs(x1 * y2 - x2 * y1)
+        step = 1 if most == 0 else max(1, int(np.rint(points / most)))
         total, squares, weights, count = 0.0, 0.0, 0.0, 0
-        every = 1 if most == 0 else max(1, int(np.rint(2 * end[0] * end[1] / area / most)))
-        state, skipped = 1, 0
-        for b in range(rows + 1):
-            first, last = row_ends(x1, y1, x2, y2, b, end[0], end[1])
+        state, beyond = 1, 0
+        for b in range(count_rows(pair, end[0], end[1]) + 1):
+            first, last = row_ends(pair, b, end[0], end[1])
             if last < first:
                 continue
-            following = first + skipped
+            following = first + beyond
             while following <= last:
                 a = following
-                if every == 1:
+                if step == 1:
                     following += 1
                 else:
-                    # Lehmer's generator modulo 2^31 - 1. The mean of the steps is `every`. A division would take longer
-                    # than all else here.
-                    state *= 48271
-                    state = (state & 2147483647) + (state >> 31)
-                    if state >= 2147483647:
-                        state -= 2147483647
-                    following += 1 + ((state * (2 * every - 1)) >> 31)
+                    state, random_step = draw_step(state, step)
+                    following += random_step
                 x, y = a * x1 + b * x2, a * y1 + b * y2
+                # Of opposite points one is read, and none on the wrong side of rounding.
                 if (b == 0 and a <= 0) or abs(x) > end[0] or abs(y) > end[1]:
                     continue
-                if skips:
-                    u, v = x * coarser[0, 0] + y * coarser[1, 0], x * coarser[0, 1] + y * coarser[1, 1]
-                    if max(abs(u - np.rint(u)), abs(v - np.rint(v))) < 0.02:
-                        continue
+                if has_coarser and is_multiple(coarser, x, y):
+                    continue
                 if x < 0:
                     x, y = -x, -y
                 value = height_at(spline, x + pad, y + height - 1)
@@ -154,7 +175,7 @@ def between(spline: Float64x2, bases: Float64x3, coarser: Float64x2, end: Float6
                 squares += overlap * value * value
                 weights += overlap
                 count += 1
-            skipped = following - last - 1
+            beyond = following - last - 1
         out[i, 0], out[i, 2] = -1.0, count
         if count:
             out[i, 0] = total / weights
@@ -168,17 +189,12 @@ def list_multiples(basis: Float64x2, end: Float64x1) -> Int64x2:
 
     Lag 0 is left out; of each pair of opposite points one is returned.
     """
-    x1, y1, x2, y2 = basis[0, 0], basis[0, 1], basis[1, 0], basis[1, 1]
-    rows = int((end[1] * abs(x1) + end[0] * abs(y1)) / abs(x1 * y2 - x2 * y1))
+    pair = basis[0, 0], basis[0, 1], basis[1, 0], basis[1, 1]
+    out = np.empty((count_multiples(pair, end[0], end[1]), 2), np.int64)
     count = 0
-    for b in range(rows + 1):
-        first, last = row_ends(x1, y1, x2, y2, b, end[0], end[1])
-        count += max(last - (max(first, 1) if b == 0 else first) + 1, 0)
-    out = np.empty((count, 2), np.int64)
-    count = 0
-    for b in range(rows + 1):
-        first, last = row_ends(x1, y1, x2, y2, b, end[0], end[1])
-        for a in range(max(first, 1) if b == 0 else first, last + 1):
+    for b in range(count_rows(pair, end[0], end[1]) + 1):
+        first, last = half_row(pair, b, end[0], end[1])
+        for a in range(first, last + 1):
             out[count, 0], out[count, 1] = a, b
             count += 1
     return out
@@ -193,7 +209,7 @@ def newton_sums(
     Parameters
     ----------
     spline, end, pad
-        As for :func:`between`.
+        As for :func:`rate_added_points`.
     numbers
         ``(n, 2)``: the integers (a, b) of the multiples.
     basis
@@ -207,11 +223,20 @@ def newton_sums(
         ``(16,)``: the number of multiples in use; the largest abs(a) and abs(b) among them; the slope by x1, x2, y1,
         y2; and the second derivatives by x1 x1, x1 x2, x2 x2, by x1 y1, x1 y2, x2 y2, and by y1 y1, y1 y2, y2 y2. Each
         multiple is weighted by the area in which the image overlaps its shifted copy.
+
+    Notes
+    -----
+    The multiple (a, b) lies at x = a x1 + b x2, y = a y1 + b y2. With the surface g and the overlap w there, by the
+    chain rule::
+
+        slope by x1     = sum of w a g_x,    by x2      = sum of w b g_x,  likewise y
+        second by x1 x1 = sum of w a a g_xx, by x1 x2   = sum of w a b g_xx, ... likewise g_xy and g_yy
     """
     height, width = (spline.shape[0] + 1) // 2, spline.shape[1] - pad
     at, out = np.zeros((numbers.shape[0], 2)), np.zeros(16)
     weights, signs = np.zeros(numbers.shape[0]), np.zeros(numbers.shape[0])
     chosen = np.zeros((numbers.shape[0], 2))
+    # The multiples in use, on the right half of the surface: there a slope has the opposite sign.
     count = 0
     for i in range(numbers.shape[0]):
         a, b = float(numbers[i, 0]), float(numbers[i, 1])
@@ -231,13 +256,52 @@ def newton_sums(
             slope = weight * signs[i] * surface[i, 1 + axis]
             out[3 + 2 * axis] += a * slope
             out[4 + 2 * axis] += b * slope
-        for kind, column in enumerate((3, 5, 4)):
+        for kind, column in enumerate((3, 5, 4)):  # xx, xy, yy
             bend = weight * surface[i, column]
             out[7 + 3 * kind] += a * a * bend
             out[8 + 3 * kind] += a * b * bend
             out[9 + 3 * kind] += b * b * bend
     out[0] = count
     return out
+
+
+@kernel
+def solve_newton(sums: Float64x1) -> Float64x1:
+    """Return a step of Newton's method by x1, x2, y1, y2 px, ``(4,)``; zeros if the surface bends upward everywhere.
+
+    Parameters
+    ----------
+    sums
+        From :func:`newton_sums`.
+
+    Notes
+    -----
+    With the slopes s and the negative second derivatives H = A diag(h) A^T::
+
+        step = A diag(1 / max(h, 0.001 max h)) A^T s
+
+    The step is shortened so that no multiple moves by more than a pixel along x or y. Along an axis on which the
+    surface does not bend downward, the step would lead to no maximum; it follows the slope.
+    """
+    hessian, step, turned = np.zeros((4, 4)), np.zeros(4), np.zeros(4)
+    for i in range(4):
+        for j in range(4):
+            hessian[i, j] = -sums[7 + 3 * (i // 2 + j // 2) + i % 2 + j % 2]
+    bends, axes = np.linalg.eigh(hessian)
+    if bends[3] <= 0:
+        return step
+    for i in range(4):
+        for j in range(4):
+            turned[i] += axes[j, i] * sums[3 + j]
+        turned[i] /= max(bends[i], 1e-3 * bends[3])
+    for i in range(4):
+        for j in range(4):
+            step[i] += axes[i, j] * turned[j]
+    # The farthest multiple moves by these sums along x and y.
+    along = sums[1] * abs(step[0]) + sums[2] * abs(step[1])
+    down = sums[1] * abs(step[2]) + sums[2] * abs(step[3])
+    step /= max(1.0, along, down)
+    return step
 
 
 @kernel
@@ -253,9 +317,6 @@ def climb_multiples(
 ) -> Float64x2:
     """Return the basis near a given one at whose multiples the mean correlation is highest, ``(2, 2)``.
 
-    Newton's method on all multiples at once, from the nearest outward. No step moves a multiple by more than a pixel
-    along x or y.
-
     Parameters
     ----------
     spline, numbers, basis, end, pad
@@ -266,39 +327,26 @@ def climb_multiples(
         Factor by which the radius grows at each step.
     steps
         Largest number of steps.
+
+    Notes
+    -----
+    Newton's method on all multiples at once, from the nearest outward (:func:`solve_newton`)::
+
+        radius = length of the longer vector
+        repeat: radius = min(growth radius, far); basis += step for the multiples within the radius
+        until the radius is `far` and the step is small, or `steps` are done
     """
     radius = max(np.hypot(basis[0, 0], basis[0, 1]), np.hypot(basis[1, 0], basis[1, 1]))
     fitted = basis.copy()
-    hessian, slopes, turned = np.zeros((4, 4)), np.zeros(4), np.zeros(4)
     for _ in range(steps):
         radius = min(radius * growth, far)
         sums = newton_sums(spline, numbers, fitted, radius, end, pad)
         largest = 0.0
         if sums[0] >= 2:
-            slopes[:] = sums[3:7]
-            # Second derivatives by x1, x2, y1, y2, with the sign of a maximum turned.
+            step = solve_newton(sums)
             for i in range(4):
-                for j in range(4):
-                    hessian[i, j] = -sums[7 + 3 * (i // 2 + j // 2) + i % 2 + j % 2]
-            bends, axes = np.linalg.eigh(hessian)
-            if bends[3] > 0:
-                for i in range(4):
-                    turned[i] = 0.0
-                    for j in range(4):
-                        turned[i] += axes[j, i] * slopes[j]
-                    turned[i] /= max(bends[i], 1e-3 * bends[3])
-                for i in range(4):
-                    slopes[i] = 0.0
-                    for j in range(4):
-                        slopes[i] += axes[i, j] * turned[j]
-                # Now x1, x2, y1, y2 of the step. The farthest multiple moves by these sums along x and y.
-                along = sums[1] * abs(slopes[0]) + sums[2] * abs(slopes[1])
-                down = sums[1] * abs(slopes[2]) + sums[2] * abs(slopes[3])
-                limit = max(1.0, along, down)
-                for i in range(4):
-                    step = slopes[i] / limit
-                    fitted[i % 2, i // 2] += step
-                    largest = max(largest, abs(step))
+                fitted[i % 2, i // 2] += step[i]
+                largest = max(largest, abs(step[i]))
         if radius >= far and largest * np.sqrt(numbers.shape[0]) < 1e-3:
             break
     return fitted

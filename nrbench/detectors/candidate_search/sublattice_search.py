@@ -10,6 +10,13 @@ from functools import cache
 
 import numpy as np
 
+from nrbench.detectors.autocorrelation.lattice_evidence import (
+    INDICES,
+    Agreement,
+    LatticeEvidence,
+    finer_bases,
+    highest_added,
+)
 from nrbench.detectors.autocorrelation.peaks import (
     UNIT,
     dilate,
@@ -19,7 +26,6 @@ from nrbench.detectors.autocorrelation.peaks import (
     subpixel,
 )
 from nrbench.detectors.autocorrelation.vector_pair_kernels import mean_correlations
-from nrbench.detectors.consensus_rating.lattice_evidence import Agreement, LatticeEvidence
 from nrbench.lattice.geometry import Points, hermite_matrices, reduce_bases
 
 PEAKS = 80
@@ -49,8 +55,6 @@ RATED = 0.6
 """Multiples within this share of the sides are rated."""
 SHORTEST = 2.6
 """px; least length of a vector. Shorter vectors lie within one period of any sampled pattern."""
-INDICES = (2, 3, 5, 7, 11, 13)
-"""Finer lattices of these indices are tried; other indices are reached in several steps."""
 DEPTH = 8
 """Largest number of steps from coarser to finer lattices. No candidate has an index of 2^8."""
 MOST = 60
@@ -128,21 +132,6 @@ def _find_prominent_vectors(evidence: LatticeEvidence) -> Points:
 
 def _key(basis: Points, grain: float) -> bytes:
     return np.rint(basis / grain).astype(np.int64).tobytes()
-
-
-def finer_bases(basis: Points, indices: tuple[int, ...] = INDICES) -> Points:
-    """Return the reduced bases of all finer lattices of these indices, ``(n, 2, 2)``, in that order."""
-    return reduce_bases(_finer_changes(indices) @ basis)
-
-
-@cache
-def _finer_changes(indices: tuple[int, ...]) -> Points:
-    return np.concatenate([hermite_matrices(index) / index for index in indices])
-
-
-def highest_added(evidence: LatticeEvidence, basis: Points, indices: tuple[int, ...] = INDICES) -> float:
-    """Return the highest mean correlation at the vectors that a finer lattice of these indices would add."""
-    return max(added.mean for added in evidence.agreements(finer_bases(basis, indices), basis))
 
 
 def ridge_height(evidence: LatticeEvidence, basis: Points) -> float:
