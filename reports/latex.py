@@ -12,9 +12,8 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_files
 
-from .page.environment import make_environment
 from .statistics.expectations import PublishedComparison, compare_with_published
-from .statistics.format import break_name
+from .statistics.format import break_name, make_environment
 from .statistics.frames import (
     PrintedTable,
     method_classes,

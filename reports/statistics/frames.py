@@ -15,10 +15,16 @@ from nrbench.labelling.labels import labels_table
 from nrbench.runs.records import CellRecord, Run
 
 from .detections import GROUP_KEYS, STOCHASTIC, DetectorSummary, group_answers, tabulate_answers
-from .expectations import ClaimResult, PublishedComparison, compare_with_published, evaluate_claims
+from .expectations import (
+    ClaimResult,
+    LevelPanel,
+    PublishedComparison,
+    compare_levels,
+    compare_with_published,
+    evaluate_claims,
+)
 from .format import format_interval, format_number, format_signed
 from .labelers import LabelerComparison, compare_labelers
-from .levels import LevelPanel, compare_levels
 from .method_comparison import Comparison
 from .summaries import Method, Number, SummaryRow, describe_scores, perils_points
 from .verdicts import QUALITY, is_valid_baseline
