@@ -15,13 +15,14 @@ from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.spectra.harmonics import lowest_period
 
 from .canvas.canvas import Window
-from .graph_cuts import LEAST_OVERLAP, WholePatches
 from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .patchwork.patchwork import (
+    LEAST_OVERLAP,
     Features,
     Patchwork,
     SeamHeat,
     Translations,
+    WholePatches,
     draw_translation,
     summed_variance,
     to_gray_levels,

@@ -52,7 +52,7 @@ def run_command(
     """
     from nrbench.api.run_reports import write_reports
     from nrbench.cli import summary
-    from nrbench.running.cluster import ClusterLost
+    from nrbench.running.executors import ClusterLost
     from nrbench.running.pace import first_interrupt
     from nrbench.running.runner import execute
 

@@ -163,7 +163,7 @@ def prepare_conversion(cls: type[Any] | None) -> None:
     A converter that cannot be built is left out. The conversion of that parameter raises the error.
     """
     for field in dataclasses.fields(cls) if cls else ():
-        with contextlib.suppress(Exception):  # the annotations of plugins of others may be wrong in any way
+        with contextlib.suppress(Exception):  # the annotations of third-party plugins may be wrong in any way
             _adapter(cls, field.name)  # type: ignore[arg-type]
 
 

@@ -241,7 +241,7 @@ class PlannedSample:
         What the dataset printed if drawing failed, else empty.
     kept
         The 8-bit pixels of the sample and of the region that does not touch it, where drawing again might give others:
-        of pictures, and of plugins of others.
+        of pictures, and of third-party plugins.
     """
 
     recipe: Recipe

@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Shape
 
-from .seam_kernels import cheapest_path, corner_paths, cut_overlap, link_costs, record_seams
+from .seam_kernels import blend_pixels, cheapest_path, corner_paths, cut_overlap, link_costs, record_seams
 
 Window = tuple[int, int, int, int]
 """(y0, y1, x0, x1), half-open, px of the output. A window may reach beyond the edges of the output."""
@@ -25,8 +25,6 @@ Source = NDArray[np.float32]
 """``float32 (h, w, 3)``: the nearest pixel (x, y) of the sample and its weight, 1 where a pixel is copied."""
 Patch = tuple[Pixels, Source]
 """The pixels of a patch and its source map."""
-Weights = NDArray[np.float32] | NDArray[np.float64]
-"""``(h, w)``: not negative."""
 
 
 class Canvas:
@@ -105,10 +103,11 @@ class Canvas:
         for canvas, new in zip((self.image, self.source), patch, strict=True):
             old = canvas[pixels]
             np.copyto(_whole_pixels(old), _whole_pixels(new), where=mask)
-            canvas[pixels] = old
+            if old.base is not canvas:  # a copy across an edge
+                canvas[pixels] = old
         self.known[pixels] |= mask
 
-    def blend(self, window: Window, patch: Patch, weights: Weights, full: float = 1.0) -> None:
+    def blend(self, window: Window, patch: Patch, weights: NDArray[np.float64], full: float = 1.0) -> None:
         """Blend a patch into a window of a canvas of ``uint8``. Halves of a gray level are rounded up.
 
         Parameters
@@ -116,7 +115,7 @@ class Canvas:
         window, patch
             Where, and what.
         weights
-            The weights of the patch, in units of 1 / ``full``. They must be ``full`` where nothing is known, or 0. The
+            ``(h, w)``: the weights of the patch, in units of 1 / ``full``: 0, or ``full`` where nothing is known. The
             rest of the weight goes to what lies under the patch. Whole numbers give exact means.
         full
             The largest weight.
@@ -125,24 +124,11 @@ class Canvas:
         -----
         The source of a pixel is the one of the largest weight of all patches that were blended there.
         """
-        self.place(window, patch, weights == full)
-        inside = np.flatnonzero((weights > 0) & (weights < full))
-        rows, columns = np.divmod(inside, weights.shape[1])
-        y, x = rows + (window[0] + self.margin[0]), columns + (window[2] + self.margin[1])
-        if self.wrap:
-            y, x = y % self.shape[0], x % self.shape[1]
-        at, part = y * self.known.shape[1] + x, weights.ravel()[inside]
-        # The pixels that are mixed, one in each row.
-        image, source = (array.reshape(-1, array.shape[2]) for array in (self.image, self.source))
-        new, origin = (np.ascontiguousarray(array).reshape(-1, array.shape[2]).take(inside, 0) for array in patch)
-        weight = part[:, np.newaxis]
-        image[at] = np.floor((weight * new + (full - weight) * image.take(at, 0)) / full + 0.5)
-        old, share = source.take(at, 0), part / full
-        mine, others = share * origin[:, 2], (1 - share) * old[:, 2]
-        larger = mine >= others
-        old[larger] = origin[larger]
-        old[:, 2] = np.where(larger, mine, others)
-        source[at] = old
+        pixels = self.pixels(window)
+        under = self.image[pixels], self.source[pixels], self.known[pixels]
+        blend_pixels(*under, *patch, weights, full)
+        if under[0].base is not self.image:  # copies across an edge
+            self.image[pixels], self.source[pixels], self.known[pixels] = under
 
     def output(self) -> tuple[Image, Source]:
         """Return the output, ``float32`` in [0, 1], and its source map."""
@@ -166,7 +152,7 @@ def copy_patch(values: Pixels, place: tuple[int, int], shape: Shape) -> Patch:
     return values[y : y + height, x : x + width], source
 
 
-def feather_weights(size: int, zone: int, sides: Sides) -> NDArray[np.float32]:
+def feather_weights(size: int, zone: int, sides: Sides) -> NDArray[np.float64]:
     """Return the weights of a square patch that overlaps earlier patches on some of its sides.
 
     The weight of a pixel is its distance to the nearest overlapped side, and is largest from ``zone`` on (Szeliski and
@@ -184,7 +170,7 @@ def feather_weights(size: int, zone: int, sides: Sides) -> NDArray[np.float32]:
     Returns
     -------
     NDArray
-        ``float32 (size, size)``: whole numbers from 1 to ``zone + 1``.
+        ``(size, size)``: whole numbers from 1 to ``zone + 1``.
 
     Examples
     --------
@@ -197,7 +183,7 @@ def feather_weights(size: int, zone: int, sides: Sides) -> NDArray[np.float32]:
         np.minimum(ramp if first else full, ramp[::-1] if last else full)
         for first, last in ((top, bottom), (left, right))
     )
-    return np.minimum(down[:, np.newaxis], across).astype(np.float32)
+    return np.minimum(down[:, np.newaxis], across).astype(np.float64)
 
 
 class SeamPaths(NamedTuple):

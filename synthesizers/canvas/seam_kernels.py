@@ -1,4 +1,4 @@
-"""The compiled loops of seams: minimum-error paths, minimum cuts, and the costs of seams between two pictures.
+"""The compiled loops of seams: minimum-error paths, minimum cuts, costs of seams between two pictures, and blending.
 
 Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video synthesis using graph cuts), section 3.
 
@@ -23,6 +23,7 @@ from nrbench.jit import (
     Float64x3,
     Float64x4,
     Int64x1,
+    UInt8View3,
     UInt8x1,
     UInt64x1,
     inlined_kernel,
@@ -568,3 +569,50 @@ def corner_paths(error: Float64x2, beside: int, above: int) -> tuple[int, int, I
             if both < cost:
                 cost, row, column = both, i, j
     return row, column, follow_path(upright, row, column), follow_path(level, column, row), cost
+
+
+@kernel
+def blend_pixels(
+    image: UInt8View3,
+    source: Float32View3,
+    known: BoolView2,
+    patch: UInt8View3,
+    origin: Float32x3,
+    weights: Float64x2,
+    full: float,
+) -> None:
+    """Blend a patch into a picture.
+
+    Parameters
+    ----------
+    image, source, known
+        ``(h, w, C)``, ``(h, w, 3)`` and ``(h, w)``: the picture, its source map, and where it is known; changed.
+    patch, origin
+        ``(h, w, C)`` and ``(h, w, 3)``: the patch and its source map.
+    weights, full
+        ``(h, w)``: the weights of the patch, from 0 to ``full``.
+
+    Notes
+    -----
+    With w = weight / full a pixel becomes w patch + (1 - w) image, rounded to whole numbers, halves up. The weight of
+    its source becomes the larger one of w times that of the patch and 1 - w times the old one.
+    """
+    for y in range(weights.shape[0]):
+        for x in range(weights.shape[1]):
+            weight = weights[y, x]
+            if weight <= 0:
+                continue
+            for c in range(image.shape[2]):
+                mixed = (weight * patch[y, x, c] + (full - weight) * image[y, x, c]) / full
+                image[y, x, c] = np.uint8(mixed + 0.5)
+            share, rest = weight / full, (full - weight) / full
+            mine, others = share * origin[y, x, 2], rest * source[y, x, 2]
+            if full != 1:  # shares of whole numbers are rounded as the source map is, so that equal ones tie
+                part = np.float32(share)
+                mine = np.float64(part * origin[y, x, 2])
+                others = np.float64((np.float32(1) - part) * source[y, x, 2])
+            if not known[y, x] or mine >= others:
+                source[y, x, 0], source[y, x, 1], source[y, x, 2] = origin[y, x, 0], origin[y, x, 1], mine
+            else:
+                source[y, x, 2] = others
+            known[y, x] = True

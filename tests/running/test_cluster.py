@@ -21,7 +21,7 @@ from suites import scores, wall_suite, write_sleepers
 
 from nrbench import run
 from nrbench.errors import BadInput
-from nrbench.running import cluster
+from nrbench.running import executors
 from nrbench.running.pace import Step
 from nrbench.running.runner import Options, _Runner
 from nrbench.runs.records import Run
@@ -81,7 +81,7 @@ def test_a_run_survives_its_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         limited = run(faults, out=tmp_path / "limited", options=dataclasses.replace(options, timeout=3))
         assert [record.status for record in limited.cells] == ["timeout", "crash", "ok"]
         with monkeypatch.context() as patch:
-            patch.setattr(cluster, "code_hash", lambda files: "0123456789ab")
+            patch.setattr(executors, "code_hash", lambda files: "0123456789ab")
             with pytest.raises(BadInput, match=r"the worker tcp://.* has other code than this machine; install"):
                 run(suite, out=tmp_path / "other", options=options)
         with monkeypatch.context() as patch:
@@ -105,7 +105,7 @@ def test_a_cluster_that_dies_ends_the_run(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without workers, and without a scheduler, a run ends with a line that says so, its table, and exit code 1."""
-    monkeypatch.setattr(cluster, "NOTICE", 0.5)
+    monkeypatch.setattr(executors, "NOTICE", 0.5)
     suite = tmp_path / "small.toml"
     suite.write_text(
         'name = "small"\nsample = "64x64"\nsize = "64x64"\nmethods = ["scatter"]\nmetrics = ["cost"]\n'
@@ -127,7 +127,7 @@ def test_a_cluster_that_dies_ends_the_run(
         seen = capfd.readouterr()
         assert "has ended or cannot be reached any more; run the same command again" in seen.err
         assert len(seen.err.splitlines()) <= 3
-        monkeypatch.setattr(cluster, "CONNECT", 1.0)
+        monkeypatch.setattr(executors, "CONNECT", 1.0)
         assert call(*words) == 2
         assert "cannot be reached" in capfd.readouterr().err
 

@@ -10,8 +10,8 @@ from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Refused, Task, Texture
 from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.canvas.canvas import Window
-from nrbench.synthesizers.graph_cuts import GraphCuts, WholePatches
-from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat
+from nrbench.synthesizers.graph_cuts import GraphCuts
+from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat, WholePatches
 
 
 def smooth(height: int, width: int, seed: int = 0) -> Image:

@@ -1,6 +1,7 @@
 """Claims about patches that are laid in raster order: their spots and choice, quilting, and patch-based sampling."""
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from synthesis_cases import noise, places, synthesize
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.forms import Refused
 from nrbench.synthesizers import patch_based
-from nrbench.synthesizers.canvas.canvas import Box, Canvas, Patch, Weights, copy_patch, feather_weights
+from nrbench.synthesizers.canvas.canvas import Box, Canvas, Patch, copy_patch, feather_weights
 from nrbench.synthesizers.gap_filling.blocks import box_slices
 from nrbench.synthesizers.matching.frame_matching import FrameMatcher, frame_mask
 from nrbench.synthesizers.patch_based import PatchBased, Search, ZoneTree
@@ -65,8 +66,8 @@ def test_a_blend_is_the_rounded_weighted_mean(seed: int, zone: int) -> None:
     """A blend equals the exact mean to half a gray level, and equal pictures stay as they are."""
     rng = np.random.default_rng(seed)
     old, new = rng.integers(0, 256, (2, 4, 5, 3), dtype=np.uint8)
-    weights = rng.integers(1, zone + 2, (4, 5)).astype(np.float32)
-    share = weights[..., np.newaxis].astype(float) / (zone + 1)
+    weights = rng.integers(1, zone + 2, (4, 5)).astype(float)
+    share = weights[..., np.newaxis] / (zone + 1)
     canvas, source = Canvas((4, 5), 3, np.uint8), np.ones((4, 5, 3), np.float32)
     canvas.place((0, 4, 0, 5), (old, source))
     canvas.blend((0, 4, 0, 5), (new, source), weights, zone + 1)
@@ -175,7 +176,7 @@ def distances(
     name, found, values = "place" if quilted else "blend", [], to_bytes(sample)
     original = getattr(Canvas, name)
 
-    def join(canvas: Canvas, window: Box, patch: Patch, *rest: Weights) -> None:
+    def join(canvas: Canvas, window: Box, patch: Patch, *rest: Any) -> None:
         y, x = np.indices((size, size))
         known = ((window[2] > 0) & (x < overlap)) | ((window[0] > 0) & (y < overlap))
         if known.any():

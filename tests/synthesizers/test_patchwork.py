@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import quantize
 from nrbench.synthesizers.canvas.canvas import Window
 from nrbench.synthesizers.fftm_patch import PatchPlacer, scan_windows
-from nrbench.synthesizers.graph_cuts import EntirePatch, Placement, WholePatches
 from nrbench.synthesizers.patchwork.patchwork import (
+    EntirePatch,
     Features,
     Patchwork,
+    Placement,
     SeamHeat,
     Translations,
+    WholePatches,
     draw_translation,
 )
 from nrbench.synthesizers.patchwork.patchwork_kernels import UNIT
