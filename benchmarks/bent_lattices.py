@@ -25,11 +25,10 @@ from unit import cpu_unit
 
 import nrbench
 from nrbench import plugins
+from nrbench.displacement.deformation_field import Deformation, map_points
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.bent_lattice import Deformation
-from nrbench.tracking.homography import map_points
 
 MODELS = ("brick", "weave", "hexagon")
 NOT_LATTICES = ("images", "noise")

@@ -24,7 +24,7 @@ from dataclasses import replace
 import numpy as np
 
 from nrbench import plugins
-from nrbench.bending.straightening import straighten_sample, synthesize_in_geometry
+from nrbench.calling.bent_samples import find_bend, synthesize_in_geometry
 from nrbench.imaging.convert import quantize
 from nrbench.plugins.forms import Observation, Refused, Shape, Synthesis, Task, Texture
 from nrbench.plugins.parameters import parse_spec
@@ -154,7 +154,7 @@ def show_rule(options: argparse.Namespace) -> None:
                 texture, _ = draw(model, seed, **parameters)
                 if texture.lattice is None:
                     continue
-                straight, _ = straighten_sample(texture.image, texture.lattice, given=True)
+                straight, _ = find_bend(texture.image, texture.lattice, given=True)
                 measured += 1
                 found += straight is not None
                 if (straight is None) == case.startswith("bend"):

@@ -1,4 +1,4 @@
-"""Deformation: amplitude, correlation length and folds of the displacement fields of sample and output."""
+"""Deformation: amplitude, correlation length and folds of the displacements in sample and output."""
 
 from __future__ import annotations
 
@@ -10,12 +10,17 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from nrbench.plugins.forms import Column, Observation, Score, Value
-from nrbench.tracking.tracker import Track
 
-from .deformations.tracked_lattices import LEAST_CORRELATION, DeformationField, Tracks, track_images
+from .judgment.examination import Examination, examine
+from .judgment.texture_reference import CannotTell
+from .registration.node_field import NodeField
 
 LEAST_AMPLITUDE = 0.02
-"""Amplitude, in units of s, below which displacements are mostly errors of the tracker."""
+"""Amplitude, in units of s, below which displacements are mostly errors of measurement."""
+LEAST_POINTS = 9
+"""Windows that must be in place in a picture."""
+LEAST_FOUND = 0.5
+"""Share of a picture in which the texture must be found."""
 Answer = float | str
 """A value, or the reason why there is none."""
 
@@ -39,24 +44,22 @@ def _columns_of(image: str) -> dict[str, Column]:
 
 @dataclass(frozen=True)
 class DeformationAmplitude:
-    """Displacement fields of sample and output, measured in their pixels.
+    """Displacements in sample and output, measured in their pixels.
 
-    The lattice is tracked tile by tile (:mod:`nrbench.tracking.tracker`): the image is correlated with the mean tile
-    under a window of 1.5 tiles, the displacements are unwrapped by continuity and refined by windows down to 1 tile.
-    Let p be the places of all lattice points that lie at least half a tile inside the image, and fit their best regular
-    fit (affine, least squares). The *amplitude* is the root of sum |p - fit|^2 / (n - 3). The *length* is the distance
-    at which the autocorrelation of p - fit falls to 1/e, interpolated between steps of s / 2. *Folded* is the share of
-    cells with a negative Jacobian at one of their corners. Sample and output are compared in parts of equal size (the
-    smaller of both), since an affine fit removes more from a small image. If the texture is deformed at all and has
-    fresh draws, the whole output is also compared with one of them.
+    Both are followed by the lattice as ``regularity`` follows an output
+    (:class:`~nrbench.metrics.registration.followed.FollowedPicture`): windows of one to three cells, at every half
+    cell, each lie where they fit the mean cell best. Let p be the places of all windows that are in place, and fit
+    their best regular fit (affine, least squares). The *amplitude* is the root of sum |p - fit|^2 / (n - 3). The
+    *length* is the distance at which the autocorrelation of p - fit falls to 1/e, interpolated between steps of s / 2.
+    *Folded* is the share of quarter cells with a negative Jacobian at one of their corners. Sample and output are
+    compared in parts of equal size (the smaller of both), since an affine fit removes more from a small image. If the
+    texture is deformed at all and has fresh draws, the whole output is also compared with one of them.
 
-    The tracker follows smooth displacements with slopes up to about 0.3, to within 10 % up to an amplitude of 0.25 s
-    (see docs/measurements/validation.md). Above that tiles lock onto their neighbors and the amplitude saturates.
-    Parts of a tile that move independently count by their mean. A region that is displaced by a whole lattice vector
-    does not count as displaced.
+    Windows average displacements over their size. Parts of a tile that move independently count by their mean. A region
+    that is displaced by a whole lattice vector does not count as displaced.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         **_columns_of("output"),
@@ -74,73 +77,73 @@ class DeformationAmplitude:
 
     def score(self, observation: Observation) -> Score:
         """Return the scores."""
-        tracks = observation.shared(track_images)
-        if isinstance(tracks, str):
-            return Score.missing(self.columns, tracks)
-        tracked = tracks.output.tracked_share(LEAST_CORRELATION)
-        if tracks.obstacle:
-            reasons = {name: tracks.obstacle for name in self.columns if name != "tracked"}
-            return Score({**dict.fromkeys(self.columns), "tracked": tracked}, reasons)
+        examination = examine(observation)
+        try:
+            pictures, shares = examination.both, examination.found
+        except CannotTell as none:
+            return Score.missing(self.columns, str(none))
+        tracked = {"tracked": shares[0]}
+        if min(shares) < LEAST_FOUND:
+            reason = f"not measured: the tile was found in only {min(shares):.0%} of the sample or the output"
+            return Score({**dict.fromkeys(self.columns), **tracked}, dict.fromkeys([*self.columns][:-1], reason))
+        output, sample = (NodeField.of(picture) for picture in pictures)
+        points = min(int(field.known.sum()) for field in (output, sample))
+        if points < LEAST_POINTS:
+            return Score.missing(self.columns, f"not measured: {points} windows are in place, at least 9 are needed")
         answers = {
-            **_describe(tracks.output, ""),
-            **_describe(tracks.sample, "sample_"),
-            **_compare_parts(tracks),
-            **_compare_fresh(tracks),
-            "tracked": tracked,
+            **_describe(output, ""),
+            **_describe(sample, "sample_"),
+            **_compare_parts(output, sample, observation),
+            **_compare_fresh(output, sample, examination),
+            **tracked,
         }
         values: dict[str, Value] = {name: None if isinstance(one, str) else one for name, one in answers.items()}
         reasons = {name: one for name, one in answers.items() if isinstance(one, str)}
-        return Score(values, reasons, records={"points": len(tracks.output.numbers)})
+        return Score(values, reasons, records={"points": int(output.known.sum())})
 
 
-def _describe(track: Track, start: str) -> dict[str, Answer]:
+def _describe(field: NodeField, start: str) -> dict[str, Answer]:
     """Return amplitude, correlation length and folded cells of one image."""
-    field, s = DeformationField.of(track), track.lattice.s
     length, folded = _length(field), field.folded
     return {
-        f"{start}amplitude": field.amplitude / s,
+        f"{start}amplitude": field.amplitude / field.s,
         f"{start}amplitude_px": field.amplitude,
-        f"{start}length": length / s if isinstance(length, float) else length,
+        f"{start}length": length / field.s if isinstance(length, float) else length,
         f"{start}length_px": length,
-        f"{start}folded": folded if folded is not None else "not measured: no whole cell was tracked",
+        f"{start}folded": folded if folded is not None else "not measured: no whole cell was found",
     }
 
 
-def _length(field: DeformationField) -> float | str:
-    if field.amplitude < LEAST_AMPLITUDE * field.lattice.s:
-        return f"not applicable: displacements of less than {LEAST_AMPLITUDE:g} s are mostly errors of the tracker"
+def _length(field: NodeField) -> Answer:
+    if field.amplitude < LEAST_AMPLITUDE * field.s:
+        return f"not applicable: displacements of less than {LEAST_AMPLITUDE:g} s are mostly errors of measurement"
     length = field.correlation_length
     return length if length is not None else "not measured: displacements correlate across the whole image"
 
 
-def _compare_parts(tracks: Tracks) -> dict[str, Answer]:
+def _compare_parts(output: NodeField, sample: NodeField, observation: Observation) -> dict[str, Answer]:
     """Return amplitude and length of the output over those of the sample, both in parts of equal size."""
-    both = tracks.output, tracks.sample
-    (height, width), (other_height, other_width) = (track.image.shape[:2] for track in both)
-    shape = min(height, other_height), min(width, other_width)
-    output, sample = (DeformationField.of(track).parts(track.image.shape[:2], shape) for track in both)
-    return _ratios(output, sample, ("amplitude_ratio", "length_ratio"), "sample")
+    shapes = [(image.shape[0], image.shape[1]) for image in (observation.output, observation.sample)]
+    shape = min(shapes[0][0], shapes[1][0]), min(shapes[0][1], shapes[1][1])
+    one, other = (field.parts(whole, shape) for field, whole in zip((output, sample), shapes, strict=True))
+    return _ratios(one, other, ("amplitude_ratio", "length_ratio"), "sample")
 
 
-def _compare_fresh(tracks: Tracks) -> dict[str, Answer]:
+def _compare_fresh(output: NodeField, sample: NodeField, examination: Examination) -> dict[str, Answer]:
     names = ("amplitude_to_fresh", "length_to_fresh")
-    if tracks.again is None:
+    if examination.reference.from_sample:
         return dict.fromkeys(names, "not measured: the texture has no fresh draws")
-    output, sample = (DeformationField.of(track) for track in (tracks.output, tracks.sample))
-    if max(output.amplitude, sample.amplitude) < LEAST_AMPLITUDE * output.lattice.s:
+    if max(output.amplitude, sample.amplitude) < LEAST_AMPLITUDE * output.s:
         return dict.fromkeys(names, "not applicable: neither sample nor output is deformed")
-    fresh = [DeformationField.of(track) for track in tracks.fresh]
-    return _ratios([output], fresh, names, "fresh draws")
+    return _ratios([output], [NodeField.of(examination.reference.pictures[0])], names, "fresh draws")
 
 
 def _ratios(
-    one: Sequence[DeformationField], other: Sequence[DeformationField], names: tuple[str, str], other_name: str
+    one: Sequence[NodeField], other: Sequence[NodeField], names: tuple[str, str], other_name: str
 ) -> dict[str, Answer]:
     """Return the ratio of the root mean square amplitudes, and that of the median correlation lengths."""
-    if not one or not other:
-        return dict.fromkeys(names, f"not measured: no part of output and {other_name} holds enough tiles")
     sizes = [math.sqrt(float(np.mean([field.amplitude**2 for field in fields]))) for fields in (one, other)]
-    if sizes[1] < LEAST_AMPLITUDE * other[0].lattice.s:
+    if sizes[1] < LEAST_AMPLITUDE * other[0].s:
         return dict.fromkeys(names, f"not applicable: hardly any deformation in the {other_name}")
     lengths = [[value for value in map(_length, fields) if isinstance(value, float)] for fields in (one, other)]
     if not all(lengths):

@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
-from nrbench.imaging.mean_tile import Values, interpolate, tile_grid
+from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Column, Observation, Score, Value
-from nrbench.tracking.tracker import Track
 
-from .deformations.tracked_lattices import DeformationField, track_images
+from .judgment.examination import examine
+from .judgment.texture_reference import CannotTell
+from .registration.followed import FollowedPicture
+from .registration.lattice_net import sample_planes, split_cells
+from .registration.node_field import NodeField
 
 _LEAST_G, _LEAST_A = 0.005, 1 / 255
 
@@ -24,20 +25,19 @@ class GeometryAppearance:
 
     In the spirit of Liu, Lin, Hays: Near-regular texture analysis and manipulation (SIGGRAPH 2004), and Lin, Hays, Wu,
     Kwatra, Liu: Quantitative evaluation of near regular texture synthesis algorithms (CVPR 2006). There a user helps to
-    find the lattice; here it is tracked (:class:`~.deformation.DeformationAmplitude`). Let p_i be the places of the n
-    lattice points that lie at least half a tile inside the image, k_i their integer cell coordinates, and (M, o) the
-    affine map that fits best. Then::
+    find the lattice; here it is followed (:class:`~.deformation.DeformationAmplitude`). Let p_i be the places of the n
+    windows that are in place, k_i their cell coordinates, and (M, o) the affine map that fits best. Then::
 
         G = sqrt(sum_i |p_i - (k_i M + o)|^2 / n) / s,   s the shortest lattice vector
-        A = mean over pixels x of the tile and channels of std_i T_i(x)
+        A = mean over points x of the cell and channels of std_i T_i(x)
 
-    where T_i is the i-th tile, straightened by the tracked lattice, and std_i the standard deviation over the n tiles
-    (with the divisor n - 1) of pixels in [0, 1]. G is divided by s, and A is unbiased, so that images of different size
-    compare; do not compare them with figures printed in the papers. G describes each image as a whole, while
-    ``deformation`` compares parts of equal size.
+    where T_i is the i-th cell, straightened by the followed lattice, and std_i the standard deviation over the whole
+    cells (with the divisor n - 1) of pixels in [0, 1]. G is divided by s, and A is unbiased, so that images of
+    different size compare; do not compare them with figures printed in the papers. G describes each image as a whole,
+    while ``deformation`` compares parts of equal size.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "g": Column("Deviation of the output's lattice from its best regular fit.", "of s", (0.0, math.inf)),
@@ -52,12 +52,13 @@ class GeometryAppearance:
 
     def score(self, observation: Observation) -> Score:
         """Return both scores for sample and output."""
-        tracks = observation.shared(track_images)
-        reason = tracks if isinstance(tracks, str) else tracks.obstacle
-        if isinstance(tracks, str) or reason:
-            return Score.missing(self.columns, reason)
-        g, sample_g = (geometry(track) for track in (tracks.output, tracks.sample))
-        a, sample_a = (appearance(track) for track in (tracks.output, tracks.sample))
+        try:
+            pictures = examine(observation).both
+        except CannotTell as none:
+            return Score.missing(self.columns, str(none))
+        images = (observation.output, observation.sample)
+        g, sample_g = (NodeField.of(picture).deviation / picture.net.s for picture in pictures)
+        a, sample_a = (appearance(image, picture) for image, picture in zip(images, pictures, strict=True))
         values: dict[str, Value] = {
             "g": g,
             "a": a,
@@ -72,19 +73,9 @@ class GeometryAppearance:
         return Score(values, {name: reason for name, value in values.items() if value is None})
 
 
-def geometry(track: Track) -> float:
-    """Return the G-score."""
-    return DeformationField.of(track).deviation / track.lattice.s
-
-
-def appearance(track: Track) -> float:
-    """Return the A-score."""
-    return float(aligned_tiles(track).std(0, ddof=1).mean())
-
-
-def aligned_tiles(track: Track) -> Values:
-    """Return the image's whole tiles, straightened by the tracked lattice, ``(n, V, U, C)``, bilinear."""
-    rows, columns = tile_grid(track.lattice)
-    v, u = np.meshgrid((np.arange(rows) + 0.5) / rows - 0.5, (np.arange(columns) + 0.5) / columns - 0.5, indexing="ij")
-    uv = track.numbers[:, np.newaxis, np.newaxis] + np.stack([u, v], -1)
-    return interpolate(track.image, track.locate(uv))
+def appearance(image: Image, picture: FollowedPicture) -> float:
+    """Return the A-score of an image that was followed; NaN if fewer than two whole cells are in place."""
+    points, known = picture.locate_points(picture.unwrapped)
+    samples = picture.net.samples
+    cells = split_cells(sample_planes(image, points), samples)[split_cells(known, samples).all((2, 3))]
+    return float(cells.std(0, ddof=1).mean()) if len(cells) > 1 else math.nan

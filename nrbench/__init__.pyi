@@ -20,6 +20,7 @@ from .api.textures import texture as texture
 from .api.textures import track_lattice as track_lattice
 from .authoring.conformance import check_plugin as check_plugin
 from .authoring.packages import new_plugin as new_plugin
+from .displacement.deformation_field import Deformation as Deformation
 from .errors import BadInput as BadInput
 from .imaging.convert import Image as Image
 from .imaging.convert import gray as gray
@@ -49,5 +50,4 @@ from .plugins.registry import NamedDetector as NamedDetector
 from .running.options import Options as Options
 from .runs.records import CellRecord as CellRecord
 from .runs.records import Run as Run
-from .tracking.bent_lattice import Deformation as Deformation
 from .version import __version__ as __version__

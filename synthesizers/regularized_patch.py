@@ -71,7 +71,7 @@ class RegularizedPatch:
     The report leaves to the user what is automatic here: the vectors and the corners of texels. It leaves open the
     order of vertices found at the same time (rows), the breadth of the zone, and d_max, for which Liang et al. take
     ``tolerance=0.2``. As printed, equation 1 makes the lattice collapse;
-    :func:`~nrbench.bending.deformed_lattice.neighbor_field` says how it is read. With that reading, equation 3
+    :func:`~nrbench.displacement.random_field.neighbor_field` says how it is read. With that reading, equation 3
     shrinks the deformation to about 0.15 of the sample's amplitude. The settings of the report are
     ``texel=given,tolerance=0.2,geometry=argmax``.
 
@@ -88,7 +88,7 @@ class RegularizedPatch:
         d_max over the root mean square of the texels' values along their borders, 0 to 1000. 0: always the texel that
         differs least.
     geometry
-        How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
+        How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
         It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself.

@@ -94,7 +94,7 @@ class Rsgf:
         which reports half or twice the period of some walls and carpets; or the paper's own, ``"gncc:preset=paper"``,
         which is right only where the periods are nearly whole pixels.
     geometry
-        How the method is run where the sample is bent (:func:`~nrbench.bending.straightening.synthesize_in_geometry`).
+        How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
         It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper.

@@ -33,12 +33,12 @@ from nrbench.plugins.parameters import parse_spec
 
 # The help of a command imports no array library.
 if TYPE_CHECKING:
+    from nrbench.displacement.bent_detection import Followed
+    from nrbench.displacement.deformation_field import Deformation
     from nrbench.imaging.convert import Image
     from nrbench.lattice.geometry import Lattice
     from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Texture, Value
     from nrbench.suites.suite import Suite
-    from nrbench.tracking.bent_lattice import Deformation
-    from nrbench.views.deformed import Followed
 
 
 Metrics = Annotated[Sequence[str] | str, Flag(metavar="NAME,...")]
@@ -179,15 +179,13 @@ def follow_bent_lattice(
     Parameters
     ----------
     image, lattice, only_promising
-        As for :func:`nrbench.views.deformed.find_deformation`.
+        As for :func:`nrbench.displacement.bent_detection.find_deformation`.
     detector, parameters
         As for :func:`track_lattice`.
     """
-    from nrbench.views.deformed import find_deformation
+    from nrbench.displacement.bent_detection import find_deformation
 
-    thorough = detector_in(detector, parameters or {})
-    quick = plugins.build("detectors", "dominance", {"reject": "none"})
-    return find_deformation(image, thorough, quick, lattice, only_promising)
+    return find_deformation(image, lattice, detector_in(detector, parameters or {}), only_promising)
 
 
 def synthesize(
@@ -250,9 +248,9 @@ def synthesize(
     """
     import numpy as np
 
-    from nrbench.bending.needed_part import synthesize_from_part
-    from nrbench.bending.straightening import synthesize_in_geometry
-    from nrbench.bending.tileable import require_wrapping, synthesize_tileable
+    from nrbench.calling.bent_samples import synthesize_in_geometry
+    from nrbench.calling.large_samples import synthesize_from_part
+    from nrbench.calling.tileable import require_wrapping, synthesize_tileable
     from nrbench.imaging.convert import match_ndim, quantize
     from nrbench.plugins.forms import Refused, Task
     from nrbench.running.output_checks import checked_synthesis

@@ -39,8 +39,8 @@ from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_aside
 
 if TYPE_CHECKING:
-    from nrbench.tracking.bent_lattice import Deformation
-    from nrbench.views.deformed import Followed
+    from nrbench.displacement.bent_detection import Followed
+    from nrbench.displacement.deformation_field import Deformation
 
 LETTERS = 38
 """Number of letters on a line of a caption."""

@@ -22,7 +22,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from nrbench import plugins
-from nrbench.bending.straightening import synthesize_in_geometry
+from nrbench.calling.bent_samples import synthesize_in_geometry
 from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice

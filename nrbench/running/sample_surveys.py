@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import ConfigDict, ValidationError
 
 from nrbench import plugins
-from nrbench.bending.straightening import SampleSurvey, survey_sample
+from nrbench.calling.bent_samples import SampleSurvey, survey_sample
 from nrbench.plugins.forms import FoundLattice, Task
 from nrbench.plugins.registry import BENT_FINDERS
 from nrbench.running.guard import MIB, cpu_seconds, peak_bytes
@@ -45,7 +45,7 @@ class KeptSurvey:
     Parameters
     ----------
     found, note
-        As in :class:`~nrbench.bending.straightening.SampleSurvey`.
+        As in :class:`~nrbench.calling.bent_samples.SampleSurvey`.
     spent
         What it cost.
     """
@@ -61,7 +61,7 @@ def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> tuple[Samp
     Parameters
     ----------
     method, task
-        As for :func:`~nrbench.bending.straightening.survey_sample`.
+        As for :func:`~nrbench.calling.bent_samples.survey_sample`.
     cell
         The cell.
     folder
@@ -76,7 +76,7 @@ def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> tuple[Samp
         return SampleSurvey(kept.found, None, kept.note, kept.spent.seconds), kept.spent
     wall, cpu, peak = time.perf_counter(), cpu_seconds(), peak_bytes()
     survey = survey_sample(method, task)
-    if survey is not None and survey.straight is None:
+    if survey is not None and survey.bent is None:
         wall, cpu, mib = time.perf_counter() - wall, cpu_seconds() - cpu, (peak_bytes() - peak) / MIB
         write_json(file, dataclasses.asdict(KeptSurvey(survey.found, survey.note, Spent(wall, cpu, mib))))
     return survey, Spent()

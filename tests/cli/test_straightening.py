@@ -12,13 +12,13 @@ from commands import call
 
 import nrbench
 from nrbench.cli.lattice_detection import describe_deformation, find_bent_lattice
+from nrbench.displacement.deformation_field import Deformation, map_points
+from nrbench.displacement.growth import Knots
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import relate
 from nrbench.pictures.files import read_image, write_image
-from nrbench.tracking.bent_lattice import Deformation
-from nrbench.tracking.homography import map_points
 
 
 @pytest.fixture(autouse=True)
@@ -132,6 +132,6 @@ def test_misuse(options: str, message: str, capsys: pytest.CaptureFixture[str]) 
 
 def test_a_lattice_that_was_not_followed_is_not_called_straight() -> None:
     """The text says that nothing is known about the deformation."""
-    image, nothing = np.zeros((64, 64, 1), np.float32), np.zeros((1, 2))
-    found = Deformation(image, Lattice((16, 0), (0, 16)), nothing, nothing, np.zeros(1), covered=0.0, confidence=0.7)
+    found = Deformation(np.zeros((64, 64, 1), np.float32), Knots.regular(Lattice((16, 0), (0, 16)), (64, 64)), 0.7)
+    assert found.covered == 0 and found.lattice.is_equivalent(Lattice((16, 0), (0, 16)), 1e-6)
     assert "not known" in describe_deformation(found) and "not bent" not in describe_deformation(found)

@@ -31,11 +31,10 @@ FLOORS = (
     ("nrbench.runs",),
     ("nrbench.suites",),
     ("nrbench.synthesizers", "nrbench.metrics", "nrbench.datasets_procedural", "nrbench.detectors"),
-    ("nrbench.bending",),
-    ("nrbench.views",),
+    ("nrbench.calling",),
+    ("nrbench.displacement",),
     ("nrbench.plugins",),
     ("nrbench.spectra",),
-    ("nrbench.tracking",),
     ("nrbench.pictures",),
     ("nrbench.imaging",),
     ("nrbench.lattice",),
@@ -137,9 +136,8 @@ WORDS = {"figure", "json", "noise", "site", "text"}
 """Names of plugins that also are words of the core; they count only where a plugin is looked up."""
 LOOKUPS = {"build", "find", "NamedDetector", "Recipe"}
 BUILT = {
-    ("nrbench.api.textures", "dominance"),
-    ("nrbench.bending.straightening", "consensus"),
-    ("nrbench.bending.tileable", "consensus"),
+    ("nrbench.calling.bent_samples", "consensus"),
+    ("nrbench.calling.tileable", "consensus"),
     ("nrbench.plugins.registry", "consensus"),
     ("nrbench.plugins.registry", "gncc"),
     ("nrbench.running.sample_surveys", "consensus"),

@@ -1,4 +1,8 @@
-"""Compiled loops of :mod:`nrbench.tracking.growth`."""
+"""Compiled loops of :mod:`nrbench.displacement.growth`.
+
+A *state* is ``(6,)``: the place x, y of a knot in the image and the map M = (xx, xy, yx, yy) of the window around it.
+The point of the template at ``offset`` is read at ``place + M @ offset``.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,6 @@ from nrbench.jit import (
     Float64x1,
     Float64x2,
     Float64x3,
-    Int64x1,
     Int64x2,
     inlined_kernel,
     kernel,
@@ -34,8 +37,15 @@ Templates = tuple[Float32x3, Float32x4, Float64x3, Float64x3]
 Window = tuple[Float64x2, Float64x1, Float64x1]
 """``(n, 2)`` px: the offsets of the points of a window from its middle. ``(n,)``: their weights, of sum 1. ``(2,)`` px:
 the largest offset along x and y."""
-
-
+Grid = tuple[Float64x3, Int64x2]
+"""``(rows, columns, 2)``: the knots on the plane of the lattice, (x, y) px. ``(rows, columns)``: the phase of each knot
+in the cell, the number of its template."""
+Found = tuple[Float64x3, Float64x2]
+"""``(rows, columns, 6)``: the states of the knots that are known. ``(rows, columns)``: their correlations, 0 of the
+others."""
+Rules = tuple[Float64x1, float, float]
+"""``(2,)``: costs of a squared departure from the prediction: of the place, per px^2, and of the map. The largest
+distance, px on the plane, of a known knot from its prediction. The share of a window that must lie in the image."""
 Reading = tuple[Float64x2, Float64x1, Float64x1, Float64x1]
 """What an image shows under a window, in four arrays.
 
@@ -196,41 +206,47 @@ def register(
     window: Window,
     state: Float64x1,
     predicted: Float64x1,
-    prior: Float64x1,
-    least_seen: float,
+    rules: Rules,
     steps: int,
 ) -> float:
-    """Fit a place and an affine map to a template by Gauss-Newton steps; return the correlation, -1 if not seen.
+    """Fit a state to a template by Gauss-Newton steps; return the correlation, -1 if too little is seen.
 
-    The point at ``offset`` of the template is read at ``place + map @ offset`` of the image. Means and deviations under
-    the window are taken out of both, so that brightness and contrast do not matter. Only the image is read again in
-    each step; where it shows the whole window, all sums over the template alone are given.
+    Means and deviations under the window are taken out of both, so that brightness and contrast do not matter.
 
     Parameters
     ----------
     image
         ``(H, W, C)``.
-    template, window
-        See :data:`Template` and :data:`Window`.
+    template, window, rules
+        See :data:`Template`, :data:`Window` and :data:`Rules`.
     state
-        ``(6,)``: place x, y and the map xx, xy, yx, yy; replaced by the result.
+        ``(6,)``: where to start; replaced by the result.
     predicted
         ``(6,)``: the state from which departures cost.
-    prior
-        ``(2,)``: costs of a squared departure of the place, per px^2, and of the map.
-    least_seen
-        Share of the window that must lie in the image.
     steps
         Number of steps; 0 only measures the correlation.
+
+    Notes ----- With the normalized template t', the normalized image f' read at the state, the weights w of the window,
+    and the rows r = dt'/d(place, map), the cost of a move m of the state is
+
+        sum w (f' - t' + r m)^2 + prior |M^-1 (state - predicted) + m|^2,
+
+    which is least where (sum w r r^T + prior I) m = sum w r (t' - f') - prior M^-1 (state - predicted). The move is
+    made on the plane of the template: the place and the map become M-fold of it (inverse compositional registration;
+    Baker and Matthews 2004, International Journal of Computer Vision 56). Only the image is read again in each step;
+    where it shows the whole window, all sums over the template alone are given. Cost of a step: points of the window
+    times channels.
     """
     values, rows, normal, _ = template
     _, weights, reach = window
+    prior, _, least_seen = rules
     height, width, channels = image.shape
     seen = np.zeros(len(weights))
     reading = (np.zeros((channels, len(weights))), seen, np.zeros(channels), np.zeros(channels))
     a, b, partial = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
     correlation, has_partial = -1.0, False
     for step in range(steps + 1):
+        # Read the image at the state, and correlate it with the template.
         whole = shows_window(state, reach, height, width)
         total = read_window(image, state, window, whole, reading)
         if total < least_seen:
@@ -239,10 +255,10 @@ def register(
         correlation = product / np.sqrt(power * template_power)
         if step == steps:
             break
+        # Set up the normal equations a m = b; the part of a window that is seen changes little from step to step.
         gain, template_gain = 1 / np.sqrt(power / total), 1 / np.sqrt(template_power / total)
         project_difference(template, whole, reading, gain, template_gain, b)
         if not whole and not has_partial:
-            # The part that is seen changes little from step to step.
             has_partial = True
             sum_products_of_rows(seen, rows, partial)
         for m in range(6):
@@ -252,29 +268,30 @@ def register(
         if abs(determinant) < 1e-3:
             return -1.0
         add_prior(a, b, state, predicted, prior, determinant)
+        # Move the state. After a short move one last reading measures the correlation.
         move = np.linalg.solve(a, b)
         move_state(state, move)
         if np.sqrt(move[0] ** 2 + move[1] ** 2) < 0.01 and step < steps - 1:
-            # One last reading measures the correlation.
             steps = step + 1
     return correlation
 
 
 @inlined_kernel
-def list_front(
-    correlations: Float64x2, around: int, rank: Float64x2, listed: Boolx2, front: list[tuple[float, int]]
-) -> None:
-    """Fill the front with the known knots and those up to ``around`` rows and columns beside them.
+def list_front(correlations: Float64x2, rank: Float64x2, listed: Boolx2, front: list[tuple[float, int]]) -> None:
+    """Fill the front with the known knots and their eight neighbors.
 
-    The rank of a knot is the sum of the correlations of the known knots around it.
+    The rank of a knot is the sum of the correlations of the known knots around it. Its own counts a trace more, so that
+    a knot which alone is known comes before its neighbors.
     """
     height, width = correlations.shape
+    rank[:] = 0
     listed[:] = False
     for y in range(height):
         for x in range(width):
             if correlations[y, x] > 0:
-                for b in range(max(y - around, 0), min(y + around + 1, height)):
-                    for a in range(max(x - around, 0), min(x + around + 1, width)):
+                rank[y, x] += 1e-6 * correlations[y, x]
+                for b in range(max(y - 1, 0), min(y + 2, height)):
+                    for a in range(max(x - 1, 0), min(x + 2, width)):
                         rank[b, a] += correlations[y, x]
                         listed[b, a] = True
     front.clear()
@@ -347,122 +364,100 @@ def search_nearby(
     window: Window,
     state: Float64x1,
     predicted: Float64x1,
-    prior: Float64x1,
-    least_seen: float,
-    farthest: float,
+    rules: Rules,
     value: float,
 ) -> float:
     """Register a window from four places around the predicted one; return the correlation, and keep the better state.
 
-    The four places lie ``farthest`` / 2 px from the predicted one along x and y of the plane. ``value`` is the
+    The four places lie half of the largest distance from the predicted one along x and y of the plane. ``value`` is the
     correlation of ``state``.
     """
     best, start, highest = state.copy(), np.zeros(6), value
     for corner in range(4):
         start[:] = predicted
-        dx = (farthest if corner % 2 else -farthest) / 2
-        dy = (farthest if corner // 2 else -farthest) / 2
+        dx = (rules[1] if corner % 2 else -rules[1]) / 2
+        dy = (rules[1] if corner // 2 else -rules[1]) / 2
         start[0] += predicted[2] * dx + predicted[3] * dy
         start[1] += predicted[4] * dx + predicted[5] * dy
-        other = register(image, template, window, start, predicted, prior, least_seen, 4)
+        other = register(image, template, window, start, predicted, rules, 4)
         if other > highest:
             highest = other
             best[:] = start
     if highest > value:
         state[:] = best
-        value = register(image, template, window, state, predicted, prior, least_seen, 4)
+        value = register(image, template, window, state, predicted, rules, 4)
     return value
 
 
 @kernel
 def grow_knots(
-    image: Float32x3,
-    templates: Templates,
-    phases: Int64x2,
-    window: Window,
-    points: Float64x3,
-    states: Float64x3,
-    correlations: Float64x2,
-    seed: Int64x1,
-    prior: Float64x1,
-    levels: Float64x1,
-    farthest: float,
-    margin: float,
-    least_seen: float,
+    image: Float32x3, templates: Templates, window: Window, grid: Grid, found: Found, levels: Float64x1, rules: Rules
 ) -> None:
-    """Find the places of all knots that are connected with a seed, or with known ones, the most surrounded knot first.
-
-    Each knot is predicted by the places and affine maps of the known knots around it, then registered. It is known if
-    it is correlated enough and near the prediction. In each further round every knot is registered again, with all
-    knots around it known, and the field grows on. The time is linear in knots times points of a window.
+    """Find the places of all knots that are connected with known ones, the most surrounded knot first.
 
     Parameters
     ----------
     image
         ``(H, W, C)``.
-    templates
-        The template of each phase of a knot in the cell.
-    phases
-        ``(rows, columns)``: the phase of each knot.
-    window
-        See :data:`Window`.
-    points
-        ``(rows, columns, 2)``: the knots on the plane of the lattice, (x, y) px.
-    states
-        ``(rows, columns, 6)``: the states of the seed and of known knots; filled with those of the others.
-    correlations
-        ``(rows, columns)``: those of knots that are known already, 0 of the others; filled with those found.
-    seed
-        Row and column; negative if there are known knots instead.
-    prior
-        See :func:`register`.
+    templates, window, grid, rules
+        See :data:`Templates`, :data:`Window`, :data:`Grid` and :data:`Rules`.
+    found
+        The known knots, see :data:`Found`; replaced by those that are found. At a start, one knot has the state from
+        which to start and a small correlation.
     levels
         ``(r,)``: correlation from which a knot is known, in each round.
-    farthest
-        Largest distance, px on the plane, of a known knot from its prediction.
-    margin
-        Correlation above the level below which a knot is searched for in other places nearby.
-    least_seen
-        See :func:`register`.
+
+    Notes
+    -----
+    Reliability-guided digital image correlation (B. Pan, Applied Optics 48, 2009)::
+
+        for each level:
+            front = known knots and their neighbors
+            while the front is not empty:
+                knot = the one in the front whose known neighbors correlate most; once in each round
+                predicted = mean of what the affine maps of the known neighbors say, else its own state
+                state = register(knot, from its own state if it is known, else from the predicted one)
+                if it correlates less than the level: register it from four places nearby, too
+                if it reaches the level, near the prediction: it is known, and its neighbors join the front
+                else: it is not known
+
+    The time is linear in knots times points of a window.
     """
     values, rows, normals, sums = templates
+    points, phases = grid
+    states, correlations = found
     height, width = correlations.shape
     rank = np.zeros((height, width))
     tried, listed = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
     state, predicted = np.zeros(6), np.zeros(6)
-    seeded = seed[0] >= 0
-    if seeded:
-        correlations[seed[0], seed[1]] = 1e-3
-    # The front holds a knot again whenever its rank has grown; what is popped later is old.
     front = [(0.0, 0)]
-    for sweep in range(len(levels)):
-        # A seed alone in its round; else all known knots and those around them.
-        first = seeded and sweep == 0
+    for level in levels:
         tried[:] = False
-        list_front(correlations, 0 if first else 1, rank, listed, front)
+        list_front(correlations, rank, listed, front)
         while len(front) > 0:
+            # The front holds a knot again whenever its rank has grown; what is popped later is old.
             _, chosen = heapq.heappop(front)
             y, x = chosen // width, chosen % width
             if tried[y, x]:
                 continue
             tried[y, x] = True
-            predictable = predict_state(points, states, correlations, y, x, predicted)
-            if first and y == seed[0] and x == seed[1]:
+            # Predict the knot.
+            is_known = correlations[y, x] > 0
+            if not predict_state(points, states, correlations, y, x, predicted):
+                if not is_known:
+                    continue
                 predicted[:] = states[y, x]
-            elif not predictable:
-                correlations[y, x] = 0
-                continue
+            # Register it.
             k = phases[y, x]
             template = (values[k], rows[k], normals[k], sums[k])
-            state[:] = states[y, x] if correlations[y, x] > 0 and not first else predicted
-            value = register(image, template, window, state, predicted, prior, least_seen, 8)
-            if -1 < value < levels[sweep] + margin:
+            state[:] = states[y, x] if is_known else predicted
+            value = register(image, template, window, state, predicted, rules, 8)
+            if -1 < value < level:
                 # The registration may have stopped beside its maximum.
-                value = search_nearby(image, template, window, state, predicted, prior, least_seen, farthest, value)
-            if value >= levels[sweep] and is_near(state, predicted, farthest):
+                value = search_nearby(image, template, window, state, predicted, rules, value)
+            # Keep it, or not.
+            correlations[y, x] = 0
+            if value >= level and is_near(state, predicted, rules[1]):
                 states[y, x] = state
                 correlations[y, x] = value
                 promote_neighbors(correlations, tried, y, x, rank, front)
-            else:
-                correlations[y, x] = 0
-        rank[:] = 0

@@ -16,7 +16,8 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Points
-from nrbench.tracking.growth import Knots
+
+from .growth import Knots
 
 __all__ = ["renumber", "similarity"]
 

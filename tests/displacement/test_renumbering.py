@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from nrbench.datasets_procedural.brick import Brick
+from nrbench.displacement.following import find_knots
+from nrbench.displacement.growth import Knots
+from nrbench.displacement.renumbering import renumber, similarity
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.following import find_knots
-from nrbench.tracking.growth import Knots
-from nrbench.tracking.renumbering import renumber, similarity
 
 SIDE = 176
 ROWS, COLUMNS = 25, 29

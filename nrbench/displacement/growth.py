@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.mean_tile import Tile, Values, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking import growth_kernels
-from nrbench.tracking.tracker import cell_covariance
 
-__all__ = ["TRUNCATED", "Knots", "Start", "Window", "fit_basis", "grow_from", "grow_on", "spread_window"]
+from . import growth_kernels
+
+__all__ = ["PARTS", "Knots", "Start", "cell_covariance", "grow_from", "grow_on"]
 
 PARTS: Final = 2
 """Parts into which each step of about s is divided by knots, if they are fine."""
@@ -24,12 +24,10 @@ MOST_KNOTS: Final = 12000
 """Most knots that an image may hold; where there are more, only every second one, every fourth one ... is used."""
 _WIDTH = 1.2
 """Width in tiles of the window of a knot."""
-TRUNCATED = 1.9
+_TRUNCATED = 1.9
 """Radius of a window in standard deviations."""
 _MOST_SAMPLES = 450
 """Most points of a window that are read."""
-_MARGIN = 0.0
-"""Correlation above the level below which a knot is searched for in other places nearby."""
 _ROOM = 2.2
 """Diameter of the plane that knots may cover, over the image's diagonal."""
 _FARTHEST = 0.3
@@ -38,10 +36,10 @@ _SPREAD = 0.15
 """Standard deviation of a knot's departure from its prediction: of the place, in s, and of the slopes."""
 _NOISE = 0.05
 """Mean squared difference of an image and its template, both normalized, that the prediction is weighed against."""
-_STEPS = 8
-"""Steps of the registration of a start."""
-_LEAST_SEEN = 0.6
-"""Share of a window that must lie in the image."""
+_FIRST = 1e-3
+"""Correlation that the knot of a start has before it is registered."""
+_LEAST_SEEN, _LAST_SEEN = 0.6, 0.45
+"""Share of a window that must lie in the image, and in the last round, in which knots at the border are found, too."""
 _THINNEST = 1e-4
 """Area of a cell, over the sum of its squared sides, below which knots count as lying on one line."""
 
@@ -70,6 +68,18 @@ class Knots:
     places: Points
     slopes: Points
     correlation: NDArray[np.float64]
+
+    @classmethod
+    def regular(cls, lattice: Lattice, shape: tuple[int, int]) -> Knots:
+        """Return the points of a lattice in an image of ``shape``, none of which was found."""
+        low, high = (np.array(end) for end in ((0.0, 0.0), (shape[1] - 1.0, shape[0] - 1.0)))
+        numbers = lattice.cell_numbers(low, high)
+        first = numbers.min(0)
+        columns, rows = numbers.max(0) - first + 1
+        u, v = np.meshgrid(np.arange(columns) + first[0], np.arange(rows) + first[1])
+        places = lattice.from_cell(np.stack([u, v], -1))
+        slopes = np.tile(lattice.matrix.T, (rows, columns, 1, 1))
+        return cls((1.0, 1.0), (int(first[0]), int(first[1])), places, slopes, np.zeros((rows, columns)))
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -111,8 +121,10 @@ class Knots:
         return Lattice.from_basis(fit[:2], fit[2])
 
     def _fit(self) -> Points:
-        """Return the vectors and the origin of :meth:`mean_lattice`, ``(3, 2)`` px."""
-        return fit_basis(self.cells[self.known], self.places[self.known])
+        """Return the vectors and the origin of :meth:`mean_lattice`, ``(3, 2)`` px; of all knots if none is known."""
+        use = self.known if self.known.any() else np.ones_like(self.known)
+        design = np.column_stack([self.cells[use], np.ones(use.sum())])
+        return np.asarray(np.linalg.lstsq(design, self.places[use], rcond=None)[0])
 
     def resized(self, factor: int) -> Knots:
         """Return the knots in an image of which each pixel here was the mean of ``factor`` x ``factor`` px."""
@@ -164,18 +176,6 @@ class Knots:
         return values[..., :2]
 
 
-def fit_basis(cells: Points, places: Points) -> Points:
-    """Return the vectors and the origin, ``(3, 2)`` px, of the lattice whose points lie nearest to places.
-
-    Parameters
-    ----------
-    cells, places
-        ``(n, 2)`` each: cell coordinates, and (x, y) px where they were found.
-    """
-    design = np.column_stack([cells, np.ones(len(cells))])
-    return np.asarray(np.linalg.lstsq(design, places, rcond=None)[0])
-
-
 @dataclass(frozen=True)
 class Start:
     """A place from which a lattice is followed.
@@ -198,93 +198,23 @@ class Start:
     slopes: Points
 
 
-@dataclass(frozen=True)
-class Window:
-    """The window of a knot, and the mean tile under it at each phase of a knot.
-
-    Parameters
-    ----------
-    points, templates
-        See :data:`~.growth_kernels.Window` and :data:`~.growth_kernels.Templates`.
-    s
-        Length of the shortest lattice vector, px.
-    spread
-        Standard deviation of a knot's departure from its prediction: of the place, in s, and of the affine map.
-    """
-
-    points: growth_kernels.Window
-    templates: growth_kernels.Templates
-    s: float
-    spread: float = _SPREAD
-
-    @classmethod
-    def of(
-        cls,
-        offsets: Points,
-        weights: NDArray[np.float64],
-        tiles: tuple[Values, Values, Values],
-        s: float,
-        spread: float = _SPREAD,
-    ) -> Window:
-        """Return the window for the tile and its slopes along x and y, ``(p, n, C)`` each."""
-        planes = [np.moveaxis(plane, -1, 1) for plane in tiles]
-        mean = planes[0] @ weights
-        centered = planes[0] - mean[..., np.newaxis]
-        deviation = np.sqrt(np.maximum(((centered**2) @ weights).sum(1), 1e-12))
-        template, across, down = (plane / deviation[:, np.newaxis, np.newaxis] for plane in (centered, *planes[1:]))
-        dx, dy = offsets.T
-        rows = np.stack([across, down, across * dx, across * dy, down * dx, down * dy], 1)
-        weighted = rows * weights
-        flat = rows.reshape(*rows.shape[:2], -1)
-        normals = weighted.reshape(flat.shape) @ np.swapaxes(flat, 1, 2)
-        products = (weighted * template[:, np.newaxis]).sum((2, 3))
-        sums = np.concatenate([np.swapaxes(weighted.sum(-1), 1, 2), products[:, np.newaxis]], 1)
-        return cls(
-            (_contiguous(offsets), _contiguous(weights), np.abs(offsets).max(0)),
-            (_contiguous(template, np.float32), _contiguous(rows, np.float32), _contiguous(normals), _contiguous(sums)),
-            s,
-            spread,
-        )
-
-    @property
-    def _prior(self) -> NDArray[np.float64]:
-        """Costs of a squared departure from the prediction: of the place, per px^2, and of the map."""
-        return np.array([_NOISE / (self.spread * self.s) ** 2, _NOISE / self.spread**2])
-
-    def register(self, image: Values, phase: int, state: Points) -> float:
-        """Fit a place and an affine map in place, and return the correlation, see :func:`~.growth_kernels.register`."""
-        values, rows, normals, sums = (part[phase] for part in self.templates)
-        template, start = (values, rows, normals, sums), state.copy()
-        pixels = _contiguous(image, np.float32)
-        return growth_kernels.register(pixels, template, self.points, state, start, self._prior, _LEAST_SEEN, _STEPS)
-
-    def grow(
-        self,
-        image: Values,
-        phases: NDArray[np.int64],
-        points: Points,
-        states: Points,
-        correlation: NDArray[np.float64],
-        seed: NDArray[np.int64],
-        levels: tuple[float, ...],
-        margin: float,
-    ) -> None:
-        """Find the places of knots, see :func:`~.growth_kernels.grow_knots`."""
-        growth_kernels.grow_knots(
-            _contiguous(image, np.float32),
-            self.templates,
-            _contiguous(phases, np.int64),
-            self.points,
-            _contiguous(points),
-            states,
-            correlation,
-            _contiguous(seed, np.int64),
-            self._prior,
-            np.array(levels, np.float64),
-            _FARTHEST * self.s,
-            margin,
-            _LEAST_SEEN,
-        )
+def _templates(
+    offsets: Points, weights: NDArray[np.float64], tiles: tuple[Values, Values, Values]
+) -> growth_kernels.Templates:
+    """Return what windows are registered with, for the tile and its slopes along x and y, ``(p, n, C)`` each."""
+    planes = [np.moveaxis(plane, -1, 1) for plane in tiles]
+    mean = planes[0] @ weights
+    centered = planes[0] - mean[..., np.newaxis]
+    deviation = np.sqrt(np.maximum(((centered**2) @ weights).sum(1), 1e-12))
+    template, across, down = (plane / deviation[:, np.newaxis, np.newaxis] for plane in (centered, *planes[1:]))
+    dx, dy = offsets.T
+    rows = np.stack([across, down, across * dx, across * dy, down * dx, down * dy], 1)
+    weighted = rows * weights
+    flat = rows.reshape(*rows.shape[:2], -1)
+    normals = weighted.reshape(flat.shape) @ np.swapaxes(flat, 1, 2)
+    products = (weighted * template[:, np.newaxis]).sum((2, 3))
+    sums = np.concatenate([np.swapaxes(weighted.sum(-1), 1, 2), products[:, np.newaxis]], 1)
+    return _contiguous(template, np.float32), _contiguous(rows, np.float32), _contiguous(normals), _contiguous(sums)
 
 
 def _contiguous(values: NDArray[Any], dtype: Any = np.float64) -> NDArray[Any]:
@@ -298,8 +228,8 @@ def grow_from(image: Values, start: Start, levels: tuple[float, ...], fine: bool
     At each knot the image is registered with the mean tile under a Gaussian window as broad as 1.2 tiles, for place and
     affine distortion, starting from what its known neighbors predict. The knot that is best surrounded by well
     correlated ones comes next. This is reliability-guided digital image correlation (B. Pan, Applied Optics 48, 2009),
-    with a periodic template. Unlike the displacements of :func:`~nrbench.tracking.tracker.track_lattice`, those found
-    here may have any slope: the window is strained like the image, and the next knot is predicted with that strain.
+    with a periodic template. The displacements may have any slope: the window is strained like the image, and the next
+    knot is predicted with that strain.
 
     Parameters
     ----------
@@ -323,10 +253,11 @@ def grow_from(image: Values, start: Start, levels: tuple[float, ...], fine: bool
     # The seed is a knot near the start.
     place = start.place + start.slopes @ (seed / parts - start.cell)
     states[half[1], half[0]] = *place, *distortion.ravel()
-    return _grow(image, start.tile, parts, seed - half, states, correlation, half[::-1], levels)
+    correlation[half[1], half[0]] = _FIRST
+    return _grow(image, start.tile, parts, seed - half, (states, correlation), levels, _LEAST_SEEN)
 
 
-def grow_on(image: Values, tile: Tile, knots: Knots, levels: tuple[float, ...]) -> Knots:
+def grow_on(image: Values, tile: Tile, knots: Knots, levels: tuple[float, ...], last: bool = False) -> Knots:
     """Follow a lattice outward from known knots, and into the gaps between them, and return the knots that were found.
 
     Parameters
@@ -339,17 +270,18 @@ def grow_on(image: Values, tile: Tile, knots: Knots, levels: tuple[float, ...]) 
         The known knots. They are registered again in each round.
     levels
         As for :func:`grow_from`.
+    last
+        Whether windows may lie farther beyond the image, but at most one step beyond the known knots.
     """
     parts = np.array(knots.parts)
-    margin = _half_size(tile.lattice, parts, image.shape[:2]) // 2
+    margin = np.array([1, 1]) if last else _half_size(tile.lattice, parts, image.shape[:2]) // 2
     frame = ((margin[1], margin[1]), (margin[0], margin[0]))
     distortion = knots.slopes @ np.linalg.inv(tile.lattice.matrix.T)
     states = np.concatenate([knots.places, distortion.reshape(*knots.known.shape, 4)], -1)
     states = np.pad(np.where(knots.known[..., np.newaxis], states, 0.0), (*frame, (0, 0)))
-    nowhere = np.array([-1, -1])
-    return _grow(
-        image, tile, parts, np.array(knots.first) - margin, states, np.pad(knots.correlation, frame), nowhere, levels
-    )
+    start = states, np.pad(knots.correlation, frame)
+    least_seen = _LAST_SEEN if last else _LEAST_SEEN
+    return _grow(image, tile, parts, np.array(knots.first) - margin, start, levels, least_seen)
 
 
 def _grow(
@@ -357,43 +289,39 @@ def _grow(
     tile: Tile,
     parts: NDArray[np.float64],
     first: NDArray[np.int64],
-    states: Points,
-    correlation: NDArray[np.float64],
-    seed: NDArray[np.int64],
+    start: growth_kernels.Found,
     levels: tuple[float, ...],
+    least_seen: float,
 ) -> Knots:
-    """Find the places of knots on a grid whose first one has the numbers ``first``, see :meth:`Window.grow`."""
-    matrix = tile.lattice.matrix
-    rows, columns = correlation.shape
-    offsets, weights = spread_window(_WIDTH**2 * cell_covariance(tile.lattice), 1.0, _MOST_SAMPLES)
+    """Find the places of knots on a grid whose first one has the numbers ``first``, from those that are known."""
+    lattice, (rows, columns) = tile.lattice, start[1].shape
+    offsets, weights = spread_window(_WIDTH**2 * cell_covariance(lattice), _MOST_SAMPLES)
     periods = np.maximum(parts, 1).astype(np.int64)
     u, v = np.meshgrid(*(np.arange(n) / n for n in periods))
     middles = np.stack([u, v], -1).reshape(-1, 1, 2)
-    inverse = np.linalg.inv(matrix)
+    inverse = np.linalg.inv(lattice.matrix)
 
     def read(x: float, y: float) -> Values:
         return sample_tile(tile.values, middles + (offsets + np.array([x, y])) @ inverse)
 
     half_pixel = np.float32(0.5)
     slopes = half_pixel * (read(1, 0) - read(-1, 0)), half_pixel * (read(0, 1) - read(0, -1))
-    window = Window.of(offsets, weights, (read(0, 0), *slopes), tile.lattice.s)
     a, b = ((np.arange(n) + number) % period for n, number, period in zip((columns, rows), first, periods, strict=True))
     # Only differences of the points count. Small ones are exact.
     middle = np.array([columns // 2, rows // 2])
     numbers = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1) - middle
-    origins, known = states.copy(), correlation.copy()
-    # Where the seed is not correlated enough for the first level, it is tried at the next one.
+    prior = np.array([_NOISE / (_SPREAD * lattice.s) ** 2, _NOISE / _SPREAD**2])
+    # Where the start is not correlated enough for the first level, it is tried at the next one.
     for number in range(len(levels)):
-        states[:], correlation[:] = origins, known
-        window.grow(
-            image,
-            b[:, np.newaxis] * periods[0] + a,
-            (numbers / parts) @ matrix,
-            states,
-            correlation,
-            seed,
-            levels[number:],
-            _MARGIN,
+        states, correlation = (_contiguous(each.copy()) for each in start)
+        growth_kernels.grow_knots(
+            _contiguous(image, np.float32),
+            _templates(offsets, weights, (read(0, 0), *slopes)),
+            (_contiguous(offsets), _contiguous(weights), np.abs(offsets).max(0)),
+            (_contiguous((numbers / parts) @ lattice.matrix), _contiguous(b[:, np.newaxis] * periods[0] + a, np.int64)),
+            (states, correlation),
+            np.array(levels[number:], np.float64),
+            (prior, _FARTHEST * lattice.s, least_seen),
         )
         if correlation.any():
             break
@@ -404,9 +332,20 @@ def _grow(
         (float(parts[0]), float(parts[1])),
         (int(first[0] + left), int(first[1] + top)),
         states[..., :2][box],
-        states[..., 2:].reshape(rows, columns, 2, 2)[box] @ matrix.T,
+        states[..., 2:].reshape(rows, columns, 2, 2)[box] @ lattice.matrix.T,
         correlation[box],
     )
+
+
+def cell_covariance(lattice: Lattice) -> Points:
+    """Return the covariance, 2 x 2 px^2, of points spread evenly over the lattice's Voronoi cell.
+
+    Unlike that of the parallelogram it does not depend on the basis.
+    """
+    side = (np.arange(24) + 0.5) / 24
+    uv = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
+    points = lattice.wrap(uv @ lattice.matrix)
+    return np.asarray(points.T @ points / len(points))
 
 
 def _half_size(lattice: Lattice, parts: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.int64]:
@@ -425,23 +364,21 @@ def _parts(lattice: Lattice, shape: tuple[int, int], fine: bool) -> NDArray[np.f
     return np.asarray(parts, np.float64)
 
 
-def spread_window(covariance: Points, spacing: float, most: int | None = None) -> tuple[Points, NDArray[np.float64]]:
+def spread_window(covariance: Points, most: int) -> tuple[Points, NDArray[np.float64]]:
     """Return the points of a Gaussian window, (x, y) px from its middle, and their weights, of sum 1.
 
     Parameters
     ----------
     covariance
-        2 x 2, px^2. The window ends at :data:`TRUNCATED` standard deviations.
-    spacing
-        px; distance of the points along x and y.
+        2 x 2, px^2. The window ends at 1.9 standard deviations.
     most
         Every second, third ... point is left out if there are more than this number.
     """
-    reach = np.ceil(TRUNCATED * np.sqrt(np.diag(covariance)) / spacing)
-    x, y = np.meshgrid(*(np.arange(-end, end + 1) * spacing for end in reach))
+    reach = np.ceil(_TRUNCATED * np.sqrt(np.diag(covariance)))
+    x, y = np.meshgrid(*(np.arange(-end, end + 1) for end in reach))
     offsets = np.stack([x, y], -1).reshape(-1, 2)
     distance = np.einsum("ni,ij,nj->n", offsets, np.linalg.inv(covariance), offsets)
-    inside = np.flatnonzero(distance <= TRUNCATED**2)
-    chosen = inside[:: math.ceil(len(inside) / most) if most else 1]
+    inside = np.flatnonzero(distance <= _TRUNCATED**2)
+    chosen = inside[:: math.ceil(len(inside) / most)]
     weights = np.exp(-distance[chosen] / 2)
     return offsets[chosen], weights / weights.sum()

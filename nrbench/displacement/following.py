@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import Image, shrink
 from nrbench.imaging.mean_tile import Values, fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.growth import Knots, Start, grow_from, grow_on
-from nrbench.tracking.renumbering import renumber, similarity
-from nrbench.tracking.tracker import MeanTile, Track, track_tiles
 
-__all__ = ["find_knots", "follow_on", "merit", "probe", "rate_knots", "straighten_pixels"]
+from .growth import Knots, Start, grow_from, grow_on
+from .renumbering import renumber, similarity
+
+__all__ = ["find_knots", "follow_on", "follow_roughly", "merit", "probe", "rate_knots"]
 
 _FINEST: Final = 14.0
 """px; an image is shrunk as far as its s stays above this. Time then does not grow with s."""
@@ -29,12 +29,16 @@ _MIDDLES = (0.5, 0.25, 0.75)
 """Places of these parts, in units of the image's sides, in the order in which they are tried."""
 _FIRST_LEVEL = 0.55
 """Correlation from which a knot is known, while the tile is that of a few cells."""
-_GOOD = 0.6
-"""Covered share of the image times mean correlation from which no further start is tried."""
+_MOST_STARTS = 3
+"""Number of starts, those from which the lattice is at first followed farthest, from which it is followed in full."""
+_GOOD = 0.9
+"""Similarity of the image and the mean tile from which no further start is tried."""
 _FIRST_SHARE = 0.65
 """Correlation, over the median of the first way, from which a knot is known on the second one."""
 _LEVELS = (0.95, 0.85, 0.75, 0.65)
 """Correlation, over the median of the round before, from which a knot is known, in each round of the growth."""
+_FLAT = 1e-7
+"""Variance of a mean tile, of values in [0, 1], below which there is nothing to follow: less than a gray step."""
 _LEAST_KNOTS = 8
 _MOST_ROUNDS = 5
 """Number of times, at most, that all knots are found again with a new mean tile."""
@@ -51,9 +55,8 @@ _GAIN = 0.01
 def find_knots(image: Image, lattice: Lattice, near: Points | None = None) -> Knots | None:
     """Return where the points of a lattice lie in an image, however it is bent; None if they are not found.
 
-    The mean tile is at first that of a track by :func:`~nrbench.tracking.tracker.track_tiles`, or that of a few
-    cells; the start from which the lattice can be followed farthest is used. The image is then straightened, its mean
-    tile computed, and the lattice followed again.
+    The mean tile is at first that of the whole image, or that of a few cells; the start from which the lattice can be
+    followed farthest is used. The image is then straightened, its mean tile computed, and the lattice followed again.
 
     Parameters
     ----------
@@ -66,29 +69,48 @@ def find_knots(image: Image, lattice: Lattice, near: Points | None = None) -> Kn
     """
     lattice = Lattice.from_basis(lattice.reduced().matrix)
     small, shrunk, factor = _shrink(image, lattice)
-    best, highest = None, 0.0
     at = None if near is None else (near - (factor - 1) / 2) / factor
-    for start in _starts(small, shrunk) if at is None else (_local_start(small, shrunk, at),):
-        knots = grow_from(small, start, (_FIRST_LEVEL,), fine=False)
-        worth = rate_knots(knots, small)
-        if worth > highest:
-            best, highest = knots, worth
+    starts = _starts(small, shrunk) if at is None else [_local_start(small, shrunk, at)]
+    first = [grow_from(small, start, (_FIRST_LEVEL,), fine=False) for start in starts]
+    best, highest = None, 0.0
+    for knots in sorted(first, key=lambda each: -rate_knots(each, small))[:_MOST_STARTS]:
+        found = _sharpened(small, knots)
+        alike = 0.0 if found is None else similarity(found, small.shape[:2])
+        if alike > highest:
+            best, highest = found, alike
         if highest > _GOOD:
             break
-    if best is None:
-        return None
+    return None if best is None else best.resized(factor)
+
+
+def _sharpened(image: Values, knots: Knots) -> Knots | None:
+    """Follow a lattice again, with the mean tile of the image straightened by its knots, until this gains little."""
     highest = 0.0
     for number in range(1 + _MOST_ROUNDS):
-        if not _are_enough(best):
+        if not _are_enough(knots):
             return None
-        levels = _levels_of(best, _LEVELS if number else (_FIRST_SHARE,))
-        found = grow_from(small, _restart(small, best), levels, fine=number > 0)
-        worth = rate_knots(found, small)
-        if number > 1 and worth < highest + _GAIN:
-            best = found if worth > highest else best
+        levels = _levels_of(knots, _LEVELS if number else (_FIRST_SHARE,))
+        found = grow_from(image, _restart(image, knots), levels, fine=number > 0)
+        score = rate_knots(found, image)
+        if number > 1 and score < highest + _GAIN:
+            knots = found if score > highest else knots
             break
-        best, highest = found, worth
-    return _renumbered(small, best).resized(factor) if _are_enough(best) else None
+        knots, highest = found, score
+    return _finished(image, knots)
+
+
+def follow_roughly(image: Image, lattice: Lattice) -> Knots | None:
+    """Return the places of the points of a lattice, origin included, in an image that is about straight.
+
+    The mean tile is that of the whole image. The points lie about s apart. None if they are not found.
+    """
+    lattice = lattice.reduced()
+    small, shrunk, factor = _shrink(image, lattice)
+    start = _whole_start(small, shrunk.shifted((np.array(lattice.origin) - (factor - 1) / 2) / factor))
+    if start is None:
+        return None
+    knots = grow_from(small, start, (_FIRST_LEVEL,), fine=False)
+    return knots.resized(factor) if _are_enough(knots) else None
 
 
 def probe(image: Image, lattice: Lattice, near: Points) -> float:
@@ -124,7 +146,8 @@ def follow_on(image: Image, knots: Knots, basis: Points) -> Knots | None:
     first = Knots(knots.parts, knots.first, places, knots.slopes / factor, knots.correlation)
     change = lattice.matrix @ np.linalg.inv(mean.matrix)
     found = grow_from(small, _restart(small, first, change), _levels_of(first))
-    return _renumbered(small, found).resized(factor) if _are_enough(found) else None
+    last = _finished(small, found)
+    return None if last is None else last.resized(factor)
 
 
 def rate_knots(knots: Knots, image: Values) -> float:
@@ -177,12 +200,21 @@ def _shrink(image: Image, lattice: Lattice) -> tuple[Values, Lattice, int]:
 def _starts(image: Values, lattice: Lattice) -> Iterator[Start]:
     """Yield the starts from which a lattice of unknown place is followed for the first time."""
     size = np.array(image.shape[1::-1], np.float64)
-    tile = MeanTile.of(image, lattice)
-    if tile.flat:
+    whole = _whole_start(image, lattice)
+    if whole is None:
         return
-    yield _tracked_start(track_tiles(image, lattice, tile))
+    yield whole
     for y, x in itertools.product(_MIDDLES, repeat=2):
         yield _local_start(image, lattice, size * (x, y))
+
+
+def _whole_start(image: Values, lattice: Lattice) -> Start | None:
+    """Return the start whose tile is the mean of all cells, at a lattice point near the middle; None if flat."""
+    tile = fold(image, lattice)
+    if float(tile.values.var((0, 1)).sum()) < _FLAT:
+        return None
+    cell = np.rint(lattice.to_cell(np.array(image.shape[1::-1]) / 2))
+    return Start(tile, cell, lattice.from_cell(cell), lattice.matrix.T)
 
 
 def _local_start(image: Values, lattice: Lattice, middle: Points) -> Start:
@@ -192,28 +224,6 @@ def _local_start(image: Values, lattice: Lattice, middle: Points) -> Start:
     high = np.minimum(np.ceil(middle + half) + 1, image.shape[1::-1]).astype(int)
     tile = fold(image[low[1] : high[1], low[0] : high[0]], lattice.shifted(middle - low))
     return Start(tile, np.zeros(2), middle, lattice.matrix.T)
-
-
-def _tracked_start(track: Track) -> Start:
-    """Return the start whose tile is that of the tracked and straightened image, at the node that fits best."""
-    image, lattice, nodes = track.image, track.lattice, track.nodes
-    y, x = np.indices(image.shape[:2], np.float64)
-    points = np.stack([x, y], -1)
-    sources = points + nodes.interpolate(track.field, points)
-    inside = np.asarray(((sources >= 0) & (sources <= np.array(image.shape[1::-1]) - 1)).all(-1))
-    straight = interpolate(image, sources)
-    tile = fold(straight, lattice, inside if inside.any() else None)
-    places = nodes.places
-    at = places + track.field
-    seen = ((at >= 0) & (at <= np.array(image.shape[1::-1]) - 1)).all(-1)
-    best = np.unravel_index(
-        np.argmax(np.where(seen, scipy.ndimage.uniform_filter(track.correlation, 3), -2)), seen.shape
-    )
-    step = lattice.s / 2
-    around = places[best] + step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-    found = around + nodes.interpolate(track.field, around)
-    slopes = np.column_stack([found[0] - found[1], found[2] - found[3]]) / (2 * step)
-    return Start(tile, lattice.to_cell(places[best]), at[best], slopes @ lattice.matrix.T)
 
 
 def _restart(image: Values, knots: Knots, change: Points | None = None) -> Start:
@@ -230,11 +240,20 @@ def _restart(image: Values, knots: Knots, change: Points | None = None) -> Start
     lattice = knots.mean_lattice()
     other = Lattice.from_basis(change @ lattice.matrix, lattice.origin)
     straight, corner, inside = straighten_pixels(image, knots, lattice)
-    tile = fold(straight, other.shifted(-corner), inside)
+    tile = fold(straight, other.shifted(-corner), inside if inside.any() else None)
     surroundings = scipy.ndimage.uniform_filter(knots.correlation, 3, mode="constant")
     at = np.unravel_index(np.argmax(np.where(knots.known, surroundings, -1)), knots.known.shape)
     cell = knots.cells[at] @ np.linalg.inv(change)
     return Start(tile, cell, knots.places[at], knots.slopes[at] @ change.T)
+
+
+def _finished(image: Values, knots: Knots) -> Knots | None:
+    """Return knots after their last round, None if they are too few; parts that are whole vectors off are corrected."""
+    if not _are_enough(knots):
+        return None
+    knots = _renumbered(image, knots)
+    found = grow_on(image, _restart(image, knots).tile, knots, _levels_of(knots, _LEVELS[-1:]), last=True)
+    return found if _are_enough(found) else None
 
 
 def _renumbered(image: Values, knots: Knots) -> Knots:

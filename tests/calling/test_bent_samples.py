@@ -11,30 +11,19 @@ from scipy import ndimage
 
 import nrbench
 from nrbench import plugins
-from nrbench.bending.deformed_lattice import (
-    PARTS,
-    DeformedLattice,
-    WaveSpectrum,
-    find_deformed_lattice,
-    knot_lattice,
-    neighbor_field,
-    output_field,
-)
-from nrbench.bending.free_form import FreeForm, approximate, basis, refine
-from nrbench.bending.straightening import (
-    LEAST_GAIN,
-    StraightSample,
-    explained_share,
-    straighten_sample,
-    synthesize_in_geometry,
-)
+from nrbench.calling.bent_samples import find_bend, synthesize_in_geometry
+from nrbench.displacement.deformation_field import LEAST_GAIN, Deformation, explained_share
+from nrbench.displacement.following import find_knots
+from nrbench.displacement.free_form import FreeForm, approximate, basis, refine
+from nrbench.displacement.growth import Knots
+from nrbench.displacement.random_field import WaveSpectrum, neighbor_field, output_field
 from nrbench.imaging.convert import quantize
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Geometry, Task, Texture, find_lattice
 from nrbench.plugins.registry import NamedDetector
 from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.tiling import Tiling
-from nrbench.tracking.tracker import MeanTile, track_tiles
 
 
 def bent(model: str = "brick", bend: float = 0.5, seed: int = 0, side: int = 192, **departures: float) -> Texture:
@@ -50,34 +39,36 @@ class BendingTiling(Tiling):
     geometry: Geometry = "bent"
 
 
-def straightened(texture: Texture) -> StraightSample:
-    """Return the straight sample of a texture of known lattice."""
+def deformation(texture: Texture) -> Deformation:
+    """Return the deformation of a texture of known lattice, whether it is bent or not."""
     assert texture.lattice is not None
-    return StraightSample(texture.image, find_deformed_lattice(texture.image, texture.lattice))
+    knots = find_knots(texture.image, texture.lattice)
+    assert knots is not None
+    return Deformation(texture.image, knots)
 
 
-def synthetic(amplitude: float = 3.0, wave: float = 90.0, side: float = 220.0) -> DeformedLattice:
-    """Return the lattice of a sample whose displacements are waves of one length and known amplitude."""
-    lattice = Lattice((18.0, 0.0), (0.0, 18.0))
-    knots = knot_lattice(lattice)
-    numbers = knots.cell_numbers((0.0, 0.0), (side, side))
-    places, rng = knots.from_cell(numbers), np.random.default_rng(7)
+def synthetic(amplitude: float = 3.0, wave: float = 90.0, side: float = 220.0) -> Deformation:
+    """Return the deformation of a sample whose displacements are waves of one length and known amplitude."""
+    knots = Knots.regular(Lattice((9.0, 0.0), (0.0, 9.0)), (int(side), int(side)))
+    places, rng = knots.places, np.random.default_rng(7)
     moved = np.zeros_like(places)
     for axis in (0, 1):
         for angle, phase in 2 * math.pi * rng.random((64, 2)):
             direction = np.array([math.cos(angle), math.sin(angle)])
-            moved[:, axis] += np.cos(2 * math.pi / wave * places @ direction + phase)
+            moved[..., axis] += np.cos(2 * math.pi / wave * places @ direction + phase)
     moved *= amplitude / math.sqrt(32)
-    return DeformedLattice(lattice, knots, numbers, moved - moved.mean(0), amplitude)
+    found = replace(
+        knots, parts=(2.0, 2.0), places=places + moved, slopes=2 * knots.slopes, correlation=np.ones(places.shape[:2])
+    )
+    return Deformation(np.zeros((int(side), int(side), 1), np.float32), found)
 
 
 @pytest.mark.parametrize("bend, worst", [(0.25, 0.25), (0.5, 0.6)])
 def test_the_displacement_of_a_model_is_recovered(bend: float, worst: float) -> None:
     """On bricks displaced by 1.6 and 3.2 px (rms), the map errs by less than 0.25 and 0.6 px."""
     texture = bent(bend=bend)
-    straight = straightened(texture)
     grid = np.stack(np.meshgrid(np.arange(12.0, 180), np.arange(12.0, 180)), -1)
-    places = straight.locate(grid)
+    places = deformation(texture).locate(grid)
     assert texture.displacement is not None
     truth = np.stack(
         [
@@ -89,21 +80,24 @@ def test_the_displacement_of_a_model_is_recovered(bend: float, worst: float) -> 
         -1,
     )
     error = places - grid - truth
-    error -= error.mean((0, 1))
+    # The affine part of the displacements belongs to the mean lattice.
+    design = np.column_stack([grid.reshape(-1, 2), np.ones(grid[..., 0].size)])
+    error = error.reshape(-1, 2)
+    error = error - design @ np.linalg.lstsq(design, error, rcond=None)[0]
     assert np.sqrt((error**2).sum(-1).mean()) < worst
 
 
 def test_the_straight_sample_is_as_periodic_as_the_ideal() -> None:
     """Straightening bricks without other departures leaves less than a tenth of the variance unexplained."""
     texture = bent(color=0.0, intensity=0.0, noise=0.0)
-    straight = straightened(texture)
-    assert explained_share(texture.image, straight.deformed.lattice) < 0.3
-    assert explained_share(straight.image, straight.lattice) > 0.9
+    found = deformation(texture)
+    assert explained_share(texture.image, found.lattice) < 0.3
+    assert explained_share(*found.straighten()) > 0.9
 
 
 def is_straightened(texture: Texture) -> bool:
     """Return whether a sample of known lattice is straightened."""
-    return straighten_sample(texture.image, texture.lattice, given=True)[0] is not None
+    return find_bend(texture.image, texture.lattice, given=True)[0] is not None
 
 
 @pytest.mark.parametrize("model", ["brick", "weave", "hexagon"])
@@ -115,68 +109,63 @@ def test_only_samples_that_are_bent_are_straightened(model: str) -> None:
 
 
 def test_stripes_that_slide_along_themselves_are_not_straightened() -> None:
-    """Where nothing ties the lattice down along a line, the tracker errs, but straightening explains no more."""
+    """Where nothing ties the lattice down along a line, places err, but straightening explains no more."""
     texture = bent("corduroy", bend=0.0, color=0.6, seed=3)
-    straight = straightened(texture)
-    assert straight.deformed.amplitude > 0.04 * straight.deformed.lattice.s
-    assert straight.gain < LEAST_GAIN and not is_straightened(texture)
+    assert deformation(texture).gain < LEAST_GAIN and not is_straightened(texture)
 
 
 def test_a_flat_or_small_sample_is_not_straightened() -> None:
-    """A flat sample, and one with too few tiles, have an obstacle and are left alone."""
+    """A flat sample, and one with too few tiles, are left alone."""
     flat, lattice = np.full((64, 64, 3), 0.5, np.float32), Lattice((8, 0), (0, 8))
-    assert "flat" in find_deformed_lattice(flat, lattice).obstacle
-    assert straighten_sample(flat, lattice, given=True)[0] is None
+    assert find_bend(flat, lattice, given=True)[0] is None
     small, bricks = bent(side=64).image, Lattice((27.3, 0), (13.65, 12.2))
-    assert "whole tiles" in find_deformed_lattice(small, bricks).obstacle
-    assert straighten_sample(small, bricks, given=True)[0] is None
+    assert find_bend(small, bricks, given=True)[0] is None
 
 
 @pytest.mark.parametrize("model", ["brick", "hexagon"])
-def test_what_the_tracker_loses_is_followed(model: str) -> None:
+def test_strongly_bent_samples_are_straightened(model: str) -> None:
     """At bend 1 the straightened sample is as periodic as its colors allow, however far the places have moved."""
     texture = bent(model, bend=1.0, color=0.2, seed=42, side=160)
-    straight, note = straighten_sample(texture.image, texture.lattice, given=True)
-    assert straight is not None and straight.gain > 8 and note.startswith("bent by 0.")
-    assert explained_share(straight.image, straight.lattice) > 0.7
+    found, note = find_bend(texture.image, texture.lattice, given=True)
+    assert found is not None and found.gain > 8 and note.startswith("bent by 0.")
+    assert explained_share(*found.straighten()) > 0.7
 
 
 def test_a_given_lattice_that_cannot_be_followed_is_found_in_a_part() -> None:
     """The sample is straightened to the given lattice; another given one is not replaced."""
     texture = bent("hexagon", bend=1.0, seed=3, side=192, rotation=33.0)
     assert texture.lattice is not None
-    straight, _ = straighten_sample(texture.image, texture.lattice, given=True)
-    assert straight is not None and straight.lattice.is_equivalent(texture.lattice, 2)
+    found, _ = find_bend(texture.image, texture.lattice, given=True)
+    assert found is not None and found.lattice.is_equivalent(texture.lattice, 2)
     other = Lattice.from_basis(1.3 * texture.lattice.matrix)
-    straight, note = straighten_sample(texture.image, other, given=True)
-    assert straight is None and "cannot be told" in note
+    found, note = find_bend(texture.image, other, given=True)
+    assert found is None and "cannot be told" in note
 
 
 def test_a_bent_lattice_is_found_where_the_detector_finds_none() -> None:
     """Without a lattice, that of a bent sample is found, and a method gets it."""
     texture = bent("weave", bend=1.0, color=0.3, seed=42, side=160)
-    straight, _ = straighten_sample(texture.image, None, given=False)
-    assert straight is not None and texture.lattice is not None
-    assert straight.lattice.is_equivalent(texture.lattice, 1.5)
+    found, _ = find_bend(texture.image, None, given=False)
+    assert found is not None and texture.lattice is not None
+    assert found.lattice.is_equivalent(texture.lattice, 1.5)
 
 
-def test_vertices_are_every_second_knot_and_lie_about_s_apart() -> None:
-    """The knots of an elongated lattice divide its long vector, so that vertices lie about s apart along both."""
-    lattice = Lattice((20.0, 0.0), (3.0, 61.0))
-    knots = knot_lattice(lattice)
-    np.testing.assert_allclose(PARTS * np.hypot(*knots.matrix.T), [20.0, np.hypot(3, 61) / 3])
-    assert np.abs(knots.to_cell(lattice.points((100, 100))) % 1).min() < 1e-9
+def test_vertices_lie_about_s_apart() -> None:
+    """The mesh of an elongated lattice divides its long vector, so that vertices lie about s apart along both."""
+    lattice, image = Lattice((20.0, 0.0), (3.0, 61.0)), np.zeros((100, 100, 1), np.float32)
+    found = Deformation(image, Knots.regular(lattice, (100, 100)))
+    np.testing.assert_allclose(np.hypot(*found.mesh.matrix.T), [20.0, np.hypot(3, 61) / 3])
 
 
 def test_a_drawn_field_has_the_amplitude_and_the_wave_length_of_the_sample() -> None:
     """Over draws, the amplitude is the sample's within 10 %, and most power lies within an octave of its waves."""
-    deformed = synthetic()
-    spectrum = WaveSpectrum.of(deformed)
+    found = synthetic()
+    spectrum = WaveSpectrum.of(found)
     near = (spectrum.lengths > 90 / 1.5) & (spectrum.lengths < 90 * 1.5)
     assert spectrum.powers[near].sum() > 0.75 * spectrum.powers.sum()
-    places = deformed.places
+    places = found.places
     sizes = [spectrum.draw(places, np.random.default_rng(seed)).std(0) for seed in range(12)]
-    own = float(np.sqrt((deformed.displacements**2).mean()))
+    own = float(np.sqrt((found.field**2).mean()))
     assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(own, rel=0.1)
 
 
@@ -195,17 +184,16 @@ def test_a_strong_field_does_not_fold_the_output() -> None:
 
 def test_a_sample_without_displacements_gives_none() -> None:
     """A regular sample has a spectrum without power and an output field of zeros."""
-    still = replace(synthetic(), displacements=np.zeros_like(synthetic().displacements))
-    _, moved, _ = output_field(still, (100, 100), "bent", np.random.default_rng(0))
-    assert not moved.any()
+    _, moved, _ = output_field(synthetic(0.0), (100, 100), "bent", np.random.default_rng(0))
+    assert np.abs(moved).max() < 1e-9
 
 
 def test_eight_neighbors_shrink_the_field() -> None:
     """With eight neighbors the most likely field keeps about a sixth of the amplitude."""
-    deformed = synthetic()
-    field = neighbor_field(deformed, (20, 20), np.random.default_rng(0))
+    found = synthetic()
+    field = neighbor_field(found, (20, 20), np.random.default_rng(0))
     field = field - field.mean((0, 1))
-    assert 0.05 < np.sqrt((field**2).mean()) / np.sqrt((deformed.displacements**2).mean()) < 0.35
+    assert 0.05 < np.sqrt((field**2).mean()) / np.sqrt((found.field**2).mean()) < 0.35
 
 
 def test_a_method_is_called_on_the_straight_sample_and_its_output_bent() -> None:
@@ -216,8 +204,7 @@ def test_a_method_is_called_on_the_straight_sample_and_its_output_bent() -> None
     made = synthesize_in_geometry(BendingTiling(), task)
     assert made.image.shape == (200, 220, 3) and made.source is not None
     check_source(made.source, quantize(made.image), texture.image)
-    found = find_deformed_lattice(quantize(made.image), texture.lattice)
-    own = find_deformed_lattice(texture.image, texture.lattice)
+    found, own = (deformation(replace(texture, image=quantize(image))) for image in (made.image, texture.image))
     assert found.amplitude == pytest.approx(own.amplitude, rel=0.3)
     x, y = made.source[..., :2].astype(int).reshape(-1, 2).T
     shown = texture.image[y, x].reshape(made.image.shape)
@@ -290,9 +277,16 @@ def test_the_output_keeps_the_phase_of_the_sample(seed: int) -> None:
     lattice = texture.lattice.reduced()
     task = Task(texture.image, (230, 240), lattice, np.random.default_rng(2))
     made = synthesize_in_geometry(BendingTiling(), task)
-    tile = MeanTile.of(texture.ideal, lattice)
-    means = [track_tiles(quantize(one), lattice, tile).field.mean((0, 1)) for one in (texture.image, made.image)]
-    assert np.hypot(*lattice.wrap(means[1] - means[0])) < 2
+    tiles = []
+    for image in (texture.image, made.image):
+        found = deformation(replace(texture, image=quantize(image)))
+        # The straight image in the basis of the texture, each pixel at its place on the plane.
+        basis = np.rint(lattice.matrix @ np.linalg.inv(found.lattice.matrix)) @ found.lattice.matrix
+        (straight, _), (x, y) = found.straighten(), found.corner
+        tiles.append(fold(straight, Lattice.from_basis(basis, (-x, -y)), grid=(18, 18)).values)
+    differences = [np.square(tiles[0] - np.roll(tiles[1], at, (0, 1))).sum() for at in np.ndindex(18, 18)]
+    v, u = divmod(int(np.argmin(differences)), 18)
+    assert np.hypot(*lattice.wrap(lattice.from_cell((u / 18, v / 18)) - lattice.origin)) < 2
 
 
 def scattered(seed: int = 0, spread: float = 1.0) -> Points:

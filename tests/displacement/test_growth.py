@@ -14,13 +14,12 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.knit import Knit
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
+from nrbench.displacement.deformation_field import Deformation, fit_homography, map_points
+from nrbench.displacement.following import find_knots, follow_on, merit, probe
+from nrbench.displacement.growth import Knots, Start, cell_covariance, grow_from, grow_on
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.tracking.bent_lattice import Deformation
-from nrbench.tracking.following import find_knots, follow_on, merit, probe
-from nrbench.tracking.growth import Knots, Start, grow_from, grow_on
-from nrbench.tracking.homography import fit_homography, map_points
 
 MODELS: dict[str, Model] = {"weave": Weave(noise=0.03), "hexagon": Hexagon(color=0.3, noise=0.03, period=21.3)}
 SIDE = 160
@@ -64,7 +63,7 @@ def deformation(image: Image, lattice: Lattice) -> Deformation:
     """Return the deformation, which must be found."""
     knots = find_knots(image, lattice)
     assert knots is not None
-    return Deformation.of(image, knots)
+    return Deformation(image, knots)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -134,7 +133,7 @@ def test_a_subcell_is_followed_on_from_a_supercell() -> None:
     change = reduced.matrix @ np.linalg.inv(knots.mean_lattice().matrix)
     other = follow_on(image, knots, change)
     assert other is not None
-    assert np.median(field_errors(Deformation.of(image, other), cells)) < 0.05
+    assert np.median(field_errors(Deformation(image, other), cells)) < 0.05
     assert merit(image, other) > merit(image, knots)
 
 
@@ -231,3 +230,11 @@ def test_too_few_pairs_have_no_homography() -> None:
     """Eight parameters are not fitted to four pairs."""
     points = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
     assert fit_homography(points, points) is None
+
+
+def test_the_window_does_not_depend_on_the_basis() -> None:
+    """A cell's covariance does not depend on the basis; that of a square is s^2 / 12 along both axes."""
+    square = Lattice((20.0, 0.0), (0.0, 20.0))
+    np.testing.assert_allclose(cell_covariance(square), np.eye(2) * 400 / 12, rtol=0.01, atol=0.1)
+    skew = Lattice((20.0, 0.0), (40.0, 20.0))
+    np.testing.assert_allclose(cell_covariance(skew), cell_covariance(square), rtol=0.02, atol=0.2)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nrbench import plugins
+from nrbench.displacement.deformation_field import pixel_places, read_spline
 from nrbench.errors import BadInput
 from nrbench.imaging.boxes import largest_box
 from nrbench.imaging.convert import Image, quantize
@@ -15,7 +16,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .straightening import pixel_places, read_spline, straighten_sample, trace_points
+from .bent_samples import find_bend, trace_points
 
 _LITTLE = 0.0025
 """Strain at which the note names no better size."""
@@ -54,21 +55,21 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
     found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
     if found.lattice is None:
         return method.synthesize(replace(task, tileable=True))
-    straight, bent = None, ""
+    bent, bending = None, ""
     if getattr(method, "geometry", "as-is") != "as-is":
-        straight, bent = straighten_sample(task.sample, found.lattice, task.lattice is not None)
-    sample, lattice = (task.sample, found.lattice) if straight is None else (straight.image, straight.lattice)
+        bent, bending = find_bend(task.sample, found.lattice, task.lattice is not None)
+    sample, lattice = (task.sample, found.lattice) if bent is None else bent.straighten()
     strained = StrainedSample.of(sample, lattice, task.shape)
     made = method.synthesize(replace(task, sample=strained.image, lattice=strained.lattice, tileable=True))
     source = made.source
-    if source is not None and (strained.image is not sample or straight is not None):
+    if source is not None and (strained.image is not sample or bent is not None):
         source = source.copy()
         for rows in (source[top : top + _ROWS] for top in range(0, len(source), _ROWS)):
             points = strained.locate(np.nan_to_num(rows[..., :2]))
-            if straight is not None:
-                points = straight.locate(points + straight.corner)
+            if bent is not None:
+                points = bent.locate(points + bent.corner)
             rows[:] = np.where(np.isfinite(rows), trace_points(points, task.sample.shape, rows[..., 2]), np.nan)
-    note = "; ".join(filter(None, (made.note, bent, describe_strain(lattice, task.shape))))
+    note = "; ".join(filter(None, (made.note, bending, describe_strain(lattice, task.shape))))
     seconds = made.detection_seconds + found.seconds
     return replace(made, lattice=found.lattice, source=source, detection_seconds=seconds, note=note)
 

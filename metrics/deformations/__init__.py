@@ -1,1 +1,0 @@
-"""Displacement fields of tracked lattices."""

@@ -1,1 +1,0 @@
-"""Straighten a bent sample, and bend the output as the sample is."""

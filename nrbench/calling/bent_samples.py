@@ -1,0 +1,216 @@
+"""Straighten a bent sample, synthesize on the regular lattice, and bend the output: one mechanism for all methods."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.displacement.bent_detection import find_deformation
+from nrbench.displacement.deformation_field import LEAST_AMPLITUDE, Deformation, pixel_places, read_spline
+from nrbench.displacement.free_form import REPEATS, FreeForm
+from nrbench.displacement.random_field import output_field
+from nrbench.errors import BadInput
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import (
+    FoundLattice,
+    Geometry,
+    NoLatticeFound,
+    Refused,
+    SourceMap,
+    Synthesis,
+    Synthesizer,
+    Task,
+    find_lattice,
+)
+from nrbench.plugins.registry import NamedDetector
+
+_SAME = 0.15
+"""Tolerance, in s, at which the mean lattice of a bent sample counts as the given one."""
+_LEAST_PERIODS = 2.0
+"""Periods along both vectors that the straightened sample must show."""
+_MARGIN = 3
+"""px of the straight output beyond the outermost point that the deformed output shows."""
+_MOST_WEIGHT = 0.999
+"""Largest weight in the source map of a pixel that was interpolated."""
+
+
+@dataclass(frozen=True)
+class SampleSurvey:
+    """What is found of a sample before a method gets it. It is the same for all methods with the same detector.
+
+    Parameters
+    ----------
+    found
+        The lattice, given or detected.
+    bent
+        The deformation of the sample; None if it is not bent.
+    note
+        Its description in one line.
+    seconds
+        Wall seconds that this took.
+    """
+
+    found: FoundLattice
+    bent: Deformation | None
+    note: str
+    seconds: float
+
+
+def survey_sample(method: Synthesizer, task: Task) -> SampleSurvey | None:
+    """Find the lattice of a sample, and whether it is bent; None for a method that gets the sample as it is.
+
+    If no lattice is given, the detector of the method finds one, or ``consensus`` if it names none. Where the detector
+    finds none, a bent one is looked for.
+
+    Parameters
+    ----------
+    method, task
+        As for :func:`synthesize_in_geometry`.
+    """
+    if getattr(method, "geometry", "as-is") == "as-is" or not getattr(method, "uses_lattice", True):
+        return None
+    start = time.perf_counter()
+    found = find_lattice(task, _detector_of(method))
+    bent, note = find_bend(task.sample, found.lattice, task.lattice is not None)
+    return SampleSurvey(found, bent, note, time.perf_counter() - start)
+
+
+def _detector_of(method: Synthesizer) -> NamedDetector:
+    return NamedDetector(getattr(method, "finder", "") or "consensus")
+
+
+def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey | None = None) -> Synthesis:
+    """Return the synthesis of a method: on the straightened sample, and bent again, where the sample is bent.
+
+    The parameter ``geometry`` of the method says how (:data:`~nrbench.plugins.forms.Geometry`). Both warps interpolate
+    by splines of order 5. A sample that is not bent reaches the method as it is.
+
+    Parameters
+    ----------
+    method
+        The method. Its output has the phase of the sample that it is given.
+    task
+        The task.
+    survey
+        What :func:`survey_sample` returns; found here if None.
+
+    Raises
+    ------
+    Refused
+        If the method refuses the sample, or if the straightened sample does not show two periods.
+    """
+    survey = survey or survey_sample(method, task)
+    if survey is None:
+        return method.synthesize(task)
+    geometry: Geometry = getattr(method, "geometry", "as-is")
+    seconds, bent, note = 0.0 if task.lattice else survey.seconds, survey.bent, survey.note
+    task = replace(task, detected=(task.sample, _detector_of(method), survey.found))
+    made = method.synthesize(task) if bent is None else _synthesize_bent(method, task, bent, geometry)
+    if bent is not None:
+        note += f", and the output is {'straight' if geometry == 'straight' else 'bent'}"
+    note = "; ".join(filter(None, (made.note, note)))
+    return replace(made, detection_seconds=made.detection_seconds + seconds, note=note)
+
+
+def _synthesize_bent(method: Synthesizer, task: Task, bent: Deformation, geometry: Geometry) -> Synthesis:
+    sample, straight = bent.straighten()
+    height, width = sample.shape[:2]
+    if min(np.ptp(straight.to_cell(pixel_places(height, width)), axis=(0, 1))) < _LEAST_PERIODS:
+        raise Refused(
+            f"the sample is bent so much that only {width}x{height} px of it can be straightened, less than two "
+            "periods; choose a larger sample, or geometry=as-is"
+        )
+    # The point of the mean lattice's plane that each pixel of the output shows.
+    places = pixel_places(*task.shape)
+    if geometry != "straight":
+        vertices, moved, nearest = output_field(bent, task.shape, geometry, task.rng)
+        warp = FreeForm.fit(vertices + moved, -moved, nearest, 1 if geometry == "argmax" else REPEATS)
+        places = places + warp.at(places)
+    margin = _MARGIN + math.ceil(bent.lattice.covering_radius)
+    low, high = np.floor(places.min((0, 1))) - margin, np.ceil(places.max((0, 1))) + margin
+    columns, rows = (high - low).astype(int) + 1
+    shape = int(rows), int(columns)
+    made = method.synthesize(replace(task, sample=sample, shape=shape, lattice=straight))
+    # The output continues the phase of the straightened sample, whose corner is elsewhere on the plane.
+    places = places - low + bent.lattice.wrap(low - bent.corner)
+    image = read_spline(made.image, places)
+    source = None if made.source is None else _trace(bent, made.source, places)
+    return replace(
+        made, image=image, lattice=bent.lattice, source=source, extras={**made.extras, "straightened": sample}
+    )
+
+
+def find_bend(sample: Image, lattice: Lattice | None, given: bool) -> tuple[Deformation | None, str]:
+    """Return the deformation of a sample, None if it is not bent, and a note.
+
+    The lattice is followed through the sample (:func:`~nrbench.displacement.bent_detection.find_deformation`).
+
+    Parameters
+    ----------
+    sample
+        ``(H, W, C)``.
+    lattice
+        Its lattice; None if it is not known.
+    given
+        Whether the lattice is known for sure. If not, and it cannot be followed, another one is looked for.
+    """
+    found = _follow(sample, lattice, given)
+    if found is None:
+        return None, "whether the sample is bent cannot be told: it is taken as it is" if lattice else ""
+    if found.bent:
+        return found, f"bent by {found.amplitude:.2f} s: the sample was straightened"
+    if found.is_smooth:
+        return None, "the sample seems bent, but straightening gains nothing: it is taken as it is"
+    if found.amplitude < LEAST_AMPLITUDE:
+        return None, ""
+    return None, f"tiles lie off the lattice by {found.amplitude:.2f} s, not smoothly: the sample is taken as it is"
+
+
+def _follow(sample: Image, lattice: Lattice | None, given: bool) -> Deformation | None:
+    """Return the deformation of a sample; None if its lattice cannot be followed.
+
+    If the lattice cannot be followed from what it is on average, one that is detected in a part of the sample is.
+    """
+    for start in (None,) if lattice is None else (lattice, None):
+        try:
+            found = find_deformation(sample, start).deformation
+        except (NoLatticeFound, BadInput):
+            continue
+        other = start is None and given and lattice and not found.lattice.is_equivalent(lattice, _SAME * lattice.s)
+        if found.covered and not other:
+            return found
+    return None
+
+
+def _trace(bent: Deformation, source: SourceMap, places: Points) -> SourceMap:
+    """Return the source map of a deformed output, to about a pixel, from that of the straight output."""
+    pixels = np.rint(places).astype(np.intp)
+    near = source[pixels[..., 1], pixels[..., 0]]
+    points = near[..., :2] + (places - pixels) + bent.corner
+    traced = trace_points(bent.locate(np.nan_to_num(points)), bent.image.shape, near[..., 2])
+    traced[~np.isfinite(near).all(-1)] = np.nan
+    return traced
+
+
+def trace_points(points: Points, shape: tuple[int, ...], weight: NDArray[np.floating[Any]]) -> SourceMap:
+    """Return the source map of pixels that were interpolated at points of a sample.
+
+    Parameters
+    ----------
+    points
+        ``(..., 2)``: (x, y) px.
+    shape
+        Height and width of the sample.
+    weight
+        ``(...)``: the weight of the value that was read there.
+    """
+    nearest = np.clip(np.rint(points), 0, np.array(shape[1::-1]) - 1)
+    share = np.clip(1 - np.abs(points - nearest), 0, 1).prod(-1) * weight
+    traced = np.concatenate([nearest, np.clip(share, 1e-6, _MOST_WEIGHT)[..., np.newaxis]], -1)
+    return np.asarray(traced, np.float32)

@@ -1,1 +1,0 @@
-"""Tracking of a lattice through a deformed image."""

@@ -1,1 +1,0 @@
-"""Detection in overlapping views of an image whose lattice changes from place to place."""
