@@ -14,7 +14,7 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.closing import MOST_STRAIN, close_lattice, closing_strain, nearest_closing_shape
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
-from nrbench.plugins.registry import NamedDetector
+from nrbench.plugins.registry import NamedDetector, in_role
 
 from .bent_samples import find_bend, trace_points
 
@@ -52,7 +52,7 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
         closes. Also if the method refuses the sample.
     """
     require_wrapping(type(method))
-    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
+    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or in_role("detector")))
     if found.lattice is None:
         return method.synthesize(replace(task, tileable=True))
     bent, bending = None, ""
