@@ -146,7 +146,7 @@ def draw_structure() -> None:
     parts, top, floors = [], MARGIN, list_floors()
     for floor in floors:
         width = (WIDE - 2 * MARGIN - GAP * (len(floor) - 1)) / len(floor)
-        texts = {name: textwrap.wrap(describe(name), int((width - 16) / 6.1)) for name in floor}
+        texts = {name: textwrap.wrap(describe(name), int((width - 16) / 6.9)) for name in floor}
         height = LINE * max(map(len, texts.values())) + 34
         for k, (name, lines) in enumerate(texts.items()):
             left = MARGIN + k * (width + GAP)

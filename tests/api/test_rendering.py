@@ -202,45 +202,9 @@ def test_what_is_not_of_a_render_is_left_alone(tmp_path: Path, name: str, text: 
     assert _contents(tmp_path) == before
 
 
-def test_pictures_of_two_folders(tmp_path: Path) -> None:
-    """The render of a picture of the same name from another folder is refused."""
-    rng = np.random.default_rng(0)
-    for name in "ab":
-        (tmp_path / name).mkdir()
-        write_image(tmp_path / name / "p.png", rng.random((70, 70, 3)).astype(np.float32))
-    write_textures(draw_samples(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
-    before = _contents(tmp_path / "one")
-    with pytest.raises(BadInput, match=r"images\.png: exists, and no model drew it"):
-        write_textures(draw_samples(model_suite(f"images:path={tmp_path / 'b' / 'p.png'}")), tmp_path / "one")
-    write_textures(draw_samples(model_suite(f"images:path={tmp_path / 'a' / 'p.png'}")), tmp_path / "one")
-    assert _contents(tmp_path / "one") == before
-
-
 @pytest.mark.parametrize("names", [("a-1", "a"), ("contact-sheet", "b"), ("Wall", "wall")])
 def test_two_files_of_one_name(names: tuple[str, str]) -> None:
     """A texture is refused if its file would have the name of another texture's or of the contact sheet."""
     suite = _suite(texture=[{"name": name, "dataset": "brick"} for name in names])
     with pytest.raises(BadInput, match="name of two pictures; rename the texture"):
         write_textures(draw_samples(suite), Path("out"))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (None, "3 is no table"),
-        ([1, 2], "recipe: "),
-        ({"seed": 3}, "recipe.dataset: "),
-        ({"seed": [3]}, "recipe.seed: "),
-        ({"shape": 7}, "size 7"),
-    ],
-)
-def test_a_malformed_recipe(folder: Path, change: object, message: str) -> None:
-    """An entry or a recipe that cannot be read is refused; the message names file and picture."""
-    truth = json.loads((folder / "truth.json").read_text("utf-8"))
-    whole = {**truth["textures"]["wall.png"]["recipe"], **change} if isinstance(change, dict) else change
-    truth["textures"]["wall.png"]["recipe"] = change if message == "recipe.dataset: " else whole
-    if change is None:
-        truth["textures"]["wall.png"] = 3
-    (folder / "truth.json").write_text(json.dumps(truth), "utf-8")
-    with pytest.raises(BadInput, match=r"truth\.json: picture 'wall(?:\.png)?': .*" + message.replace(".", r"\.")):
-        load_suite(folder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,10 +12,9 @@ import pytest
 from candidates import CHOSEN, Ranked
 
 from nrbench import Lattice, plugins, texture
-from nrbench.api.surveying import FIELDS, Survey, printable
+from nrbench.api.surveying import FIELDS, Survey
 from nrbench.errors import BadInput
 from nrbench.pictures.files import write_image
-from nrbench.pictures.truth import TruthTable
 from nrbench.suites.suite import load_suite
 
 PICTURES = Path("pictures")
@@ -122,38 +120,6 @@ def test_what_fails_is_a_line_and_stops_nothing() -> None:
     assert rows()["whole.png"]["t1x"]
 
 
-def test_strange_names() -> None:
-    """Names with quotes, line ends, markup, spaces, a backslash and other scripts come back from the table."""
-    names = [
-        'a"b.png',
-        "c,d.png",
-        "line\nend.png",
-        "<b>[red].png",
-        " space.png",
-        "back\\slash.png",
-        "мир ☃.png",
-        "=1+1.png",
-    ]
-    for name in names:
-        add(name)
-    done = survey()
-    assert set(TruthTable.read(PICTURES).rows) == set(names) and not any(each.failed for each in done.findings)
-    found = {Path(row.parameters["path"]).name for row in load_suite(PICTURES).texture if "t1" in row.parameters}
-    assert found == set(names)
-    assert printable("line\nend\x1b.png") == "line\\nend\\x1b.png"
-
-
-def test_a_name_that_is_no_text() -> None:
-    """A name of another encoding cannot stand in the table: it is reported, and the others are written."""
-    add("a.png")
-    try:
-        (PICTURES / os.fsdecode(b"\xff.png")).write_bytes((PICTURES / "a.png").read_bytes())
-    except OSError:
-        pytest.skip("this file system takes Unicode names only")
-    failed = [finding for finding in survey().findings if finding.failed]
-    assert len(failed) == 1 and "rename" in failed[0].reason and set(rows()) == {"a.png"}
-
-
 def test_corrections_are_never_lost() -> None:
     """A table that exists is refused before any work; `keep` adds missing pictures to it; `replace` starts again."""
     add("a.png")
@@ -174,16 +140,6 @@ def test_corrections_are_never_lost() -> None:
     assert rows()["a.png"]["t1x"] == "16.0" and "note" not in rows()["a.png"]
 
 
-def test_nothing_new_leaves_the_table_alone() -> None:
-    """If no picture is missing, `keep` leaves every byte of the table, and draws the sheets from it."""
-    add("a.png")
-    own = "\ufefffile,t1x,t1y,t2x,t2y,originx,originy\r\na.png, 20,0 ,0,24,3,4\r\n"
-    (PICTURES / "truth.csv").write_bytes(own.encode())
-    done = survey(existing="keep")
-    assert (PICTURES / "truth.csv").read_bytes() == own.encode() and done.pages[0].is_file()
-    assert done.findings[0].lattice == Lattice((20, 0), (0, 24), (3, 4))
-
-
 def test_an_interruption_keeps_what_was_found() -> None:
     """What was found before an interruption is in the table; `keep` then does the rest."""
     for name in "abc":
@@ -199,49 +155,3 @@ def test_an_interruption_keeps_what_was_found() -> None:
     seen: list[str] = []
     Survey(PICTURES, "ranked", existing="keep").run(lambda done, total, name: seen.append(name))
     assert set(rows()) == {"a.png", "b.png", "c.png"} and seen == ["a.png", "b.png", "c.png"]
-
-
-def test_another_directory() -> None:
-    """With another output directory nothing is written beside the pictures."""
-    add("a.png")
-    done = survey(output=Path("out/deep"))
-    assert [path.name for path in PICTURES.iterdir()] == ["a.png"]
-    assert done.table == Path("out/deep/truth.csv") and done.pages == [Path("out/deep/lattices/page-1.png")]
-
-
-def test_what_cannot_be_written_is_said_first() -> None:
-    """A directory that cannot be made is refused before the first picture is read."""
-    add("a.png")
-    Path("file").write_text("")
-    seen: list[str] = []
-    with pytest.raises(BadInput, match="cannot be written"):
-        Survey(PICTURES, "ranked", Path("file/out")).run(lambda done, total, name: seen.append(name))
-    assert not seen
-
-
-@pytest.mark.parametrize("count", [8, 9])
-def test_pages_hold_eight_pictures(count: int) -> None:
-    """A page has a row of panels a picture; pages of an earlier, longer survey are removed, other files stay."""
-    for number in range(count):
-        add(f"{number}.png")
-    folder = PICTURES / "lattices"
-    folder.mkdir()
-    for name in ("page-2.png", "page-3.png", "page-x.png"):
-        (folder / name).write_bytes(b"old")
-    done = survey()
-    assert [path.name for path in done.pages] == [f"page-{k}.png" for k in range(1, 2 + (count > 8))]
-    assert {path.name for path in folder.iterdir()} == {*(path.name for path in done.pages), "page-x.png"}
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [({}, "has no picture"), ({"detector": "gnc"}, "gnc")],
-)
-def test_misuse(options: dict[str, object], message: str) -> None:
-    """A folder without pictures and an unknown detector are refused."""
-    if options:
-        add("a.png")
-    else:
-        (PICTURES / "notes.txt").write_text("no picture")
-    with pytest.raises(BadInput, match=message):
-        survey(**options)  # type: ignore[arg-type]

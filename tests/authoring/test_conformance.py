@@ -78,16 +78,6 @@ def test_clauses_can_be_chosen() -> None:
         list(check_plugin("synthesizers", "badmethod", only=["grey"]))
 
 
-def test_an_unknown_plugin_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
-    """A misspelt name is answered with the one that was meant; a kind leaves out the others."""
-    for words, message in (
-        (["badmethd"], "did you mean 'badmethod'"),
-        (["badmethod", "--kind", "metrics"], "not known"),
-    ):
-        assert call("check", *words) == 2
-        assert message in capsys.readouterr().err
-
-
 def check(words: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Conformance]]:
     """Run ``nrbench check --json``; return the exit code and the findings."""
     code = call(f"check {words} --json")

@@ -6,14 +6,13 @@ import json
 from pathlib import Path
 
 import numpy as np
-import PIL.Image
 import pytest
 from commands import call
 
 import nrbench
 from nrbench import run
 from nrbench.api.run_reports import parse_formats
-from nrbench.cli.progress import live_progress, waiting
+from nrbench.cli.progress import waiting
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.quality import Quality
@@ -44,15 +43,6 @@ def test_a_short_wait_shows_nothing(capsys: pytest.CaptureFixture[str], monkeypa
         __import__("time").sleep(0.1)
         raise KeyError
     assert capsys.readouterr().err.startswith("long: 50 %, about 1 s left\n")
-
-
-def test_patient_progress_waits(capsys: pytest.CaptureFixture[str]) -> None:
-    """The first steps of a quick command print nothing where standard error is no terminal."""
-    with live_progress(patience=True) as show:
-        show(1, 2, "first")
-    with live_progress() as show:
-        show(1, 2, "first")
-    assert capsys.readouterr().err == "[1/2] first\n"
 
 
 def test_synth_refuses_a_place_that_takes_no_file_before_it_starts(
@@ -190,16 +180,3 @@ def test_show_prints_the_limits_of_the_judge(capsys: pytest.CaptureFixture[str])
     assert lines[0] == "limits of quality" and len(lines) == 1 + len(Quality.limits)
     for limit, line in zip(Quality.limits, lines[1:], strict=True):
         assert line.split()[0] == limit.name and f" {limit.value:g} " in line and line.endswith(limit.origin)
-
-
-def test_warnings_are_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A warning on the command line is one line without the place in the source."""
-    monkeypatch.chdir(tmp_path)
-    frames = [PIL.Image.fromarray(np.random.default_rng(n).integers(0, 256, (48, 48), np.uint8)) for n in (0, 1)]
-    frames[0].save("two.tif", save_all=True, append_images=frames[1:])
-    assert call("lattice two.tif -d dominance") == 0
-    error = capsys.readouterr().err
-    assert "nrbench: warning: picture two.tif: has several frames; the first one is read\n" in error
-    assert "files.py" not in error and "UserWarning" not in error

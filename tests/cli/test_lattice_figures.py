@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -33,31 +32,3 @@ def test_a_surface_counts_from_its_zero() -> None:
     axes = drawn({"a": SURFACE}).axes[0]
     assert tuple(axes.images[0].get_extent()) == (-0.5, 10.5, 10.5, -10.5)
     np.testing.assert_array_equal(np.column_stack(axes.lines[0].get_data()), PEAKS)
-
-
-def test_a_vector_outside_is_drawn_as_its_negative() -> None:
-    """A right half holds -v where it does not hold v."""
-    figure = drawn({"a": SURFACE})
-    tips = [text.xy for text in figure.axes[0].texts]
-    np.testing.assert_array_equal(tips, [(3, -4), (6, 2)])
-
-
-def test_a_curve_shows_its_marks() -> None:
-    """Each mark is a vertical line with its value, and the axis says what it is."""
-    axes = drawn({"b": CURVE}).axes[0]
-    assert axes.get_xlabel() == "lag in px" and list(axes.lines[1].get_xdata()) == [2.5, 2.5]
-    assert [text.get_text() for text in axes.texts] == ["2.5"]
-
-
-def test_nothing_to_draw() -> None:
-    """Numbers alone make no figure."""
-    assert diagram({"goodness": 1.0}) is None
-
-
-def test_no_global_state() -> None:
-    """Drawing leaves matplotlib's settings and its list of figures alone."""
-    from matplotlib._pylab_helpers import Gcf
-
-    before = dict(matplotlib.rcParams)
-    diagram({"a": SURFACE, "b": CURVE})
-    assert dict(matplotlib.rcParams) == before and not Gcf.get_all_fig_managers()

@@ -12,8 +12,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from nrbench.cli.lattice_picking import lattice_of, pick
-from nrbench.errors import BadInput
+from nrbench.cli.lattice_picking import pick
 from nrbench.lattice.geometry import Lattice
 
 IMAGE = np.random.default_rng(0).random((60, 80, 1), np.float32)
@@ -71,20 +70,7 @@ def test_other_points_are_refused_and_the_page_stays(page: Page, points: object)
     assert page.waiting.result(timeout=60).t1 == (20, 2)
 
 
-def test_the_choice_can_be_cancelled(page: Page) -> None:
-    """The command then stops with bad input."""
-    assert page.ask("POST", body={"points": None})[0] == 200
-    with pytest.raises(BadInput, match="cancelled"):
-        page.waiting.result(timeout=60)
-
-
 def test_without_the_token_nothing_is_shown_or_taken(page: Page) -> None:
     """Any other path is not found, and gives no answer."""
     assert page.ask("GET", "/")[0] == page.ask("POST", "/wrong", {"points": CLICKS})[0] == 404
     assert not page.waiting.done()
-
-
-def test_points_on_a_line_are_no_lattice() -> None:
-    """The error says that the vectors are parallel."""
-    with pytest.raises(BadInput, match="parallel"):
-        lattice_of([(0.0, 0.0), (8.0, 8.0), (16.0, 16.0)])

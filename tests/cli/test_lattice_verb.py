@@ -34,18 +34,11 @@ def pictures() -> None:
     [
         ("brick.png --all --pick", "--all and --pick: choose one"),
         ("brick.png -d gncc --lattice 20,0,0,20", "-d and --lattice: choose one"),
-        ("brick.png --all --diagnostics d.png", "leave --all out"),
-        ("brick.png --diagnostics d.jpg", "outputs are PNG"),
         ("brick.png -o ./brick.png", "is the picture itself"),
         ("walls --all", "--all: needs one picture"),
-        ("walls --pick", "--pick: needs one picture"),
-        ("walls --lattice 20,0,0,20", "--lattice: needs one picture"),
         ("walls --keep --force", "choose one"),
-        ("walls -o sheet.png", "give a directory"),
         ("walls", "has no picture"),
         ("brick.png --keep", "is for a folder"),
-        ("brick.png --least 0.3", "is for a folder"),
-        ("nowhere --force", "no such file"),
     ],
 )
 def test_misuse(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -120,13 +113,6 @@ def test_all_detectors_as_json(capsys: pytest.CaptureFixture[str]) -> None:
         assert set(answer) == {"detector", "seconds", *keys} and answer["seconds"] > 0
 
 
-def test_all_detectors_without_a_lattice(capsys: pytest.CaptureFixture[str]) -> None:
-    """On a constant picture every detector says why it has none; that is an answer: exit code 0."""
-    assert call("lattice constant.png --all -o sheet.png") == 0
-    lines = capsys.readouterr().out.splitlines()[1:]
-    assert lines and all("no lattice: " in line for line in lines)
-
-
 def test_a_detector_that_fails_is_a_row(faulty: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One that raises has its error in the table and makes exit code 1; the others answer."""
     assert call("lattice small.png --all") == 1
@@ -143,12 +129,6 @@ def test_diagnostics_are_drawn(picture: str, capsys: pytest.CaptureFixture[str])
     drawn = skimage.io.imread("why.png")
     assert min(drawn.shape[:2]) > 300 and len(np.unique(drawn.reshape(-1, drawn.shape[2]), axis=0)) > 50
     assert ("no lattice" in capsys.readouterr().out) == (picture == "noise.png")
-
-
-def test_diagnostics_of_nothing_are_not_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Where the detector left nothing to be drawn, no file is written, and a line says so."""
-    assert call("lattice constant.png --diagnostics why.png") == 0
-    assert "not written" in capsys.readouterr().err and not (tmp_path / "why.png").exists()
 
 
 @pytest.fixture
@@ -178,30 +158,6 @@ def test_candidates_as_text(ranked: None, capsys: pytest.CaptureFixture[str]) ->
     assert lines[0] == "t1 = (16.000, 0.000) px, t2 = (0.000, 12.000) px, consensus, confidence 0.800"
     assert [line.partition(":")[0] for line in lines[1:]] == ["candidate 2", "candidate 3"]
     assert "(32.000, 0.000)" in lines[1] and "double along t1, confidence 0.200" in lines[1]
-
-
-def test_candidates_are_drawn_below_the_overlay(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
-    """A picture of 80 px is enlarged four times, with the candidates drawn below; the six numbers are printed."""
-    assert call("lattice bright.png -o over.png") == 0
-    over = read_image("over.png")
-    top = over[:240, :320]
-    is_line = np.abs(top - 0.8).max(-1) > 0.05
-    assert is_line[:, 1::64].all() and is_line[1::48].all() and not is_line[4:48, 4:64].any()
-    assert over.shape[0] > 330 and (over[:240, 320:] == 1).all() and over[240:].min() < 0.2
-    assert capsys.readouterr().err.strip() == "for other verbs: --lattice 16.0,0.0,0.0,12.0,0.0,0.0"
-
-
-def test_candidates_in_a_comparison(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
-    """`--all` lists and draws the first three candidates of a detector; its JSON has them all."""
-    skimage.io.imsave("bright.png", np.full((40, 48, 3), 204, np.uint8), check_contrast=False)
-    assert call("lattice bright.png --all -o sheet.png") == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines[1:5]] == ["consensus", "2", "3", "dominance"]
-    assert "double along t1" in lines[2] and "half along t1" in lines[3]
-    sheet = read_image("sheet.png")
-    drawn = np.abs(sheet - (1, 0.1, 0.6)).max(-1) < 0.01
-    columns = [drawn[:280, left : left + 240].mean() for left in (8, 256, 504)]
-    assert columns[1] < columns[0] < columns[2]  # double has fewer lines, half has more
 
 
 def test_an_origin_at_zero_is_known(capsys: pytest.CaptureFixture[str]) -> None:

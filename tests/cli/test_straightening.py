@@ -11,13 +11,12 @@ import skimage.io
 from commands import call
 
 import nrbench
-from nrbench.cli.lattice_detection import describe_deformation, find_bent_lattice
+from nrbench.cli.lattice_detection import describe_deformation
 from nrbench.displacement.deformation_field import Deformation, map_points
 from nrbench.displacement.growth import Knots
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice
-from nrbench.lattice.relation import relate
 from nrbench.pictures.files import read_image, write_image
 
 
@@ -55,21 +54,6 @@ def test_a_straight_picture_is_written_as_it_is(capsys: pytest.CaptureFixture[st
     assert same and not followed["deformation"]["bent"]
 
 
-def test_the_short_list_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    """As without the option: candidates as text, alternatives and probabilities as JSON; relations are to the mean."""
-    assert call("lattice bent.png --straighten out.png") == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("mean lattice") and "consensus, confidence" in lines[0]
-    assert [line.split(":")[0] for line in lines[1:]] == ["candidate 2", "candidate 3"]
-    assert call("lattice bent.png --straighten out.png --json") == 0
-    shown = json.loads(capsys.readouterr().out)
-    assert shown["probabilities"]["exact"] == shown["confidence"] and len(shown["alternatives"]) > 2
-    mean = Lattice(shown["t1"], shown["t2"])
-    for other in shown["alternatives"]:
-        change = relate(Lattice(other["t1"], other["t2"]), mean)
-        assert other["relation"] == (change.name if change else "unrelated")
-
-
 def test_a_bent_lattice_is_found_without_the_option(capsys: pytest.CaptureFixture[str]) -> None:
     """A plane in perspective, in which the detector alone finds no lattice, gets the mean one, called bent.
 
@@ -87,14 +71,6 @@ def test_a_bent_lattice_is_found_without_the_option(capsys: pytest.CaptureFixtur
     assert 0.02 < (np.abs(read_image(Path("overlay.png")) - image).max(-1) > 0.1).mean() < 0.4
     assert call("lattice floor.png -d consensus --json") == 0
     assert json.loads(capsys.readouterr().out)["lattice"] is None
-
-
-def test_large_pictures_are_not_followed_without_the_option(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It would take long."""
-    monkeypatch.setattr("nrbench.cli.lattice_detection.LARGEST", 127)
-    assert find_bent_lattice(read_image(Path("bent.png")), "consensus") is None
-    monkeypatch.setattr("nrbench.cli.lattice_detection.LARGEST", 128)
-    assert find_bent_lattice(read_image(Path("bent.png")), "consensus") is not None
 
 
 def test_a_given_lattice_needs_no_detector(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,5 +1,3 @@
-import queue
-import threading
 from pathlib import Path
 from typing import NamedTuple
 
@@ -98,23 +96,6 @@ def test_the_user_is_told_before_kernels_are_compiled(tmp_path: Path) -> None:
         jit.KERNELS[:] = [jit.kernel(sum_of_squares)]
         jit.load_kernels(lambda: said.append(len(list(tmp_path.rglob("*.nbi")))))
     assert said == [0]
-
-
-@pytest.mark.usefixtures("undeclared")
-def test_processes_share_the_kernels_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
-    """While another process compiles a file, the kernels of the others are loaded; then those of that file are."""
-    loaded: queue.Queue[str] = queue.Queue()
-    monkeypatch.setattr(jit.Kernel, "load", lambda kernel: loaded.put(kernel.function.__module__))
-    for function, module in ((double, "theirs"), (sum_of_squares, "mine")):
-        monkeypatch.setattr(function, "__module__", module)
-        jit.kernel(function)
-    with jit._lock("theirs", waits=False) as own:
-        assert own
-        thread = threading.Thread(target=jit.load_kernels)
-        thread.start()
-        assert loaded.get() == "mine" and loaded.empty()
-    thread.join()
-    assert loaded.get() == "theirs" and loaded.empty()
 
 
 def test_the_cache_follows_the_kernels_that_are_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from nrbench.labelling.labels import QUESTIONS, Labeler, make_page, page_html, read_labelers, write_key
+from nrbench.labelling.labels import Labeler, make_page, page_html, read_labelers, write_key
 from nrbench.runs.records import Run
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra test")
@@ -54,7 +54,7 @@ class Labeller:
         with self.page.expect_download() as download:
             self.page.click("#save")
         path = folder / download.value.suggested_filename
-        assert path.name == f"labels-{self.sheet.name}-ada.csv"
+        assert path.name == f"labels-{self.label_page.name}-ada.csv"
         download.value.save_as(path)
         (person,) = read_labelers(self.run, [path])
         return person
@@ -84,46 +84,3 @@ def test_keys_label(label: Callable[..., Labeller], tmp_path: Path) -> None:
     assert [one.answer for one in person.answers] == ["yes", "no", "cannot say"] + ["yes"] * 12
     assert [one.order for one in person.answers] == list(range(1, 16))
     assert all(0 <= one.seconds < 60 for one in person.answers)
-
-
-def test_three_questions_are_asked_in_turn(label: Callable[..., Labeller], tmp_path: Path) -> None:
-    """A key answers the marked question and marks the next one; pictures change after the last one; all is saved."""
-    labeller = label(repeat=0)
-    page = labeller.page
-    marked = "() => [...document.querySelectorAll('.question')].findIndex((row) => row.hasAttribute('aria-current'))"
-    output = "() => document.getElementById('output').src"
-    buttons = page.locator(".question button:not(:disabled)")
-    labeller.press("Enter")
-    first = page.evaluate(output)
-    assert (page.evaluate(marked), buttons.count()) == (0, 3)
-    labeller.press("2")
-    assert (page.evaluate(marked), buttons.count()) == (1, 6)
-    labeller.press("ArrowRight")
-    assert page.evaluate(marked) == 1
-    labeller.press("ArrowLeft", "1", "3")
-    assert page.evaluate(marked) == 2 and page.evaluate(output) == first
-    labeller.count("1 of 12, 0 answered")
-    page.wait_for_function("() => performance.now() - since >= 300")
-    labeller.press("2")
-    labeller.count("2 of 12, 1 answered")
-    assert page.evaluate(output) != first
-    labeller.reopen()
-    labeller.press("Enter", "2")
-    labeller.reopen()
-    labeller.press("Enter")
-    labeller.count("2 of 12, 1 answered")
-    assert labeller.page.evaluate(marked) == 1
-    labeller.page.locator(".question").nth(0).locator("button").nth(2).click()
-    labeller.press(*"1" * 32)
-    labeller.count("12 of 12 answered")
-    labeller.press("ArrowLeft")
-    labeller.count("12 of 12, 12 answered")
-    assert labeller.page.evaluate(marked) == 2
-    person = labeller.save(tmp_path)
-    expected = ["yes", "cannot say", "no", "cannot say", "yes", "yes"] + ["yes"] * 30
-    assert [one.answer for one in person.answers] == expected
-    assert [(one.item, one.question) for one in person.answers] == [
-        (i, q) for i in labeller.label_page.items for q in QUESTIONS
-    ]
-    assert [one.order for one in person.answers] == [i for i in range(1, 13) for _ in QUESTIONS]
-    assert 0.3 <= person.answers[2].seconds < 60 and all(0 <= one.seconds < 60 for one in person.answers)

@@ -99,15 +99,6 @@ def test_filters_hide_rows(visit: Open) -> None:
     assert page.locator(".comparison tbody tr:visible").count() == 1
 
 
-def test_all_columns_can_be_shown(visit: Open) -> None:
-    """The table of methods shows further scores on demand."""
-    page = visit()
-    more = page.locator("#methods thead th.more")
-    assert more.count() > 0 and not more.first.is_visible()
-    page.check("#all-columns")
-    assert more.first.is_visible() and "unit:" in (more.first.get_attribute("title") or "")
-
-
 def test_replicates_switch(visit: Open) -> None:
     """One replicate is visible at a time; a link to an output shows its replicate."""
     page = visit()
@@ -120,19 +111,6 @@ def test_replicates_switch(visit: Open) -> None:
     sync_api.expect(article.locator(".draw:visible")).to_have_attribute("data-replicate", "0")
 
 
-def test_outputs_are_filtered_by_method(visit: Open) -> None:
-    """Words leave the outputs of the methods whose names have them; a link to a hidden output shows it again."""
-    page = visit()
-    page.fill("#output-filter", "middle")
-    shown = page.locator("#gallery figure.output:visible").evaluate_all("all => all.map((one) => one.dataset.method)")
-    assert shown and set(shown) == {"middle (own)"}
-    link = page.locator("#failings .failing", has_text="bad <b>name</b>").locator(".weakest a").first
-    link.click()
-    target = page.locator(f"[id='{link.get_attribute('href').removeprefix('#')}']")
-    sync_api.expect(target).to_be_visible()
-    assert target.get_attribute("data-method") == "bad <b>name</b> (own)"
-
-
 def test_no_column_is_cut_on_a_desktop(visit: Open) -> None:
     """At 1425 px, which a scroll bar leaves of 1440, no table of methods scrolls; on a phone each method is a card."""
     page = visit(1425)
@@ -143,18 +121,6 @@ def test_no_column_is_cut_on_a_desktop(visit: Open) -> None:
     inside = "one => one.getBoundingClientRect().right <= innerWidth"
     cells = phone.locator("#methods tbody td:visible")
     assert cells.count() >= 20 and all(cells.nth(i).evaluate(inside) for i in range(cells.count()))
-
-
-def test_layers_toggle(visit: Open) -> None:
-    """Each layer is hidden until its box is checked, and layers can be shown together."""
-    page = visit()
-    boxes = page.locator(".layers input")
-    assert boxes.count() >= 1
-    for i in range(boxes.count()):
-        layer = page.locator(f".draw:visible .{boxes.nth(i).get_attribute('id')}")
-        assert not any(layer.nth(k).is_visible() for k in range(layer.count()))
-        boxes.nth(i).check()
-        assert all(layer.nth(k).is_visible() for k in range(min(2, layer.count())))
 
 
 def test_pictures_zoom_and_move_together(visit: Open) -> None:
@@ -183,30 +149,6 @@ def test_pictures_zoom_and_move_together(visit: Open) -> None:
     assert article.locator("figure.large").count() == 0
     article.get_by_role("button", name="reset").click()
     assert stacks.first.evaluate("one => one.style.transform") == ""
-
-
-def test_outputs_enlarge(visit: Open) -> None:
-    """A click on an output enlarges it, by the keyboard too."""
-    page = visit()
-    stack = page.locator(".draw:visible button.stack").first
-    stack.press("Enter")
-    assert stack.get_attribute("aria-pressed") == "true"
-    assert page.locator("figure.large").count() == 1
-
-
-def test_tables_can_be_copied(visit: Open) -> None:
-    """The buttons put the table of methods into the clipboard, as CSV and as LaTeX."""
-    page = visit(permissions=["clipboard-read", "clipboard-write"])
-    for name, first in (("Copy CSV", "method,lattice_source"), ("Copy LaTeX", "% needs")):
-        page.get_by_role("button", name=name).click()
-        page.get_by_text(f"{name}: done").wait_for()
-        assert page.evaluate("navigator.clipboard.readText()").startswith(first)
-
-
-@pytest.mark.parametrize("width", [1440, 390])
-def test_the_page_does_not_scroll_sideways(visit: Open, width: int) -> None:
-    """Only boxes scroll sideways, on a phone too."""
-    assert visit(width).evaluate("document.documentElement.scrollWidth") == width
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (390, "dark")])

@@ -13,14 +13,11 @@ import pytest
 
 from nrbench import run
 from nrbench.cli.main import main
-from nrbench.errors import BadInput
-from nrbench.reports.changes import Changes, RunChanges, compare_runs
+from nrbench.reports.changes import RunChanges, compare_runs
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 
-from .conftest import HOSTILE, cell_maker, run_maker
-
-Compare = Callable[..., RunChanges]
+from .conftest import cell_maker, run_maker
 
 
 @pytest.fixture
@@ -156,27 +153,6 @@ def test_a_failure_of_another_draw_is_no_new_failure(tmp_path: Path) -> None:
     assert compare_runs(before, _draws(tmp_path / "B", values, "a", failed=3)).newly_failed == ["rsgf (own)"]
     other = compare_runs(before, _draws(tmp_path / "C", values, "c", failed=3))
     assert not other.newly_failed and states(other)["failed"] == "noise"
-
-
-def test_an_unknown_score_is_refused(runs: Callable[..., tuple[Run, Run]]) -> None:
-    """The message names the nearest score."""
-    with pytest.raises(BadInput, match=r"did you mean 'quality\.score'"):
-        compare_runs(*runs([0.5], [0.5]), ["quality.scor"])
-
-
-def test_markdown_escapes_names(runs: Callable[..., tuple[Run, Run]]) -> None:
-    """The name of a method cannot become markup, and each row has the columns of the head."""
-    changes = compare_runs(*runs([0.5, 0.6], [0.5, 0.6], method=HOSTILE))
-    lines = changes.markdown().splitlines()
-    table = [line for line in lines if line.startswith("|")]
-    assert "<img" not in "".join(lines).replace("\\<img", "")
-    assert {line.count("|") for line in table} == {9}
-    assert json.dumps(changes.as_dict())
-
-
-def test_without_a_baseline_nothing_is_written(every_ending: Run, tmp_path: Path) -> None:
-    """A run that is compared with no other one has no files of changes."""
-    assert Changes().write(every_ending, tmp_path) == []
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -14,14 +13,13 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
-from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.json import JsonSummary
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
 from nrbench.reports.plots.method_plots import caption_text
 from nrbench.reports.statistics import verdicts
-from nrbench.reports.statistics.frames import breaking_points_table, levels_table, print_patches
+from nrbench.reports.statistics.frames import print_patches
 from nrbench.reports.statistics.levels import (
     LevelPanel,
     LevelSeries,
@@ -29,11 +27,9 @@ from nrbench.reports.statistics.levels import (
 )
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.reports.statistics.summaries import (
-    COSTS,
     SummaryRow,
     other_score_rows,
     perils_points,
-    sort_headlines_first,
 )
 from nrbench.reports.statistics.verdicts import (
     BASELINE_LEGEND,
@@ -41,14 +37,13 @@ from nrbench.reports.statistics.verdicts import (
     BOUND_LEGEND,
     BOUND_SIGN,
     SCORE,
-    BaselineValidity,
     is_valid_baseline,
 )
 from nrbench.reports.text import TextTable
 from nrbench.runs.records import CellRecord, Run
 from nrbench.synthesizers.tile_set import TileSet
 
-from .conftest import COLUMNS, HOSTILE, PERILS, MakeCell, MakeRun
+from .conftest import HOSTILE, PERILS, MakeCell, MakeRun
 
 Make = Callable[..., Any]
 
@@ -228,22 +223,6 @@ def test_a_failure_on_a_texture_without_lattice_does_not_count(make_cell: Make, 
     assert (estimate.value, estimate.n) == (0.8, 1)
 
 
-def test_rows_of_a_ranked_run(ranked: Run) -> None:
-    """A ranked run has quality, the four perils, the success rate and the seconds, and entries show the quality."""
-    comparison = compare_methods(ranked)
-    titles = [line.title for line in comparison.summary_rows if not line.variant]
-    assert titles == ["quality", *PERILS, "preserved", "seconds"]
-    entry = comparison.rows[0].entries[1]
-    assert entry is not None and entry.text == "✓ 0.70"
-
-
-def test_without_quality_there_is_no_ranking(every_comparison: Comparison) -> None:
-    """A run without qualities keeps the order of the suite, and entries show ``regularity.score``."""
-    assert not every_comparison.has_ranking
-    assert every_comparison.score == SCORE
-    assert every_comparison.summary_rows[0].name == "preserved"
-
-
 @pytest.mark.parametrize(
     ("texture", "label", "text"),
     [
@@ -273,20 +252,6 @@ def test_replicates_that_disagree_are_mixed(make_cell: Make, make_run: Make) -> 
     assert (entry.verdict, entry.text) == ("mixed", "~ 2/3 0.30")
 
 
-def test_notes_are_numbered_once(make_cell: Make, make_run: Make) -> None:
-    """Equal notes share a number."""
-    cells = [make_cell("a", note="fell back"), make_cell("b", note="fell back"), make_cell("c", note="other")]
-    comparison = compare_methods(make_run(cells))
-    assert list(comparison.notes) == ["fell back", "other"]
-    assert [list(row.entries[0].notes) for row in comparison.rows if row.entries[0]] == [[1], [1], [2]]
-
-
-def test_a_run_without_cells_has_no_rows(make_run: Make) -> None:
-    """A run without cells has no methods, no rows and no summary rows."""
-    comparison = compare_methods(make_run([]))
-    assert not [*comparison.methods, *comparison.rows, *comparison.summary_rows, *comparison.notes, *comparison.legend]
-
-
 def test_other_scores_have_their_own_rows(
     every_ending: Run, every_comparison: Comparison, make_cell: Make, make_run: Make
 ) -> None:
@@ -299,15 +264,6 @@ def test_other_scores_have_their_own_rows(
     assert "cost.note" not in {line.name for line in other_score_rows(every_ending, every_comparison.summaries)}
 
 
-def test_costs_appear_once(make_cell: Make, make_run: Make) -> None:
-    """Seconds are a headline, memory is another score, and the columns of the metric cost repeat neither."""
-    columns = {**COLUMNS, "cost.seconds": COSTS["seconds"], "cost.peak_mib": COSTS["peak_mib"]}
-    run = make_run([make_cell(values={"cost.seconds": 1.0, "cost.peak_mib": 2.0}, peak_mib=2.0)], columns=columns)
-    comparison = compare_methods(run)
-    names = [line.name for line in (*comparison.summary_rows, *other_score_rows(run, comparison.summaries))]
-    assert [name for name in names if name.endswith(("seconds", "peak_mib"))] == ["seconds", "peak_mib"]
-
-
 def test_undecided_scores_enter_no_mean(make_cell: Make, make_run: Make) -> None:
     """A texture with an undecided verdict counts neither in the mean nor in n."""
     why = {"regularity.preserved": "undecided: too little power"}
@@ -316,14 +272,6 @@ def test_undecided_scores_enter_no_mean(make_cell: Make, make_run: Make) -> None
     mean = comparison.summaries[0].means[SCORE]
     assert (mean.value, mean.n, mean.of) == (0.5, 1, 2)
     assert _numbers(next(line for line in comparison.summary_rows if line.name == SCORE))[0][1] == "1 of 2"
-
-
-def test_metrics_of_the_headlines_come_first() -> None:
-    """Quality and the perils come first, the others keep their order."""
-    names = ["appearance.seam", "randomness.x", "regularity.defects", "quality.score", "appearance.color"]
-    assert sort_headlines_first(names) == [
-        "quality.score", "regularity.defects", "randomness.x", "appearance.seam", "appearance.color",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -350,12 +298,6 @@ def test_a_cell_without_a_regularity_score_is_unscored(make_cell: Make) -> None:
     record = make_cell()
     bare = CellRecord(record.cell, record.folder, record.result)
     assert verdicts.verdict(bare) == "unscored"
-
-
-def test_marks_tell_verdicts_apart() -> None:
-    """Every verdict has a mark of its own, and a meaning."""
-    assert len(set(verdicts.MARKS.values())) == len(verdicts.MARKS)
-    assert set(verdicts.MARKS) == set(verdicts.MEANINGS)
 
 
 def test_table_holds_numbers(every_ending: Run) -> None:
@@ -413,16 +355,6 @@ def test_one_level_is_no_panel(make_cell: Make, make_run: Make) -> None:
     assert compare_levels(run, compare_methods(run)) == []
 
 
-def test_tables_hold_every_level(panel: LevelPanel) -> None:
-    """``levels.csv`` has a row a level and method, ``breaking_points.csv`` a row a method."""
-    table = levels_table([panel]).set_index(["method", "level"])
-    assert len(table) == 3 * len(panel.series)
-    assert table.loc[("refuser", 1.0), "quality"] == 0
-    points = breaking_points_table([panel]).set_index("method")
-    assert points.loc["refuser", "breaks_at"] == 1
-    assert np.isnan(points.loc["good", "breaks_at"])
-
-
 SCORES = {"regularity": 1.0, "integrity": 0.9, "randomness": 0.1}
 
 
@@ -471,19 +403,6 @@ def test_the_class_says_where_a_baseline_is_valid(
     assert is_valid_baseline(record) is valid
 
 
-@pytest.mark.parametrize(
-    ("count", "words", "sign"),
-    [
-        (BaselineValidity(0, 9), "", ""),
-        (BaselineValidity(9, 9), "valid baseline", f" {BASELINE_SIGN}"),
-        (BaselineValidity(2, 9), "valid baseline on 2 of 9", f" {BASELINE_SIGN} 2/9"),
-    ],
-)
-def test_all_and_some_textures_have_different_words(count: BaselineValidity, words: str, sign: str) -> None:
-    """The words name the count if a baseline is valid on some textures but not on all; on none they are empty."""
-    assert (count.words, count.sign) == (words, sign)
-
-
 def test_the_comparison_marks_entries_and_methods(mixed_comparison: Comparison) -> None:
     """Each method counts the textures on which it is valid, and the entries of these textures alone are marked."""
     counts = {one.method.name: (one.validity.n, one.validity.of) for one in mixed_comparison.summaries}
@@ -521,27 +440,6 @@ def test_every_table_has_mark_and_footnote(mixed: Run, tmp_path: Path) -> None:
     assert page.count(f'<p class="why">{BASELINE_SIGN} {BASELINE_LEGEND}') == 2
 
 
-def test_csv_has_it_cell_by_cell(mixed: Run, tmp_path: Path) -> None:
-    """``cells.csv`` and ``comparison.csv`` say of each baseline whether it is valid; empty for other methods."""
-    cells, table = CsvTables().write(mixed, tmp_path)[:2]
-    with cells.open(newline="", encoding="utf-8") as file:
-        valid = {(row["texture"], row["method"]): row["reference_right"] for row in csv.DictReader(file)}
-    assert valid["wallpaper", "tiling"] == valid["noise", "scatter"] == "True"
-    assert valid["brick", "tiling"] == valid["wallpaper", "scatter"] == "False"
-    assert {valid[key] for key in valid if key[1] in ("rsgf", "oracle")} == {""}
-    with table.open(newline="", encoding="utf-8") as file:
-        rows = {row["texture"]: row for row in csv.DictReader(file)}
-    assert rows["wallpaper"]["tiling reference_right"] == "True"
-    assert "oracle reference_right" not in rows["brick"]
-
-
-def test_no_sign_without_a_valid_baseline(every_ending: Run, tmp_path: Path) -> None:
-    """If no baseline is valid, no report has the sign or its explanation."""
-    page = HtmlReport().render(every_ending, tmp_path)
-    for words in (TextTable().render(every_ending), MarkdownTables().render(every_ending), page):
-        assert BASELINE_SIGN not in words and BASELINE_LEGEND not in words
-
-
 @pytest.fixture
 def two_methods(make_cell: MakeCell, make_run: MakeRun) -> Run:
     """Return a run of two methods with known qualities."""
@@ -576,9 +474,3 @@ def test_a_plot_is_shown_and_saved(two_methods: Run, tmp_path: Path) -> None:
     assert plot.savefig(tmp_path / "plane.pdf").read_bytes().startswith(b"%PDF")
     with pytest.raises(BadInput, match=r"end the name in \.svg"):
         plot.save(tmp_path / "plane.gif")
-
-
-def test_a_run_without_quality_has_no_plot(make_cell: MakeCell, make_run: MakeRun) -> None:
-    """The message says why there is nothing to plot."""
-    with pytest.raises(BadInput, match="no method has a quality"):
-        make_run([make_cell()]).plot()._repr_svg_()

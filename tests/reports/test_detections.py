@@ -12,20 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Column, FoundLattice
+from nrbench.plugins.forms import FoundLattice
 from nrbench.reports.csv import CsvTables
-from nrbench.reports.html import HtmlReport
 from nrbench.reports.statistics.detections import calibrate, compare_detectors, tabulate_answers
 from nrbench.reports.statistics.estimates import estimate_proportion
 from nrbench.reports.statistics.frames import detectors_table
-from nrbench.reports.text import TextTable
 from nrbench.runs.records import CellRecord, Run
 
 from .conftest import HOSTILE, TRUTH, MakeCell, MakeRun
 
 WRONG = Lattice((9.9, 1.0), (0.0, 7.7))
 DOUBLE = Lattice((17.0, 0.0), (4.25, 6.1))
-ONLY_COST = {"cost.seconds": Column("Wall time.", "s", (0.0, float("inf")), "lower")}
 
 
 def _found(lattice: Lattice, confidence: float = 0.8) -> FoundLattice:
@@ -117,13 +114,6 @@ def test_groups_are_by_family_departure_and_level(answered: Run) -> None:
     assert [level for _, _, level in comparison.levels] == [0.3, 0.6, 0.1]
 
 
-def test_a_run_without_detectors_has_none(every_ending: Run) -> None:
-    """No format has a section on detectors."""
-    assert compare_detectors(every_ending) is None and tabulate_answers(every_ending).empty
-    assert 'id="detectors"' not in HtmlReport().render(every_ending, every_ending.root)
-    assert "calibration" not in TextTable().render(every_ending)
-
-
 def test_csv_tables(answered: Run, tmp_path: Path) -> None:
     """One row an answer, and one a detector and group; an empty cell stands for all textures with a lattice."""
     paths = {path.name: path for path in CsvTables().write(answered, tmp_path / "tables")}
@@ -137,24 +127,6 @@ def test_csv_tables(answered: Run, tmp_path: Path) -> None:
     assert one.loc[("bricks", "color", 0.6)]["right"] == 0 and one.loc[("bricks", "color", 0.3)]["right"] == 1
 
 
-def test_the_page_has_a_section(answered: Run) -> None:
-    """The page has a section on detectors, with a diagram for each detector and escaped names."""
-    page = HtmlReport().render(answered, answered.root)
-    assert 'id="detectors"' in page and 'href="#detectors"' in page
-    assert page.count('class="reliability"') == 2 and "1 of 3" in page
-    assert 'onerror="alert(1)"' not in page and 'id="comparison"' in page
-
-
-def test_without_a_verdict_there_is_no_comparison(answered: Run) -> None:
-    """If the suite has no regularity score, page and terminal show the detectors alone."""
-    run = Run(answered.root)
-    vars(run).update(info=answered.info, columns=ONLY_COST, cells=answered.cells)
-    page, text = HtmlReport().render(run, run.root), TextTable().render(run)
-    assert 'id="comparison"' not in page and 'href="#summary"' not in page and 'class="outputs"' not in page
-    assert 'id="detectors"' in page and 'id="gallery"' in page
-    assert "regularity.score" not in text and "33 % (1/3)" in text
-
-
 def test_calibration_of_known_answers() -> None:
     """One of two answers right at 0.25 and both at 0.95: distances 0.25 and 0.05, mean 0.15."""
     calibration = calibrate(np.array([0.25, 0.25, 0.95, 0.95]), np.array([True, False, True, True]))
@@ -163,12 +135,6 @@ def test_calibration_of_known_answers() -> None:
         (0.2, 0.3, 2, 0.5),
         (0.9, 1.0, 2, 1.0),
     ]
-
-
-def test_no_answers_have_no_calibration() -> None:
-    """Without answers there are no bins and no error."""
-    calibration = calibrate(np.array([]), np.array([], bool))
-    assert (list(calibration.bins), calibration.error, calibration.n) == ([], None, 0)
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=40))

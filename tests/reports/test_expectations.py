@@ -151,19 +151,6 @@ def test_a_score_that_is_missing_leaves_a_claim_undecided(make_claims: Make) -> 
     assert only(make_claims(lambda *_: None, {"relation": "less", "other_at": 24})).outcome == "undecided"
 
 
-def test_a_plot_shows_names_as_they_are(make_claims: Make) -> None:
-    """Dollar signs in the name of an axis or a series are no formula: a broken one neither fails nor is left out."""
-    series = {"name": r"$\frac$", "levels": [24, 40], "methods": [SMALL, LARGE]}
-    expect = {"series": series["name"], "at": 40, "relation": "less", "other_at": 24}
-    run = make_claims(lambda *_: 0.5, {}, series=[series], expect=[expect], axis=r"block $\frac{$")
-    assert plot_claim("svg", only(run)).startswith(b"<?xml")
-
-
-def test_a_run_without_claims_has_none(make_cell: Make, make_run: Make) -> None:
-    """A suite that tests no claim has no such section."""
-    assert evaluate_claims(make_run([make_cell()])) == []
-
-
 def test_the_reports_quote_the_sentence_and_say_what_came_out(make_claims: Make, tmp_path: Path) -> None:
     """Page and tables hold the escaped quote, the outcome and the numbers; the plot is the same at every run."""
     run = make_claims(
@@ -290,14 +277,6 @@ def test_random_pairing_keeps_what_descriptions_explain(make_report: Make) -> No
     published = compare(make_report(lambda figure, method: first[figure["description"]][method] == "preserved"))
     assert published.chance is not None
     assert published.kappa.value == pytest.approx(published.chance[0], abs=1e-9)
-
-
-def test_a_run_without_figures_or_methods_has_no_comparison(make_report: Make, make_run: Make, make_cell: Make) -> None:
-    """Neither a suite without analogues nor methods that the report did not run are compared."""
-    run = make_report(lambda *_: True, methods=("rsgf",))
-    assert compare_with_published(run, compare_methods(run)) is None
-    run = make_run([make_cell("brick", "tile-set")], suite={"content": {"texture": [{"name": "brick"}]}})
-    assert compare_with_published(run, compare_methods(run)) is None
 
 
 def read_table_3(run: Run, directory: Path) -> str:

@@ -23,11 +23,9 @@ from nrbench.reports.page.gallery import (
     align_basis,
     build_gallery,
     list_failings,
-    score_lines,
-    score_shade,
     trace_lattice,
 )
-from nrbench.reports.page.pictures import PagePicture, PictureStore
+from nrbench.reports.page.pictures import PictureStore
 from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
 from nrbench.version import find_project
@@ -147,15 +145,6 @@ def test_hostile_names_stay_text(page: Page) -> None:
     assert "\x1b" not in page.text
 
 
-def test_screen_readers_read_verdicts(page: Page) -> None:
-    """Screen readers read the verdict's word instead of its mark; each picture has an alternative text."""
-    marks = [one for one in page.all("span") if one.get("class", "").startswith("mark")]
-    assert marks
-    assert all(one["aria-hidden"] == "true" for one in marks)
-    assert all("alt" in one for one in page.all("img"))
-    assert all(one.get("aria-label") for one in page.all("button") if "stack" in one.get("class", ""))
-
-
 def _decode(source: str) -> np.ndarray:
     content = base64.b64decode(source.partition(",")[2])
     return np.asarray(PIL.Image.open(io.BytesIO(content)).convert("RGB"))
@@ -190,29 +179,6 @@ def test_a_page_of_many_pictures_loads_them_from_their_folder(
     assert sources and all(name.startswith("pictures/") and (tmp_path / name).is_file() for name in sources)
 
 
-def test_only_pictures_of_the_page_are_kept(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """A second report removes the files of the pictures that the page no longer has."""
-    first, second = make_cell("a", side=96), make_cell("b", side=80)
-    HtmlReport().render(make_run([first, second]), tmp_path)
-    files = {*(tmp_path / "pictures").iterdir()}
-    HtmlReport().render(make_run([first]), tmp_path)
-    assert {*(tmp_path / "pictures").iterdir()} < files
-
-
-def test_an_empty_run_is_a_page(make_run: Make, tmp_path: Path) -> None:
-    """Without cells the page says so, and still has its provenance."""
-    page = Page(HtmlReport().render(make_run([]), tmp_path))
-    assert "This run has no cells." in page.text
-    assert "Provenance" in page.text
-
-
-def test_a_bare_run_record_is_enough(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """A run without any record in run.json has a page."""
-    run = make_run([make_cell()])
-    vars(run)["info"] = {}
-    assert "not recorded" in Page(HtmlReport().render(run, tmp_path)).text
-
-
 def test_a_missing_picture_is_no_error(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
     """A picture that was deleted or truncated leaves a placeholder."""
     first, second = make_cell("a"), make_cell("b")
@@ -235,17 +201,6 @@ def test_lattices_are_drawn_over_the_sample(page: Page) -> None:
 def ranked_page(ranked: Run, tmp_path_factory: pytest.TempPathFactory) -> Page:
     """Return the parsed page of a run with qualities."""
     return Page(HtmlReport().render(ranked, tmp_path_factory.mktemp("page")))
-
-
-def test_the_plots_are_on_the_page(ranked_page: Page) -> None:
-    """The plots are embedded as SVG, and the text of each figure lists its points; no element has a style."""
-    plots = [one["src"] for one in ranked_page.all("img") if one.get("class") == "plot"]
-    assert len(plots) == 4 and all(source.startswith("data:image/svg+xml;base64,") for source in plots)
-    said = " ".join(one.get("aria-label", "") for one in ranked_page.all("figure"))
-    assert "good (own): in place, whole and alike" in said
-    assert "bend: close (own) breaks at –" in said
-    assert "close (own): quality 0.69" in said
-    assert not [one for _, one in ranked_page.elements if "style" in one]
 
 
 def test_outputs_say_what_limits_them(ranked_page: Page) -> None:
@@ -273,14 +228,6 @@ def test_without_tests_nothing_is_called_tied(ranked: Run, tmp_path: Path) -> No
     """A page without tests names the highest quality, no leading group, and says that ties are not known."""
     page = Page(HtmlReport(tests=False).render(ranked, tmp_path)).text
     assert "No tests were made" in page and "★" not in page and "leading group" not in page
-
-
-def test_equal_best_methods_are_tied(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """Two methods of exactly the same quality are named as tied."""
-    cells = [make_cell(f"t{i}", name, perils=0.9) for i in range(6) for name in ("one", "two")]
-    page = " ".join(Page(HtmlReport().render(make_run(cells), tmp_path)).text.split())
-    assert "one (own) has the highest quality" in page
-    assert "Tied with it, because the difference is not significant: two (own)" in page
 
 
 def test_a_run_that_is_not_complete_counts_what_was_run(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
@@ -316,42 +263,9 @@ def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path
     assert list(draw.agreeing) == ["d (own)"]
 
 
-def test_missing_scores_show_the_reason(every_ending: Run) -> None:
-    """A score without a value shows the reason."""
-    record = next(record for record in every_ending.cells if record.texture == "weave")
-    (line,) = score_lines(every_ending, record, ["randomness.variation"])
-    assert (line.text, line.reason) == ("–", "not scored")
-
-
-@pytest.mark.parametrize(("score", "expected"), [(None, None), (0.0, 0), (1.0, 10), (0.94, 9), (-1.0, 0), (7.0, 10)])
-def test_shades_follow_the_score(score: float | None, expected: int | None) -> None:
-    """Eleven shades from 0 to 1; what lies outside takes the last one."""
-    assert score_shade(score) == expected
-
-
-@pytest.mark.parametrize(("width", "scale"), [(8, 24), (100, 2), (191, 2), (192, 1), (384, 1), (768, 0.5)])
-def test_small_pictures_are_magnified_by_whole_factors(width: int, scale: float) -> None:
-    """Small pictures are magnified by whole factors, so that moire cannot look like a defect."""
-    assert PagePicture("", width, width).scale == scale
-
-
 def _segments(path: str) -> np.ndarray:
     numbers = [float(number) for number in re.findall(r"-?[\d.]+", path)]
     return np.array(numbers).reshape(-1, 2, 2)
-
-
-def _ray(length: float, turn: float) -> tuple[float, float]:
-    return length * np.cos(turn), length * np.sin(turn)
-
-
-def test_a_square_lattice_has_its_lines() -> None:
-    """Lines lie at the lattice's coordinates, and cover the image."""
-    segments = _segments(trace_lattice(Lattice((10, 0), (0, 10), (5, 5)), (30, 40)).lines)
-    vertical = sorted({x0 for (x0, _), (x1, _) in segments if x0 == x1})
-    horizontal = sorted({y0 for (_, y0), (_, y1) in segments if y0 == y1})
-    assert (vertical, horizontal) == ([5, 15, 25, 35], [5, 15, 25])
-    assert segments[:, :, 0].min() <= -0.5
-    assert segments[:, :, 0].max() >= 39.5
 
 
 @settings(max_examples=40)
@@ -370,13 +284,6 @@ def test_every_lattice_point_lies_on_two_lines(
         assert (distance < 0.05).sum() >= 2
 
 
-def test_too_fine_a_lattice_is_not_drawn() -> None:
-    """Lines too close to be seen are left out; the vectors stay."""
-    drawing = trace_lattice(Lattice((0.5, 0), (0, 0.5)), (256, 256))
-    assert drawing.lines == ""
-    assert drawing.vectors == ("t1 = (0.50, 0.00)", "t2 = (0.00, 0.50)")
-
-
 def test_a_detected_lattice_takes_the_true_basis_and_starting_point() -> None:
     """Another basis and origin of the same lattice is drawn exactly like the true one."""
     truth = Lattice((13.1, 22.7), (-13.1, 22.7), (4.0, 7.0)).reduced()
@@ -384,19 +291,6 @@ def test_a_detected_lattice_takes_the_true_basis_and_starting_point() -> None:
     assert set(trace_lattice(align_basis(other, truth, (64, 64)), (64, 64)).lines.split("M")) == set(
         trace_lattice(truth, (64, 64)).lines.split("M")
     )
-
-
-def test_a_supercell_keeps_its_own_basis() -> None:
-    """A lattice that differs from the true one keeps its basis and passes through a true point."""
-    truth = Lattice((10, 0), (0, 10), (5, 5))
-    drawing = align_basis(Lattice((20, 0), (0, 10)), truth, (64, 64))
-    assert drawing.area == pytest.approx(200)
-    assert np.allclose(truth.wrap(np.array(drawing.origin) - truth.origin), 0)
-
-
-def test_without_a_true_lattice_the_origin_stays() -> None:
-    """Without a true lattice the origin stays."""
-    assert align_basis(Lattice((10, 0), (0, 10), (3, 4)), None, (64, 64)).origin == (3, 4)
 
 
 def test_the_perils_have_sections(ranked: Run) -> None:

@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from nrbench.labelling.labels import ANSWERS, QUESTIONS, LabelPage, labels_table, make_page, write_key
+from nrbench.labelling.labels import QUESTIONS, LabelPage, labels_table, make_page, write_key
 from nrbench.plugins.forms import Column
-from nrbench.reports.html import HtmlReport
 from nrbench.reports.statistics.frames import agreement_table
 from nrbench.reports.statistics.labelers import (
     SUBSETS,
@@ -135,26 +134,6 @@ def test_self_agreement_counts_second_showings_only(judged: Run, tmp_path: Path)
     assert (comparison.selves[0].n, comparison.selves[0].equal) == (20, 0.0)
 
 
-def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
-    """Three people give the verdict with each person, every pair of people, and the means of both."""
-    rng = np.random.default_rng(0)
-    files = [
-        _person(
-            judged, tmp_path / f"{name}.csv", lambda i, again: ANSWERS[rng.integers(2)] if rng.random() < 0.4 else None
-        )
-        for name in "abc"
-    ]
-    comparison = compare_labelers(judged, files)
-    assert comparison is not None
-    table = agreement_table(comparison)
-    assert set(table["question"]) == {"lattice"}
-    assert list(table["kind"]) == ["judge and labelers"] * 4 + ["labelers"] * 4 + ["self"] * 3
-    means = table[table["second"] == "mean of 3"]["kappa"].tolist()
-    each = table.groupby("kind", sort=False)["kappa"].apply(lambda one: one.iloc[:3].mean()).tolist()
-    assert means == pytest.approx(each[:2])
-    assert len(labels_table(judged, files)) == 120
-
-
 def _answers_by_method(judged: Run, path: Path, answers: Mapping[str, str]) -> Path:
     """Write the answers of a person who answers the question ``more`` by the method."""
     methods = {record.key: record.method for record in judged.cells}
@@ -241,27 +220,3 @@ def test_questions_are_compared_one_by_one(judged: Run, tmp_path: Path) -> None:
     assert table["kappa"].notna().tolist() == [True] * 4 + [False] * 6
     assert table["tau"].notna().tolist() == [False] * 6 + [True] * 3 + [False]
     assert table["outputs"].tolist() == [""] * 6 + list(SUBSETS) + [""]
-
-
-def test_the_page_has_a_part_for_each_question(judged: Run, tmp_path: Path) -> None:
-    """The page shows each answered question with its numbers, and no other question."""
-    answers = {"m0": "yes", "m1": "yes", "m2": "no", "m3": "no"}
-    files = (
-        _answers_by_method(judged, tmp_path / "ada.csv", answers),
-        _person(judged, tmp_path / "ben.csv", lambda i, again: "no", question="elements"),
-    )
-    files[1].write_text(files[1].read_text().replace(",person", ",vision-language model"))
-    page = HtmlReport(labels=files).render(judged, tmp_path)
-    assert "ada (person), ben (vision-language model) labeled 40 outputs" in page
-    assert page.count('class="disagreement') == 30
-    assert page.count("judge: cannot say</b> · ben: no") == 10 and page.count("undecided: no power") >= 10
-    assert [f'id="labelers-{name}"' in page for name in QUESTIONS] == [False, True, True]
-    part = page.partition('id="labelers-more"')[2].partition('<section id="gallery"')[0]
-    assert "Kendall's tau" in part and "<b>0.82</b>" in part and "<b>100 %</b>" in part
-    assert "Counts of answers" not in part and "Disagreements" not in part
-
-
-def test_without_files_there_is_no_section(judged: Run, tmp_path: Path) -> None:
-    """Without answer files the page has no section on labels."""
-    assert compare_labelers(judged, []) is None
-    assert 'id="labelers"' not in HtmlReport().render(judged, tmp_path)

@@ -20,10 +20,7 @@ from nrbench.reports.page.pictures import PictureStore
 from nrbench.reports.perils import PerilsPlane
 from nrbench.reports.plots.marks import find_marks, worst_place
 from nrbench.reports.plots.method_plots import (
-    MOST_NAMES,
     caption_text,
-    choose_named,
-    describe_unnamed,
     hardest_first,
     method_styles,
     plot_cost,
@@ -50,13 +47,6 @@ def test_captions_keep_the_order_and_do_not_overlap(captions: list[tuple[float, 
     assert places.max() <= 220 + 1e-6 and places.min() >= -20 - 1e-6
 
 
-def test_spread_moves_as_little_as_needed() -> None:
-    """Places that lie apart stay; two equal ones move by half the gap each."""
-    assert spread(np.array([10.0, 5.0, 0.0]), np.array([2.0, 2.0])).tolist() == [10, 5, 0]
-    assert spread(np.array([5.0, 5.0]), np.array([2.0])).tolist() == [6, 4]
-    assert spread(np.array([5.0, 5.0]), np.array([2.0]), (0.0, 5.0)).tolist() == [5, 3]
-
-
 def _layers() -> tuple[np.ndarray, np.ndarray]:
     """Return an output and a gray copy of it with an orange square of 10 px at (40, 20)."""
     output = np.random.default_rng(0).integers(0, 255, (64, 80, 3), dtype=np.uint8)
@@ -72,20 +62,6 @@ def test_marks_are_what_a_metric_drew() -> None:
     expected[20:30, 40:50] = True
     assert np.array_equal(find_marks(layer, output), expected)
     assert np.array_equal(find_marks(np.where(expected[..., None], layer, output), output), expected)
-
-
-def test_overlays_are_transparent(tmp_path: Path) -> None:
-    """An overlay shows the marks and hides the rest; a picture of another size is none."""
-    output, layer = _layers()
-    for name, pixels in (("output", output), ("layer", layer), ("other", layer[:40])):
-        PIL.Image.fromarray(pixels).save(tmp_path / f"{name}.png")
-    store = PictureStore(tmp_path / "report")
-    overlay = store.overlay(tmp_path / "output.png", tmp_path / "layer.png")
-    assert overlay is not None
-    alpha = np.asarray(PIL.Image.open(io.BytesIO(overlay.content)))[..., 3]
-    assert (alpha[20:30, 40:50] > 100).all() and alpha[:16].max() == 0
-    assert store.overlay(tmp_path / "output.png", tmp_path / "other.png") is None
-    assert store.overlay(tmp_path / "output.png", None) is None
 
 
 def test_source_maps_are_colored_by_place(tmp_path: Path) -> None:
@@ -133,11 +109,6 @@ def test_unknown_choices_name_the_known_ones(ranked: Run, tmp_path: Path, wrong:
         PictureGrid(width=40.0)
 
 
-def test_a_run_without_cells_has_no_figure(make_run: Make, tmp_path: Path) -> None:
-    """Without cells no file is written."""
-    assert PictureGrid().write(make_run([]), tmp_path) == []
-
-
 @pytest.fixture
 def long_run(make_cell: Make, make_run: Make) -> Run:
     """Return a run of three methods on 12 textures."""
@@ -158,28 +129,6 @@ def test_plots_are_the_same_again_and_embed_fonts(long_run: Run) -> None:
     assert plot_cost("svg", timed) == plot_cost("svg", timed)
     for pdf in (plot_ranks("pdf", comparison), plot_heat_map("pdf", comparison), plot_cost("pdf", timed)):
         assert b"/FontFile2" in pdf and b"/Type3" not in pdf
-
-
-@given(st.lists(st.booleans(), max_size=60))
-def test_the_best_methods_and_all_references_have_names(references: list[bool]) -> None:
-    """Every reference has a name, and as many of the first methods as there is space for; the rest are counted."""
-    named = choose_named(references)
-    assert all(has for has, reference in zip(named, references, strict=True) if reference)
-    methods = [has for has, reference in zip(named, references, strict=True) if not reference]
-    assert methods == sorted(methods, reverse=True)
-    assert sum(methods) == min(len(methods), max(0, MOST_NAMES - sum(references)))
-    assert (f" {named.count(False)} further" in describe_unnamed(named)) == (False in named)
-
-
-def test_names_of_the_rank_diagram_lie_in_it(make_cell: Make, make_run: Make) -> None:
-    """No name leaves the diagram, however long, in a page and in a column."""
-    names = ["regularized-patch with a long label", "representative-tile of another one", *"abcdefghi"]
-    cells = [make_cell(f"t{i}", name, perils=0.9 - 0.05 * j) for i in range(12) for j, name in enumerate(names)]
-    comparison = compare_methods(make_run(cells))
-    for width in (3.4, 5.5):
-        with PIL.Image.open(io.BytesIO(plot_ranks("png", comparison, width))) as image:
-            pixels = np.asarray(image.convert("L"))
-        assert pixels[:, :2].min() == 255 and pixels[:, -2:].min() == 255
 
 
 def test_textures_without_a_score_are_not_the_hardest(make_cell: Make, make_run: Make) -> None:
@@ -294,18 +243,6 @@ def test_no_name_is_cut(make_cell: Make, make_run: Make) -> None:
         assert min(edge.min() for edge in edges) == 255, name
 
 
-def test_no_scores_no_plane(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """A run without cells, and a run without qualities, write no picture."""
-    assert PerilsPlane().write(make_run([]), tmp_path) == []
-    assert PerilsPlane().write(make_run([make_cell()]), tmp_path) == []
-
-
-def test_the_width_of_the_plane_is_checked() -> None:
-    """A width outside the range is an error that states the range."""
-    with pytest.raises(BadInput, match="give 3 to 12 inches"):
-        PerilsPlane(width=40)
-
-
 def test_a_share_uses_the_whole_axis(make_cell: Make, make_run: Make) -> None:
     """A score from 0 to 1 is drawn from 0 to 1, so that 0.9 lies at 90."""
     run = make_run([make_cell("a"), make_cell("b")])
@@ -315,20 +252,3 @@ def test_a_share_uses_the_whole_axis(make_cell: Make, make_run: Make) -> None:
         ("0.00", "1.00"),
         90,
     )
-
-
-def test_a_two_sided_score_marks_one(make_cell: Make, make_run: Make) -> None:
-    """The axis of a score that is best at 1 contains 1 and marks it."""
-    run = make_run([make_cell(values={"randomness.variation": 0.1})])
-    axis = next(p for p in forest_axes(compare_methods(run).summary_rows) if p.row.title == "randomness.variation")
-    assert axis.better == "best at 1"
-    assert axis.one is not None
-    assert next(iter(axis.points.values()))[0] == pytest.approx(axis.one / 10, abs=0.01)
-
-
-def test_seconds_are_drawn_by_decades(make_cell: Make, make_run: Make) -> None:
-    """Costs lie on a logarithmic axis from decade to decade."""
-    run = make_run([make_cell(method="a", seconds=0.01), make_cell(method="b", seconds=1.0)])
-    axis = forest_axes(compare_methods(run).summary_rows)[-1]
-    assert axis.ends == ("0.010", "1.00")
-    assert [value for value, _, _ in axis.points.values()] == [0, 100]

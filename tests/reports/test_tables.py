@@ -30,7 +30,6 @@ from nrbench.reports.json import JsonSummary
 from nrbench.reports.latex import LatexTables, escape_latex
 from nrbench.reports.markdown import MarkdownTables, escape_markdown
 from nrbench.reports.statistics import format as text_format
-from nrbench.reports.statistics.estimates import Estimate
 from nrbench.reports.statistics.frames import PrintedTable
 from nrbench.reports.text import TextTable
 from nrbench.runs.records import Run
@@ -91,13 +90,6 @@ def test_formulas_do_not_run(make_cell: Make, make_run: Make, tmp_path: Path) ->
             assert not [text for line in csv.reader(file) for text in line if text.startswith(("=", "+", "@"))]
 
 
-def test_an_empty_run_gives_headers(make_run: Make, tmp_path: Path) -> None:
-    """Without cells the tables have a header and no rows."""
-    paths = CsvTables().write(make_run([]), tmp_path)
-    assert all(path.is_file() for path in paths)
-    assert [len(_read(path)) for path in paths[1:4]] == [0, 0, 0]
-
-
 def test_every_column_of_the_cells_is_declared(written: dict[str, Path]) -> None:
     """``columns.csv`` has a line for each column of ``cells.csv``: meaning, unit, range and which values are better."""
     declared = _read(written["columns"]).set_index("column")
@@ -114,36 +106,10 @@ def text(every_ending: Run) -> str:
     return TextTable().render(every_ending)
 
 
-def test_no_line_is_wider_than_the_width(every_ending: Run, text: str) -> None:
-    """Lines keep to the width; methods that do not fit follow below."""
-    for width, table in (
-        (40, TextTable(40).render(every_ending)),
-        (60, TextTable(60).render(every_ending)),
-        (120, text),
-    ):
-        assert max(map(len, table.splitlines())) <= width
-        assert table.count("given") >= 1
-
-
-def test_it_has_no_escapes_and_no_markup(make_cell: Make, make_run: Make) -> None:
-    """Names are printed as they are: no markup, no colors, no terminal escapes from a method's note."""
-    run = make_run([make_cell("[bold]b[/bold]:smile:", note="\x1b[31mred\x1b[0m\x07")])
-    text = TextTable().render(run)
-    assert "[bold]b[/bold]:smile:" in text
-    assert "¹ red" in text
-    assert not {"\x1b", "\x07"} & set(text)
-
-
 def test_an_empty_run_says_so(make_run: Make) -> None:
     """A run without cells gives one sentence, as text and in Markdown."""
     for report in (TextTable(), MarkdownTables()):
         assert "There are no cells." in report.render(make_run([]))
-
-
-def test_a_width_too_small_is_refused() -> None:
-    """A width below 40 is an error that states the minimum."""
-    with pytest.raises(BadInput, match="at least 40"):
-        TextTable(10)
 
 
 def test_reasons_are_counted(every_ending: Run) -> None:
@@ -163,11 +129,6 @@ def test_columns_of_choice(every_ending: Run) -> None:
         TextTable(columns=("second",)).render(every_ending)
 
 
-def _rows(markdown: str) -> list[list[str]]:
-    lines = [line for line in markdown.splitlines() if line.startswith("|")]
-    return [[part.strip() for part in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
-
-
 @pytest.fixture(scope="module")
 def markdown(every_ending: Run) -> str:
     """Return the tables of a run with every status."""
@@ -183,29 +144,8 @@ def test_nothing_in_a_name_is_markup() -> None:
     assert escape_markdown("a\nb\x1b[1m") == "a b"
 
 
-def test_tables_are_even(markdown: str) -> None:
-    """Every line of a table has as many entries as its title line, hostile names included."""
-    rows = _rows(markdown)
-    second = next(i for i, row in enumerate(rows) if row[0] == "texture")
-    third = next(i for i, row in enumerate(rows) if "patch placement" in row)
-    for table, least in ((rows[:second], 4), (rows[second:third], 4), (rows[third:], 3)):
-        assert len(table) >= least
-        assert {len(row) for row in table} == {len(table[0])}
-
-
-def test_no_hostile_markup_survives(markdown: str) -> None:
-    """The text contains no HTML tag but footnote marks."""
-    assert set(re.findall(r"(?<!\\)<(\w+)", markdown)) == {"sup"}
-
-
 def _write_latex(run: Run, directory: Path, columns: int = 6) -> dict[str, str]:
     return {path.stem: path.read_text("utf-8") for path in LatexTables(columns).write(run, directory)}
-
-
-@pytest.fixture(scope="module")
-def latex_files(every_ending: Run) -> dict[str, str]:
-    """Return the tables of a run with every status, by name."""
-    return _write_latex(every_ending, every_ending.root / "latex")
 
 
 def test_special_characters_are_escape_latex() -> None:
@@ -215,35 +155,6 @@ def test_special_characters_are_escape_latex() -> None:
     )
     assert escape_latex("a\n\x1b[31mb\tc") == "a b c"
     assert escape_latex("--") == "{-}{-}"
-
-
-def test_tables_are_booktabs_and_closed(latex_files: dict[str, str]) -> None:
-    """Each file is one booktabs table with balanced braces and equally many columns in every line."""
-    for text in (text for name, text in latex_files.items() if name != "methods"):
-        for rule in (r"\toprule", r"\midrule", r"\bottomrule"):
-            assert rule in text
-        bare = re.sub(r"\\[{}]", "", text)
-        assert bare.count("{") == bare.count("}")
-        lines = [re.sub(r"\\&", "", line) for line in text.splitlines() if line.endswith(r" \\")]
-        assert len({line.count(" & ") for line in lines}) == 1
-
-
-def test_references_and_sources_of_lattices_are_marked(
-    latex_files: dict[str, str], make_cell: Make, make_run: Make, tmp_path: Path
-) -> None:
-    """A reference has a dagger, a given lattice a g, a detector its name, and a lattice of one's own nothing."""
-    text = latex_files["summary"]
-    assert r"\textit{oracle}\nrbReference{} &" in text
-    assert r"rsgf\nrbGiven{} &" in text
-    assert "\nrsgf &" in text
-    detected = _write_latex(make_run([make_cell(lattice_source="gncc")]), tmp_path)["summary"]
-    assert r"rsgf\textsuperscript{gncc} &" in detected
-
-
-def test_many_methods_follow_below(every_ending: Run, tmp_path: Path) -> None:
-    """Methods beyond the number of columns follow in further blocks, which repeat every texture."""
-    text = _write_latex(every_ending, tmp_path, columns=2)["comparison"]
-    assert text.count(r"brick & ") == 2 and text.count("texture & share") == 2
 
 
 def test_latex_columns_are_checked(make_run: Make, tmp_path: Path) -> None:
@@ -406,12 +317,6 @@ def test_json_is_as_approved(golden_run: Run) -> None:
 def test_numbers_read_well(value: float | None, text: str) -> None:
     """Numbers are short at every size."""
     assert text_format.format_number(value) == text
-
-
-def test_counts_say_what_was_left_out() -> None:
-    """A success rate says k of n, and how many textures it leaves out."""
-    assert text_format.format_successes(Estimate(0.875, 0.5, 1.0, 8, 8)) == "7 of 8"
-    assert text_format.format_successes(Estimate(0.875, 0.5, 1.0, 8, 9)) == "7 of 8, 1 left out"
 
 
 @given(st.lists(st.floats(1, 50), min_size=3, max_size=12), st.integers(1, 5))

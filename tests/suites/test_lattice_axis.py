@@ -8,7 +8,6 @@ import pytest
 
 from nrbench import run
 from nrbench.errors import BadInput
-from nrbench.reports.statistics.detections import tabulate_answers
 from nrbench.running.runner import Options, find_metrics
 from nrbench.runs.records import Run
 from nrbench.suites.plan import LatticeSource, make_plan
@@ -39,12 +38,6 @@ def test_a_manual_lattice_is_a_source_of_its_own() -> None:
     assert given is not None and (given.t1, given.t2) == ((27.3, 0.0), (13.65, 12.2))
     assert cells["own"].lattice_given is None
     assert len({cell.key for cell in cells.values()}) == 3
-
-
-def test_one_lattice_has_one_name() -> None:
-    """Different spellings of the same numbers are one source; negative numbers are no options."""
-    names = [cell.lattice_source for cell, _ in make_plan(suite("30,0,-10,20", " 30.0, 0,-1e1,20.00")).cells]
-    assert names == ["30,0,-10,20"] * 2
 
 
 def test_a_manual_origin_reaches_the_method() -> None:
@@ -107,24 +100,6 @@ def test_the_detection_is_in_the_tables(gncc_run: Run) -> None:
     assert 0 < brick["lattice_recovery.confidence"] <= 1 and brick["lattice_recovery.vector_error"] < 0.5
     assert noise["lattice_recovery.found"] is False
     assert brick["cost.detection_seconds"] > 0 and noise["cost.detection_seconds"] > 0
-
-
-def test_a_detector_that_fails_has_no_result(faulty: Path, tmp_path: Path) -> None:
-    """Its cells are errors of the phase `detect` for every method, and no detection is recorded."""
-    found = run(suite("blind"), out=tmp_path, options=Options(jobs=0))
-    assert {(record.status, record.phase, record.cell.detected) for record in found.cells} == {
-        ("error", "detect", None)
-    }
-    assert "blind: failed: KeyError" in found.cells[0].message
-    assert set(tabulate_answers(found)["answer"]) == {"failed"}
-
-
-def test_a_finished_run_is_resumed(gncc_run: Run) -> None:
-    """A second run of the same suite starts no cell and reads the detections from disk."""
-    before = {path: path.stat().st_mtime_ns for path in gncc_run.root.rglob("*.json")}
-    again = run(suite("gncc", methods=METHODS), out=gncc_run.root, options=Options(jobs=0))
-    assert {path: path.stat().st_mtime_ns for path in gncc_run.root.rglob("*.json")} == before
-    assert [record.cell.detected for record in again.cells] == [record.cell.detected for record in gncc_run.cells]
 
 
 def test_metrics_are_the_suites_choice(tmp_path: Path) -> None:

@@ -9,16 +9,14 @@ from typing import Any
 import pytest
 
 import nrbench
-from nrbench import plugins
 from nrbench.detectors.consensus import Consensus
 from nrbench.detectors.dominance import Dominance
-from nrbench.errors import BadInput
 from nrbench.pictures.files import write_image
 from nrbench.plugins import registry
 from nrbench.runs.store import metric_key
 from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Cell
-from nrbench.suites.plan import PlannedMethod, make_plan
+from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import Suite, validated_suite
 
 
@@ -76,18 +74,6 @@ def test_a_picture_that_changes_during_a_run(tmp_path: Path) -> None:
     assert pixels_hash(region) == cell.again_hash
 
 
-METHOD = """
-from dataclasses import dataclass
-from typing import ClassVar
-
-@dataclass(frozen=True)
-class Mine:
-    "A page."
-    {line}
-    def synthesize(self, task): ...
-"""
-
-
 @pytest.fixture
 def fresh_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Forget the plugins that a test loads or changes, before it and after it."""
@@ -140,28 +126,3 @@ def test_a_detector_is_in_the_keys_of_the_cells_that_may_call_it(
     after = keys()
     assert {cell for cell, key in before.items() if after[cell] != key} == changed
     assert (metric_key("regularity") != scored) == (detector is Dominance)
-
-
-@pytest.mark.usefixtures("fresh_registry")
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("version: ClassVar = object()", "its version <object object at 0x.* is no text"),
-        ("version: ClassVar = float('nan')", "its version nan is no text"),
-        ("uses: ClassVar = ('dominanc',)", "it uses 'dominanc', which is no detector"),
-    ],
-)
-def test_a_version_is_text_or_a_finite_number(tmp_path: Path, line: str, message: str) -> None:
-    """A version that has another text in each process is refused, and so is a detector that does not exist."""
-    (tmp_path / "mine.py").write_text(METHOD.format(line=line))
-    with pytest.raises(BadInput, match=f"method 'Mine'.*{message}"):
-        plugins.add_file(tmp_path / "mine.py")
-
-
-@pytest.mark.usefixtures("fresh_registry")
-def test_a_fingerprint_is_text_or_a_finite_number(tmp_path: Path) -> None:
-    """A fingerprint that has another text in each process is refused, and the error names the method."""
-    (tmp_path / "mine.py").write_text(METHOD.format(line="def fingerprint(self): return object()"))
-    plugins.add_file(tmp_path / "mine.py")
-    with pytest.raises(BadInput, match=r"method mine: fingerprint\(\) returned <object"):
-        PlannedMethod.parse("mine")
