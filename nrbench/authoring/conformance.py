@@ -21,11 +21,11 @@ import psutil
 
 from nrbench import plugins
 from nrbench.authoring.plugin_checks import CHECKS, EXAMPLES, MARK, MARKUP, Subject, demand_of, earlier_clause
+from nrbench.calling.method_calls import InvalidOutput
 from nrbench.errors import BadInput, describe_error
 from nrbench.plugins.forms import Refused
 from nrbench.plugins.parameters import leave_user_folder, nearest
 from nrbench.running.guard import Limits, explain_exit
-from nrbench.running.output_checks import InvalidOutput
 from nrbench.running.phases import FAULTS
 from nrbench.running.runner import Options, execute
 from nrbench.running.supervisor import worker_environment

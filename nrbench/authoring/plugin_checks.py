@@ -31,15 +31,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench import plugins
+from nrbench.calling.method_calls import InvalidOutput, briefly_prepared, check_source, checked_synthesis
 from nrbench.errors import BadInput, describe_error
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins import forms
 from nrbench.plugins.forms import Refused
 from nrbench.plugins.parameters import leave_user_folder, user_path
-from nrbench.running.output_checks import InvalidOutput, check_source, checked_synthesis
 from nrbench.running.phases import FAULTS, freeze, leaves, score_observation, write_score
-from nrbench.running.preparing import briefly_prepared
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder
 from nrbench.streams import stream
