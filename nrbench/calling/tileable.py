@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from nrbench import plugins
 from nrbench.displacement.deformation_field import pixel_places, read_spline
 from nrbench.errors import BadInput
-from nrbench.imaging.boxes import largest_box
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import Image, largest_box, quantize
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector, in_role
