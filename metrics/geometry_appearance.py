@@ -59,18 +59,25 @@ class GeometryAppearance:
         images = (observation.output, observation.sample)
         g, sample_g = (NodeField.of(picture).deviation / picture.net.s for picture in pictures)
         a, sample_a = (appearance(image, picture) for image, picture in zip(images, pictures, strict=True))
-        values: dict[str, Value] = {
+        numbers: dict[str, float | None] = {
             "g": g,
             "a": a,
             "sample_g": sample_g,
             "sample_a": sample_a,
             "g_difference": g - sample_g,
             "a_difference": a - sample_a,
-            "g_ratio": g / sample_g if sample_g >= _LEAST_G else None,
-            "a_ratio": a / sample_a if sample_a >= _LEAST_A else None,
+            "g_ratio": None if sample_g < _LEAST_G else g / sample_g,
+            "a_ratio": None if sample_a < _LEAST_A else a / sample_a,
         }
-        reason = "not applicable: the sample's own value is too near 0 for a ratio"
-        return Score(values, {name: reason for name, value in values.items() if value is None})
+        values: dict[str, Value] = {}
+        reasons = {}
+        for name, number in numbers.items():
+            values[name] = None if number is None or math.isnan(number) else number
+            if number is None:
+                reasons[name] = "not applicable: the sample's own value is too near 0 for a ratio"
+            elif values[name] is None:
+                reasons[name] = "undecided: fewer than two whole cells are in place"
+        return Score(values, reasons)
 
 
 def appearance(image: Image, picture: FollowedPicture) -> float:
