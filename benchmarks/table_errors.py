@@ -19,8 +19,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.reports.statistics.estimates import draw_intervals, population_intervals
-from nrbench.reports.statistics.pair_tests import ALPHA, compare_pairs, detectable_losses, p_values_by_flips
+from nrbench.reports.statistics.estimates import (
+    ALPHA,
+    compare_pairs,
+    detectable_losses,
+    draw_intervals,
+    p_values_by_flips,
+    population_intervals,
+)
 
 Floats = NDArray[np.float64]
 Rng = np.random.Generator

@@ -22,9 +22,18 @@ from nrbench.runs.records import Run
 from nrbench.storage import write_files
 
 from .markdown import escape_markdown, pipe_table
-from .statistics.estimates import FEWEST, Estimate, estimate_means, mean_of_known, stack_draws
+from .statistics.estimates import (
+    ALPHA,
+    FEWEST,
+    POWER,
+    Estimate,
+    detectable_losses,
+    estimate_means,
+    mean_of_known,
+    p_values_by_flips,
+    stack_draws,
+)
 from .statistics.format import format_interval, format_number, format_signed, pluralize
-from .statistics.pair_tests import ALPHA, POWER, detectable_losses, p_values_by_flips
 from .statistics.summaries import count_statuses, describe_scores, headline_columns
 from .statistics.verdicts import tabulate_cells
 

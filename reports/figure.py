@@ -19,8 +19,8 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import CellRecord, Run
 from nrbench.storage import write_files
 
-from .plots.figure_file import GRAY, INK, add_axes, make_figure, returns_file
-from .plots.marks import DEFECTS, read_pixels, worst_place
+from .page.pictures import DEFECTS, read_pixels, worst_place
+from .page.plots import GRAY, INK, add_axes, make_figure, returns_file
 from .statistics.format import break_name
 from .statistics.method_comparison import Comparison, ComparisonRow, compare_methods, match_names
 from .statistics.summaries import Method

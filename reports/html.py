@@ -25,9 +25,8 @@ from nrbench.version import find_project
 from .csv import csv_text
 from .latex import LatexTables, bibliography
 from .page import gallery
-from .page.environment import make_environment
 from .page.pictures import CROP, PictureStore
-from .plots.method_plots import (
+from .page.plots import (
     plot_claim,
     plot_cost,
     plot_heat_map,
@@ -38,11 +37,10 @@ from .plots.method_plots import (
 )
 from .statistics.detections import compare_detectors
 from .statistics.estimates import NO_ESTIMATE
-from .statistics.expectations import compare_with_published, evaluate_claims
-from .statistics.format import format_number, format_percent
+from .statistics.expectations import BROKEN, compare_levels, compare_with_published, evaluate_claims
+from .statistics.format import format_number, format_percent, make_environment
 from .statistics.frames import method_classes, print_patches, summary_table
 from .statistics.labelers import compare_labelers
-from .statistics.levels import BROKEN, compare_levels
 from .statistics.method_comparison import ComparisonOptions
 from .statistics.summaries import (
     COSTS,

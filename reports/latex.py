@@ -12,12 +12,10 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_files
 
-from .page.environment import make_environment
 from .statistics.expectations import PublishedComparison, compare_with_published
-from .statistics.format import break_name
+from .statistics.format import break_name, make_environment
 from .statistics.frames import (
     PrintedTable,
-    cell_text,
     method_classes,
     print_methods,
     print_patches,
@@ -25,8 +23,8 @@ from .statistics.frames import (
     print_rates,
     print_textures,
 )
-from .statistics.method_comparison import Comparison, ComparisonOptions, Entry, choose_rows, restrict_comparison
-from .statistics.summaries import MethodSummary, Number, SummaryRow
+from .statistics.method_comparison import Comparison, ComparisonOptions, choose_rows, restrict_comparison
+from .statistics.summaries import SummaryRow
 
 _SPECIAL: Mapping[str, str] = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
@@ -38,18 +36,9 @@ _SPECIAL: Mapping[str, str] = {
 }  # fmt: skip
 _LAST_LATIN = 0x17F
 """The last letter that every LaTeX prints with T1 fonts."""
-_WIDTHS: Mapping[str, float] = {"column": 229.0, "text": 345.0, "page": 469.0}
-"""What tables must fit, pt: the widths of LaTeX's own class ``article`` at 10 pt."""
-_GAP = 8.0
-"""Space between columns, pt."""
-_MARK, _RAISED = 15.0, 12.0
-"""Widths of the mark of a verdict, and of the raised marks of a method, pt."""
-_PAGE_LINES = 58
-"""Lines of a table that a page has room for."""
-_LEAST_CAPTION, _COLUMN_CAPTION = 8, 25
-"""Such lines that the long caption takes, across the page or in one column, and in a column of two."""
+_COLUMNS: Mapping[str, int] = {"column": 2, "text": 5, "page": 7}
+"""Columns of scores or methods beside each other in a table of each width."""
 _LINE_LETTERS = 12
-_NARROW, _BROAD = frozenset(" .,:;()[]|'!ijltfrI/"), frozenset("mw%≤±–")
 _DELIMITERS = {
     **{"block_start_string": "<%", "block_end_string": "%>", "variable_start_string": "<<"},
     **{"variable_end_string": ">>", "comment_start_string": "<#", "comment_end_string": "#>"},
@@ -74,18 +63,16 @@ class LatexTables(ComparisonOptions):
 
     Parameters
     ----------
-    columns
-        Methods side by side in ``comparison.tex``, at least 1, or fewer if no more fit; further methods follow below.
     scores
         The columns of ``summary.tex``, by the names of the rows in ``summary.csv``; by default the headlines.
     methods, textures
         The methods of both tables and the textures of ``comparison.tex``, by names or patterns such as ``brick-*``;
         by default all. Ranks and means remain those of the whole run.
     width
-        What the tables must fit: ``column``, 229 pt, a column of a two-column article; ``text``, 345 pt, the page of
-        an article; ``page``, 469 pt, the page of a two-column article, as ``table*``. Columns that do not fit follow
-        below, and what is too high for a page follows in a further table. ``patches.tex`` and ``published.tex`` are
-        never narrower than ``text``.
+        What the tables fit: ``column``, a column of a two-column article, with two columns of scores or methods;
+        ``text``, the page of an article, with five; ``page``, the page of a two-column article, as ``table*``, with
+        seven. Further columns follow in further tables. ``patches.tex`` and ``published.tex`` are not split, and never
+        narrower than ``text``.
     intervals
         Whether ``summary.tex`` has intervals.
     bare
@@ -93,7 +80,6 @@ class LatexTables(ComparisonOptions):
         comment.
     """
 
-    columns: int = 6
     scores: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
     textures: tuple[str, ...] = ()
@@ -108,10 +94,8 @@ class LatexTables(ComparisonOptions):
         for name in ("scores", "methods", "textures"):
             value = getattr(self, name)
             object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
-        if self.columns < 1:
-            raise BadInput(f"report latex: columns is {self.columns}; give at least 1")
-        if self.width not in _WIDTHS:
-            raise BadInput(f"report latex: width is {self.width!r}; give one of {', '.join(_WIDTHS)}")
+        if self.width not in _COLUMNS:
+            raise BadInput(f"report latex: width is {self.width!r}; give one of {', '.join(_COLUMNS)}")
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; without a regularity score only ``patches.tex``, if at all."""
@@ -151,7 +135,7 @@ class LatexTables(ComparisonOptions):
             make_environment(filters, **_DELIMITERS)
             .get_template("tables.tex")
             .render(
-                tables=[(table, self._lay_out(table)) for table in tables],
+                tables=[(table, table.split_every(_COLUMNS[self.width])) for table in tables],
                 report=self,
                 comparison=comparison,
                 published=published,
@@ -159,46 +143,6 @@ class LatexTables(ComparisonOptions):
                 suite=f"{suite.get('name', 'run')} {suite.get('version', '')} ({suite.get('hash', 'no hash')})",
             )
         )
-
-    def _lay_out(self, table: PrintedTable) -> list[list[list[int]]]:
-        """Return the columns of each block of each part of a table that fits a page.
-
-        Columns that do not fit follow in further blocks below, and what is too high for a page in further parts. The
-        first part has the long caption, which takes more lines in a column than across the page.
-        """
-        columns = zip(map(_head_width, table.heads), *(map(_cell_width, row) for row in table.rows), strict=True)
-        widths = [max(column) + _GAP for column in columns]
-        most, limit = self.columns if table.name == "comparison" else 1000, _WIDTHS[self.width] + _GAP
-        blocks = table.split(widths, limit, most)
-        lines = (1 + (self.intervals and table.name == "summary")) * len(table.rows) + 5
-        size = max(1, (_PAGE_LINES - _LEAST_CAPTION) // lines)
-        caption = _COLUMN_CAPTION if self.width == "column" else _LEAST_CAPTION
-        first = max(1, (_PAGE_LINES - caption) // lines)
-        parts = [blocks[:first], *(blocks[i : i + size] for i in range(first, len(blocks), size))]
-        return parts
-
-
-def _head_width(head: Any) -> float:
-    """Return about the width of the head of a column, pt."""
-    name = head.method.name if isinstance(head, MethodSummary) else str(getattr(head, "name", head))
-    text = column_title(head) if isinstance(head, SummaryRow) else name
-    mark = _RAISED if isinstance(head, MethodSummary) else 0.0
-    return max(map(_text_width, break_name(text, _LINE_LETTERS))) + mark
-
-
-def _cell_width(cell: Any) -> float:
-    """Return about the width of a cell, pt."""
-    if isinstance(cell, MethodSummary):
-        return _text_width(cell.method.name) + 2 * _RAISED
-    if isinstance(cell, Number):
-        count = f" /{cell.shown.n}" if cell.partial else ""
-        return max(_text_width(cell.text + count), 0.9 * _text_width(cell.interval))
-    return _MARK + _text_width(cell.detail) if isinstance(cell, Entry) else _text_width(cell_text(cell))
-
-
-def _text_width(text: str) -> float:
-    """Return about the width of text in Computer Modern of 8 pt, pt."""
-    return sum(2.6 if letter in _NARROW else 6.6 if letter in _BROAD or letter.isupper() else 4.4 for letter in text)
 
 
 def column_title(line: SummaryRow) -> str:

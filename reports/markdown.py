@@ -12,8 +12,8 @@ from nrbench.errors import strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_files
 
-from .page.environment import make_environment
 from .statistics.expectations import compare_with_published
+from .statistics.format import make_environment
 from .statistics.frames import (
     print_methods,
     print_patches,

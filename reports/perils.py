@@ -10,8 +10,8 @@ from nrbench.errors import BadInput
 from nrbench.runs.records import Run
 from nrbench.storage import write_files
 
-from .plots.method_plots import plot_cost, plot_heat_map, plot_levels, plot_perils_plane, plot_ranks, timed_methods
-from .statistics.levels import compare_levels
+from .page.plots import plot_cost, plot_heat_map, plot_levels, plot_perils_plane, plot_ranks, timed_methods
+from .statistics.expectations import compare_levels
 from .statistics.method_comparison import ComparisonOptions
 from .statistics.summaries import perils_points
 

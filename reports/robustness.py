@@ -17,9 +17,9 @@ from nrbench.storage import write_files
 
 from .csv import csv_text
 from .markdown import escape_markdown, pipe_table
+from .statistics.estimates import Floats, adjust_means
 from .statistics.format import format_number
 from .statistics.method_comparison import compare_methods
-from .statistics.pair_tests import Floats, adjust_means
 from .statistics.summaries import Method
 from .statistics.verdicts import PERILS, QUALITY, RANKING, keep_listed_textures, tabulate_cells
 

@@ -15,8 +15,7 @@ from nrbench.labelling.labels import content_hash
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
-from .page.environment import make_environment
-from .statistics.format import pluralize
+from .statistics.format import make_environment, pluralize
 from .statistics.method_comparison import compare_methods
 from .statistics.summaries import MethodSummary
 

@@ -105,7 +105,7 @@ def _print(console: Console, table: PrintedTable) -> None:
     """Print a table in parts as wide as the console."""
     columns = zip(map(_head, table.heads), *(map(_cell, row) for row in table.rows), strict=True)
     widths = [max(cell_len(line) for text in column for line in text.splitlines() or [""]) + _GAP for column in columns]
-    console.print(*(_lay_out(table.pick(part)) for part in table.split(widths, console.width)), sep="")
+    console.print(*map(_lay_out, table.split(widths, console.width)), sep="")
 
 
 def _lay_out(table: PrintedTable) -> Table:

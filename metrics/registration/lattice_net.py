@@ -106,8 +106,7 @@ def find_inside(points: Points, shape: Shape) -> Mask:
 def sample_planes(planes: Values, points: Points) -> Values:
     """Return the values of planes ``(H, W, C)`` at points (x, y), interpolated linearly."""
     places = np.ascontiguousarray(points, np.float64).reshape(-1, 2)
-    values = interpolate_pixels(np.require(planes, requirements="W"), places)
-    return values.reshape(*points.shape[:-1], planes.shape[-1])
+    return interpolate_pixels(planes, places).reshape(*points.shape[:-1], planes.shape[-1])
 
 
 def split_cells(a: NDArray[Any], samples: NDArray[np.intp] | tuple[int, int]) -> NDArray[Any]:

@@ -250,11 +250,10 @@ def synthesize(
 
     from nrbench.calling.bent_samples import synthesize_in_geometry
     from nrbench.calling.large_samples import synthesize_from_part
+    from nrbench.calling.method_calls import briefly_prepared, checked_synthesis
     from nrbench.calling.tileable import require_wrapping, synthesize_tileable
     from nrbench.imaging.convert import match_ndim, quantize
     from nrbench.plugins.forms import Refused, Task
-    from nrbench.running.output_checks import checked_synthesis
-    from nrbench.running.preparing import briefly_prepared
     from nrbench.streams import pixels_hash, stream
 
     plugin = plugin_in("synthesizers", method, parameters)

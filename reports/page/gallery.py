@@ -12,12 +12,11 @@ from nrbench.labelling.labels import Question
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.runs.records import CellRecord, Run
 
-from ..plots.marks import DEFECTS
 from ..statistics.format import describe_column, format_number
 from ..statistics.method_comparison import Comparison
 from ..statistics.summaries import COSTS, Method, sort_headlines_first
 from ..statistics.verdicts import QUALITY, verdict
-from .pictures import PagePicture, PictureStore
+from .pictures import DEFECTS, PagePicture, PictureStore
 
 MAX_LINES = 400
 """More lines would hide the picture."""

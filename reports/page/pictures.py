@@ -1,4 +1,4 @@
-"""Prepare the pictures of the page: small WebP copies, overlays, and the files for zooming."""
+"""Prepare the pictures of reports: small WebP copies, overlays, files for zooming, and the worst place of an output."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import base64
 import hashlib
 import io
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, wraps
 from pathlib import Path
@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from nrbench.storage import read_arrays, write_bytes
-
-from ..plots.marks import find_marks, read_pixels, worst_place
 
 SMALLEST, LARGEST = 192, 384
 """Widths on the page, px: smaller pictures are magnified, larger ones are reduced."""
@@ -195,3 +194,65 @@ def _relative(values: NDArray[np.float32]) -> NDArray[np.float32]:
     known = np.isfinite(values)  # a method may leave the place of a pixel open
     low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
     return np.where(known, (values - low) / max(high - low, 1e-9), 0.0)
+
+
+DEFECTS = ("regularity.defects", "integrity.broken")
+"""The pictures of defects, from the one that decides where an output is worst."""
+_LEVELS = 3
+"""Channels that differ by more levels than this make a pixel colored, or different from the output."""
+
+
+def read_pixels(path: Path) -> NDArray[np.uint8]:
+    """Return the pixels of a PNG file of a cell, ``(H, W, 3)``."""
+    with path.open("rb") as file, PIL.Image.open(file, formats=("PNG",)) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def find_marks(layer: NDArray[np.uint8], output: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return where a metric's picture has marks, ``(H, W)``.
+
+    A metric draws its marks in color over the output, or over a gray copy of it. Pixels that are gray, or equal to the
+    output, are no marks.
+
+    Parameters
+    ----------
+    layer, output
+        The picture and the output, ``(H, W, 3)``.
+    """
+    # planes are contiguous, which is many times faster than a reduction over the last axis
+    planes, below = (np.ascontiguousarray(np.moveaxis(picture, -1, 0)) for picture in (layer, output))
+    spread = planes.max(0) - planes.min(0)
+    apart = (np.maximum(planes, below) - np.minimum(planes, below)).max(0)
+    marked: NDArray[np.bool_] = (spread > _LEVELS) & (apart > _LEVELS)
+    return marked
+
+
+def worst_place(
+    output: NDArray[np.uint8], layers: Sequence[NDArray[np.uint8] | None], side: int
+) -> tuple[int, int] | None:
+    """Return the corner (x, y) of the square of an output that has the most marks of defects.
+
+    Parameters
+    ----------
+    output
+        The output.
+    layers
+        Pictures of defects over the output; the first with any marks decides.
+    side
+        Side of the square, px.
+
+    Returns
+    -------
+    tuple of int or None
+        None without marks, and if more than half of the output is marked: then no place is the worst.
+    """
+    for layer in layers:
+        if layer is None or layer.shape != output.shape or side < 2:
+            continue
+        marked = find_marks(layer, output)
+        if 0 < marked.mean() <= 0.5:
+            density = uniform_filter(marked.astype(np.float64), side, mode="constant")
+            y, x = np.unravel_index(int(density.argmax()), density.shape)
+            height, width = marked.shape
+            return int(np.clip(x - side // 2, 0, width - side)), int(np.clip(y - side // 2, 0, height - side))
+    return None

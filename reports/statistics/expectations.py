@@ -1,9 +1,10 @@
-"""Compare scores with what papers say: the claims of a suite, and the published verdicts of the report of 2004.
+"""Compare scores by level of difficulty, with claims of papers, and with the published verdicts of the report of 2004.
 
-Both are expectations: a measured number minus an expected one, and whether its interval lies where the paper puts it. A
-claim is a sentence of a paper, tested on the scores of a run. The published verdicts are tables 2 and 3 of the report.
-The textures of a run are analogues of its figures: they were drawn from the descriptions. Rates over many figures can
-be compared. A single figure cannot, so the agreement by figure is shown beside the agreement that chance reaches.
+A claim is a sentence of a paper, tested on the scores of a run. The published verdicts are tables 2 and 3 of the
+report. Both are expectations: a measured number minus an expected one, and whether its interval lies where the paper
+puts it. The textures of a run are analogues of the figures of the report: they were drawn from the descriptions. Rates
+over many figures can be compared. A single figure cannot, so the agreement by figure is shown beside the agreement that
+chance reaches. Where a suite has several levels of a departure, the first level at which a method fails is found.
 """
 
 from __future__ import annotations
@@ -22,26 +23,26 @@ from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
 from nrbench.runs.records import Run
 from nrbench.streams import stream
-from nrbench.suites.claims import Claim, Expectation, Series
 from nrbench.suites.plan import PlannedMethod
-from nrbench.suites.suite import validated_suite
+from nrbench.suites.suite import Claim, Expectation, Series, validated_suite
 
 from .estimates import (
     NO_ESTIMATE,
     Estimate,
     estimate_mean,
+    estimate_means,
     estimate_proportion,
     kappa,
     mean_kappa,
     means_over_textures,
     paired_differences,
+    stack_draws,
     success_rate,
 )
 from .format import format_interval, format_number
-from .levels import LevelSeries
 from .method_comparison import Comparison
 from .summaries import Method
-from .verdicts import MARKS, PRESERVED, QUALITY, RANKING, tabulate_cells
+from .verdicts import MARKS, PRESERVED, QUALITY, RANKING, has_quality, tabulate_cells
 
 _WORDS = {"less": "less than", "greater": "greater than", "equal": "equal to"}
 GROUPS: Mapping[str, tuple[int, int, tuple[str, ...]]] = {
@@ -484,3 +485,106 @@ def _compare_cells(pairs: pd.DataFrame) -> tuple[Estimate, tuple[float, float] |
 def _one_hot(*verdicts: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
     """Return each array of verdicts with a last axis: 1 in the place of preserved or of lost."""
     return [np.stack([words, ~words], -1).astype(np.float64) for words in verdicts]
+
+
+BROKEN = 0.5
+"""A method breaks at the first level at which its quality is lower."""
+_REFERENCES = ("oracle", "copier")
+
+
+@dataclass(frozen=True)
+class LevelSeries:
+    """A score at several levels: of a method at each level of a departure, or of a line of a claim's panel.
+
+    Parameters
+    ----------
+    name
+        The label of the method, or the name of the line.
+    levels
+        The levels; those of a departure from the easiest to the hardest.
+    estimates
+        Mean score over the textures of each level. In a quality, a failed or refused cell counts 0.
+    method
+        The method; None for the line of a claim, which may have a method for each level.
+    """
+
+    name: str
+    levels: Sequence[float]
+    estimates: Sequence[Estimate]
+    method: Method | None = None
+
+    @property
+    def scored(self) -> list[tuple[int, float]]:
+        """The levels with a quality, as index and quality."""
+        return [(i, one.value) for i, one in enumerate(self.estimates) if one.value is not None]
+
+    @property
+    def breaks_at(self) -> float | None:
+        """The first level at which the quality is below :data:`BROKEN`; None if there is none."""
+        return next((self.levels[i] for i, value in self.scored if value < BROKEN), None)
+
+    @property
+    def words(self) -> str:
+        """The level at which the method breaks, a dash if there is none."""
+        if not self.scored:
+            return "not scored"
+        return "–" if self.breaks_at is None else f"{self.breaks_at:g}"
+
+    @property
+    def count(self) -> str:
+        """How many levels have a quality; empty if all or none have."""
+        n, of = len(self.scored), len(self.levels)
+        return f"{n} of {of} levels scored" if 0 < n < of else ""
+
+
+@dataclass(frozen=True)
+class LevelPanel:
+    """One departure with at least two levels.
+
+    Parameters
+    ----------
+    departure
+        Its name.
+    levels
+        Its levels in the order of the suite, from the easiest to the hardest.
+    series
+        One for each method: the ranked methods, then the oracle and the copier.
+    """
+
+    departure: str
+    levels: Sequence[float]
+    series: Sequence[LevelSeries]
+
+
+def compare_levels(run: Run, comparison: Comparison) -> list[LevelPanel]:
+    """Return a panel for each departure whose textures have two levels or more; none without a quality.
+
+    Parameters
+    ----------
+    run
+        The run. Its suite gives the departure and the level of each texture.
+    comparison
+        The comparison of the run, which gives the order of the methods.
+    """
+    if not has_quality(run):
+        return []
+    cells = tabulate_cells(run)
+    rows = run.info.get("suite", {}).get("content", {}).get("texture", [])
+    groups: dict[str, dict[float, list[str]]] = {}
+    for row in rows:
+        if row.get("departure") and row.get("level") is not None and cells["texture"].eq(row["name"]).any():
+            groups.setdefault(row["departure"], {}).setdefault(float(row["level"]), []).append(row["name"])
+    methods = [method for method in comparison.methods if not method.reference or method.base in _REFERENCES]
+    panels = [
+        LevelPanel(departure, list(names), [_level_series(method, names, cells) for method in methods])
+        for departure, names in groups.items()
+        if len(names) > 1
+    ]
+    return [panel for panel in panels if any(series.scored for series in panel.series)]
+
+
+def _level_series(method: Method, names: dict[float, list[str]], cells: pd.DataFrame) -> LevelSeries:
+    rows = cells[cells["label"] == method.label]
+    parts = (rows[rows["texture"].isin(textures)] for textures in names.values())
+    means = [estimate_means(stack_draws(part, [RANKING]))[0] for part in parts]
+    return LevelSeries(method.label, list(names), means, method)

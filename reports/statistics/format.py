@@ -1,14 +1,20 @@
-"""Format numbers, intervals and column descriptions as text for every report."""
+"""Format numbers, intervals and column descriptions as text for every report, and read the templates of reports."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jinja2
 
 from nrbench.plugins.forms import Column
 
+from . import verdicts
 from .estimates import Estimate
 from .verdicts import BOUND_SIGN
 
@@ -107,3 +113,32 @@ def break_name(name: str, letters: int) -> list[str]:
             lines.append("")
         lines[-1] += piece
     return [line.rstrip() for line in lines]
+
+
+_FORMATS = (
+    *(format_number, format_percent, format_value, format_signed, format_interval, format_count, format_successes),
+    *(format_limit, describe_direction, describe_column, pluralize),
+)
+
+
+def make_environment(filters: Mapping[str, Callable[..., Any]], **options: Any) -> jinja2.Environment:
+    """Return the templates of reports as Jinja reads them.
+
+    Parameters
+    ----------
+    filters
+        Filters of one format, beside those that format numbers and columns.
+    options
+        Further options of Jinja.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parents[1] / "page" / "templates"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        **options,
+    )
+    environment.globals["verdicts"] = verdicts
+    environment.filters.update({function.__name__: function for function in _FORMATS}, **filters)
+    return environment

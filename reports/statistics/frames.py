@@ -15,10 +15,16 @@ from nrbench.labelling.labels import labels_table
 from nrbench.runs.records import CellRecord, Run
 
 from .detections import GROUP_KEYS, STOCHASTIC, DetectorSummary, group_answers, tabulate_answers
-from .expectations import ClaimResult, PublishedComparison, compare_with_published, evaluate_claims
+from .expectations import (
+    ClaimResult,
+    LevelPanel,
+    PublishedComparison,
+    compare_levels,
+    compare_with_published,
+    evaluate_claims,
+)
 from .format import format_interval, format_number, format_signed
 from .labelers import LabelerComparison, compare_labelers
-from .levels import LevelPanel, compare_levels
 from .method_comparison import Comparison
 from .summaries import Method, Number, SummaryRow, describe_scores, perils_points
 from .verdicts import QUALITY, is_valid_baseline
@@ -334,8 +340,8 @@ class PrintedTable:
             self, heads=[self.heads[i] for i in chosen], rows=[[row[i] for i in chosen] for row in self.rows]
         )
 
-    def split(self, widths: Sequence[float], limit: float, most: int = 1000) -> list[list[int]]:
-        """Return the numbers of columns in parts that are no wider than a limit, at least one column in each.
+    def split(self, widths: Sequence[float], limit: float) -> list[PrintedTable]:
+        """Return parts that are no wider than a limit, with at least one column beside the fixed ones in each.
 
         Parameters
         ----------
@@ -343,19 +349,20 @@ class PrintedTable:
             The widths of all columns with the space beside them, in the unit of the limit.
         limit
             The largest width of a part, with the fixed columns.
-        most
-            The largest number of columns in a part, without the fixed ones.
         """
-        if not self.splits:
-            return [[*range(len(widths) - self.fixed)]]
         first, parts, left = sum(widths[: self.fixed]), list[list[int]](), 0.0
         for index, width in enumerate(widths[self.fixed :]):
             left -= width
-            if not parts or left < 0 or len(parts[-1]) == most:
+            if not parts or left < 0:
                 parts.append([])
                 left = limit - first - width
             parts[-1].append(index)
-        return parts
+        return [self.pick(part) for part in parts] if self.splits else [self]
+
+    def split_every(self, count: int) -> list[PrintedTable]:
+        """Return parts of at most so many columns beside the fixed ones."""
+        columns = range(len(self.heads) - self.fixed)
+        return [self.pick(columns[i : i + count]) for i in columns[::count]] if self.splits else [self]
 
     def frame(self) -> pd.DataFrame:
         """Return the texts of the cells."""

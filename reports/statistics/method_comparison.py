@@ -22,9 +22,20 @@ from nrbench.errors import BadInput
 from nrbench.plugins.parameters import append_parameters, nearest
 from nrbench.runs.records import CellRecord, Run
 
-from .estimates import FEWEST, FEWEST_DIFFERENT, FEWEST_DRAWS, Estimate, estimate_means, mean_of_known, stack_draws
+from .estimates import (
+    ALPHA,
+    FEWEST,
+    FEWEST_DIFFERENT,
+    FEWEST_DRAWS,
+    Estimate,
+    PairTests,
+    adjust_means,
+    compare_pairs,
+    estimate_means,
+    mean_of_known,
+    stack_draws,
+)
 from .format import pluralize
-from .pair_tests import ALPHA, PairTests, adjust_means, compare_pairs
 from .summaries import (
     Method,
     MethodSummary,
@@ -65,7 +76,7 @@ _TOO_FEW = f"no leading group: fewer than {FEWEST} textures cannot tell which me
 class PairedDifference:
     """The mean difference of two methods in one score, over the textures that both have.
 
-    ``p`` is the p-value of :func:`~nrbench.reports.statistics.pair_tests.compare_pairs`, adjusted for all pairs of
+    ``p`` is the p-value of :func:`~nrbench.reports.statistics.estimates.compare_pairs`, adjusted for all pairs of
     ranked methods; None for other pairs, for scores of which no way is better, and without tests.
     """
 

@@ -140,7 +140,7 @@ BUILT = {
     ("nrbench.calling.tileable", "consensus"),
     ("nrbench.plugins.registry", "consensus"),
     ("nrbench.plugins.registry", "gncc"),
-    ("nrbench.running.sample_surveys", "consensus"),
+    ("nrbench.running.phases", "consensus"),
 }
 """Plugins that the core still builds by name. One that is mended leaves this list."""
 

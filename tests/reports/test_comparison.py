@@ -17,14 +17,14 @@ from nrbench.reports.html import HtmlReport
 from nrbench.reports.json import JsonSummary
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
-from nrbench.reports.plots.method_plots import caption_text
+from nrbench.reports.page.plots import caption_text
 from nrbench.reports.statistics import verdicts
-from nrbench.reports.statistics.frames import print_patches
-from nrbench.reports.statistics.levels import (
+from nrbench.reports.statistics.expectations import (
     LevelPanel,
     LevelSeries,
     compare_levels,
 )
+from nrbench.reports.statistics.frames import print_patches
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.reports.statistics.summaries import (
     SummaryRow,

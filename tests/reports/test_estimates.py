@@ -15,16 +15,16 @@ from scipy.stats import bootstrap, permutation_test, ttest_ind
 
 from nrbench.errors import BadInput
 from nrbench.reports.statistics import estimates
-from nrbench.reports.statistics.estimates import expanded_tail
-from nrbench.reports.statistics.method_comparison import compare_methods
-from nrbench.reports.statistics.pair_tests import (
+from nrbench.reports.statistics.estimates import (
     ALPHA,
     PairTests,
     adjust_means,
     compare_pairs,
     detectable_losses,
+    expanded_tail,
     p_values_by_flips,
 )
+from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
 
 

@@ -14,7 +14,7 @@ from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.latex import LatexTables
 from nrbench.reports.markdown import MarkdownTables
-from nrbench.reports.plots.method_plots import plot_claim
+from nrbench.reports.page.plots import plot_claim
 from nrbench.reports.statistics.expectations import (
     GROUPS,
     ClaimResult,

@@ -16,10 +16,8 @@ from hypothesis import strategies as st
 from nrbench.errors import BadInput
 from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures, plot_pictures
 from nrbench.reports.html import forest_axes
-from nrbench.reports.page.pictures import PictureStore
-from nrbench.reports.perils import PerilsPlane
-from nrbench.reports.plots.marks import find_marks, worst_place
-from nrbench.reports.plots.method_plots import (
+from nrbench.reports.page.pictures import PictureStore, find_marks, worst_place
+from nrbench.reports.page.plots import (
     caption_text,
     hardest_first,
     method_styles,
@@ -30,6 +28,7 @@ from nrbench.reports.plots.method_plots import (
     spread,
     timed_methods,
 )
+from nrbench.reports.perils import PerilsPlane
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.reports.statistics.summaries import Method, PerilsPoint, perils_points
 from nrbench.runs.records import Run

@@ -144,8 +144,8 @@ def test_nothing_in_a_name_is_markup() -> None:
     assert escape_markdown("a\nb\x1b[1m") == "a b"
 
 
-def _write_latex(run: Run, directory: Path, columns: int = 6) -> dict[str, str]:
-    return {path.stem: path.read_text("utf-8") for path in LatexTables(columns).write(run, directory)}
+def _write_latex(run: Run, directory: Path, **options: Any) -> dict[str, str]:
+    return {path.stem: path.read_text("utf-8") for path in LatexTables(**options).write(run, directory)}
 
 
 def test_special_characters_are_escape_latex() -> None:
@@ -157,10 +157,10 @@ def test_special_characters_are_escape_latex() -> None:
     assert escape_latex("--") == "{-}{-}"
 
 
-def test_latex_columns_are_checked(make_run: Make, tmp_path: Path) -> None:
-    """Fewer than one column is an error; a run without cells writes no file."""
-    with pytest.raises(BadInput, match="give at least 1"):
-        LatexTables(columns=0)
+def test_latex_widths_are_checked(make_run: Make, tmp_path: Path) -> None:
+    """An unknown width is an error; a run without cells writes no file."""
+    with pytest.raises(BadInput, match="give one of column, text, page"):
+        LatexTables(width="narrow")  # type: ignore[arg-type]
     assert LatexTables().write(make_run([]), tmp_path) == []
 
 
@@ -319,16 +319,19 @@ def test_numbers_read_well(value: float | None, text: str) -> None:
     assert text_format.format_number(value) == text
 
 
-@given(st.lists(st.floats(1, 50), min_size=3, max_size=12), st.integers(1, 5))
-def test_a_table_is_split_where_it_must(widths: list[float], most: int) -> None:
+@given(st.lists(st.floats(1, 50), min_size=3, max_size=12))
+def test_a_table_is_split_where_it_must(widths: list[float]) -> None:
     """Each column stands in one part, in order; a part of several columns fits, and the next one would not have."""
     table = PrintedTable("table", [*map(str, range(len(widths)))], [], splits=True)
-    parts = table.split(widths, 60.0, most)
-    assert [column for part in parts for column in part] == [*range(len(widths) - 1)]
-    wide = [widths[0] + sum(widths[1 + column] for column in part) for part in parts]
-    assert all(width <= 60 + 1e-6 for width, part in zip(wide, parts, strict=True) if len(part) > 1)
-    assert all(
-        len(part) == most or width + widths[1 + after[0]] > 60 - 1e-6
-        for width, part, after in zip(wide, parts, parts[1:], strict=False)
-    )
-    assert table.pick(parts[0]).heads == ["0", *(str(1 + column) for column in parts[0])]
+    parts = [[int(head) for head in part.heads] for part in table.split(widths, 60.0)]
+    assert [column for part in parts for column in part[1:]] == [*range(1, len(widths))]
+    assert all(part[0] == 0 for part in parts)
+    wide = [sum(widths[column] for column in part) for part in parts]
+    assert all(width <= 60 + 1e-6 for width, part in zip(wide, parts, strict=True) if len(part) > 2)
+    assert all(width + widths[after[1]] > 60 - 1e-6 for width, after in zip(wide, parts[1:], strict=False))
+
+
+def test_a_table_is_split_every_so_many_columns() -> None:
+    """Each part has the fixed columns and at most so many others."""
+    table = PrintedTable("table", [*"abcdefg"], [], fixed=2, splits=True)
+    assert [part.heads for part in table.split_every(2)] == [[*"abcd"], [*"abef"], [*"abg"]]

@@ -1,9 +1,19 @@
-"""What a method returned: checked, and rounded to 8 bits. One picture needs nothing else of this package."""
+"""What happens before and after a method is called: it prepares for a sample, and its output is checked.
+
+A preparation, such as training, is done once, and found again by all cells of the sample. An output is rounded to 8
+bits.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import re
+import time
+import uuid
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +21,72 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Shape, SourceMap, Synthesis
+from nrbench.plugins.forms import Shape, SourceMap, Synthesis, Task
+from nrbench.storage import read_json, remove, temporary_folder, write_json
+from nrbench.streams import pixels_hash, stream
+
+RECORD = ".prepared.json"
+"""The file of a prepared folder that says how long the preparation took."""
+
+
+def prepare_method(method: Any, task: Task, folder: Path, seed: int) -> tuple[Task, float | None]:
+    """Let a method with ``prepare(task)`` prepare for a sample, unless it has done so before.
+
+    The method works in another folder, which is renamed at the end: a preparation that is interrupted leaves nothing,
+    and of two at the same time one counts.
+
+    Parameters
+    ----------
+    method
+        The method.
+    task
+        The task of the synthesis.
+    folder
+        The folder that ``task.cache`` is to be.
+    seed
+        The seed of the run.
+
+    Returns
+    -------
+    task
+        The task with the folder; as it was if the method has no ``prepare``.
+    seconds
+        Wall seconds of the preparation, also of an earlier one; None if the method has none.
+    """
+    if not hasattr(method, "prepare"):
+        return task, None
+    seconds = _read_seconds(folder)
+    if seconds is None:
+        remove(folder)  # it is damaged, if it is there
+        aside = folder.with_name(f".{folder.name}-{uuid.uuid4().hex}")
+        aside.mkdir(parents=True)
+        rng, start = stream("prepare", seed, pixels_hash(task.sample)), time.perf_counter()
+        given = replace(task, shape=task.sample.shape[:2], rng=rng, cache=aside, again=None, recompose=None)
+        try:
+            method.prepare(given)
+            seconds = time.perf_counter() - start
+            write_json(aside / RECORD, {"seconds": seconds})
+            with contextlib.suppress(OSError):  # that of another cell is there
+                aside.rename(folder)
+        finally:
+            remove(aside)
+    return replace(task, cache=folder), seconds
+
+
+@contextlib.contextmanager
+def briefly_prepared(method: Any, task: Task, seed: int) -> Iterator[Task]:
+    """Yield the task of a method outside of a run, for which it has prepared; the folder does not last."""
+    with contextlib.ExitStack() as stack:
+        lasting = hasattr(method, "prepare")
+        folder = stack.enter_context(temporary_folder()) if lasting else Path()
+        yield prepare_method(method, task, folder / "prepared", seed)[0]
+
+
+def _read_seconds(folder: Path) -> float | None:
+    """Return how long the preparation of a folder took; None if the folder is not complete."""
+    seconds = (read_json(folder / RECORD) or {}).get("seconds")
+    return seconds if isinstance(seconds, float) and 0 <= seconds < float("inf") else None
+
 
 COPY_TOLERANCE = 1.5 / 255
 """Largest difference between a copied pixel and its source: the rounding to 8 bits."""

@@ -1,1 +1,0 @@
-"""Plots that reports write as files and show on the page."""
