@@ -1,4 +1,4 @@
-"""What happens before and after a method is called: it prepares for a sample, and its output is checked.
+"""What happens before and after a method is called: it prepares for a sample or a part of it; its output is checked.
 
 A preparation, such as training, is done once, and found again by all cells of the sample. An output is rounded to 8
 bits.
@@ -8,20 +8,22 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import re
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import Image, quantize, shrink
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Shape, SourceMap, Synthesis, Task
+from nrbench.plugins.forms import NoLatticeFound, Shape, SourceMap, Synthesis, Synthesizer, Task
+from nrbench.plugins.registry import NamedDetector
 from nrbench.storage import read_json, remove, temporary_folder, write_json
 from nrbench.streams import pixels_hash, stream
 
@@ -196,3 +198,59 @@ def _count_wrong(source: SourceMap, image: Image, sample: Image) -> int:
     copy = (weight > 1 - 1e-6) & (x == np.rint(x)) & (y == np.rint(y))
     pixels = sample[y[copy].astype(int), x[copy].astype(int)]
     return int((np.abs(image[known][copy] - pixels) > COPY_TOLERANCE).any(-1).sum())
+
+
+LARGE: Final = 1024
+"""px: smaller samples are used whole."""
+PERIODS: Final = 16
+"""Periods along each side that are enough: they hold 256 tiles."""
+
+
+def synthesize_from_part(
+    synthesize: Callable[[Synthesizer, Task], Synthesis], method: Synthesizer, task: Task
+) -> Synthesis:
+    """Return a synthesis from the middle of a large sample, as large as the lattice and the output need.
+
+    A method that finds a lattice gets at most :data:`LARGE` px, :data:`PERIODS` periods, or the longer side of the
+    output, whichever is the most, so that its time and memory do not grow with the sample. The periods are those of the
+    given lattice, or of one that the method's detector finds in the reduced sample.
+
+    Parameters
+    ----------
+    synthesize
+        Is called with the method and a task with the part.
+    method, task
+        The method and its task.
+    """
+    shape = task.sample.shape[:2]
+    finder = getattr(method, "finder", "")
+    if max(shape) <= LARGE or not finder or getattr(method, "reference", False):
+        return synthesize(method, task)
+    start = time.perf_counter()
+    side = max(LARGE, *task.shape, math.ceil(PERIODS * _longest_period(task, finder)))
+    seconds = 0.0 if task.lattice else time.perf_counter() - start
+    top, left = (max(length - side, 0) // 2 for length in shape)
+    part = task.sample[top : top + side, left : left + side]
+    lattice = None if task.lattice is None else task.lattice.shifted((-left, -top))
+    made = synthesize(method, replace(task, sample=np.ascontiguousarray(part), lattice=lattice))
+    note = "; ".join(filter(None, (made.note, f"from the middle {part.shape[1]}x{part.shape[0]} px of the sample")))
+    source = None if made.source is None else made.source + np.array([left, top, 0], np.float32)
+    return replace(
+        made,
+        lattice=None if made.lattice is None else made.lattice.shifted((left, top)),
+        source=source,
+        detection_seconds=made.detection_seconds + seconds,
+        note=note if max(shape) > side else made.note,
+    )
+
+
+def _longest_period(task: Task, finder: str) -> float:
+    """Return the longer of the two shortest periods of the sample, px; 0 if the reduced sample shows none."""
+    factor, lattice = 1, task.lattice
+    if lattice is None:
+        factor = math.ceil(max(task.sample.shape) / LARGE)
+        try:
+            lattice = NamedDetector(finder).detect(shrink(task.sample, factor)).lattice
+        except NoLatticeFound:
+            return 0.0
+    return factor * float(np.hypot(*lattice.reduced().matrix.T).max())

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from nrbench import plugins
 from nrbench.displacement.deformation_field import pixel_places, read_spline
 from nrbench.errors import BadInput
-from nrbench.imaging.boxes import largest_box
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import Image, largest_box, quantize
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
-from nrbench.plugins.registry import NamedDetector
+from nrbench.plugins.registry import NamedDetector, in_role
 
 from .bent_samples import find_bend, trace_points
 
@@ -54,7 +53,7 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
         method refuses the sample.
     """
     require_wrapping(type(method))
-    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
+    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or in_role("detector")))
     if found.lattice is None:
         return method.synthesize(replace(task, tileable=True))
     bent, bending = None, ""

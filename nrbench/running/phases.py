@@ -45,7 +45,7 @@ from nrbench.plugins.forms import (
     timed_detection,
 )
 from nrbench.plugins.parameters import leave_user_folder
-from nrbench.plugins.registry import BENT_FINDERS
+from nrbench.plugins.registry import bent_finders, in_role
 from nrbench.running.guard import MIB, Message, cpu_seconds, peak_bytes
 from nrbench.runs.store import CellFolder, Result, metric_key
 from nrbench.storage import read_arrays, read_json, write_arrays, write_json
@@ -527,8 +527,8 @@ def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> tuple[Samp
     folder
         The folder of the surveys of the run.
     """
-    finder = (cell.finder or ("consensus",))[0]
-    if not all(plugins.find("detectors", name).own for name in (finder, *BENT_FINDERS)):
+    finder = (cell.finder or (in_role("detector"),))[0]
+    if not all(plugins.find("detectors", name).own for name in (finder, *bent_finders())):
         return survey_sample(method, task), Spent()
     file = folder / f"{_survey_key(cell)}.json"
     kept = _read_survey(file)
@@ -545,7 +545,7 @@ def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> tuple[Samp
 def _survey_key(cell: Cell) -> str:
     """Return a hash of all that a survey depends on."""
     given = cell.lattice_given.as_dict() if cell.lattice_given else None
-    versions = [plugins.find("detectors", name).full_version for name in BENT_FINDERS]
+    versions = [plugins.find("detectors", name).full_version for name in bent_finders()]
     text = json.dumps([RESULTS_VERSION, cell.sample_hash, given, cell.finder, versions], sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
