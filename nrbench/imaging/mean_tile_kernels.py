@@ -1,4 +1,4 @@
-"""Compiled loops of folding: mean tiles, and values between their samples."""
+"""Compiled loops of folding: mean tiles, and values between their samples and between pixels."""
 
 from __future__ import annotations
 
