@@ -99,15 +99,15 @@ class Miscited(BadMethod):
 
 @dataclass(frozen=True)
 class Forgetful(BadMethod):
-    """A method whose parameter cannot be given as text: ``none`` is read as None.
+    """A method whose parameter JSON cannot hold.
 
     Parameters
     ----------
-    how, names
-        The violation, and names.
+    how, share
+        The violation, and a number.
     """
 
-    names: str | None = "none"
+    share: float = float("nan")
 
 
 @dataclass(frozen=True)

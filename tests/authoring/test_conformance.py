@@ -60,7 +60,7 @@ def test_a_violation_fails_its_clause_alone(kind: str, clause: str, example_run:
     ("name", "clause"), [("nameless", "docstring"), ("miscited", "paper"), ("forgetful", "parameters")]
 )
 def test_a_page_and_parameters_are_checked(name: str, clause: str) -> None:
-    """A parameter without description, a paper that is no BibTeX, a parameter that is misread: each fails."""
+    """A parameter without description, a paper that is no BibTeX, a parameter that JSON cannot hold: each fails."""
     assert list(failed("synthesizers", name)) == [clause]
 
 
