@@ -35,6 +35,7 @@ import numpy as np
 import pandas as pd
 
 from nrbench import plugins
+from nrbench.calling.method_calls import checked_synthesis
 from nrbench.datasets_procedural.modelling.materials import MATERIALS, Material
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
@@ -47,7 +48,6 @@ from nrbench.plugins.forms import Again, Observation, Task
 from nrbench.plugins.parameters import parse_spec
 from nrbench.reports.statistics.estimates import Estimate
 from nrbench.reports.statistics.labelers import JUDGE, compare_orders, compare_raters
-from nrbench.running.output_checks import checked_synthesis
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.plan import Sample, draw_samples
 from nrbench.suites.suite import load_suite

@@ -59,9 +59,8 @@ from nrbench.lattice.relation import lattice_error
 from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
-from nrbench.running.pace import Step
 from nrbench.running.phases import score_observation
-from nrbench.running.runner import Options
+from nrbench.running.runner import Options, Step
 from nrbench.streams import stream
 
 PAPER = "rsgf:seam=blend,subpixel=false,tolerance=3,candidate_fraction=0,prefer_unused=false"

@@ -9,16 +9,21 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from nrbench.imaging.convert import quantize
+from nrbench.imaging.mean_tile import fold
+from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
-from .judgment.examination import Examination, examine
-from .judgment.texture_reference import CannotTell
+from .judgment.examination import examine
+from .judgment.texture_reference import FIRST_DRAW
 from .registration.node_field import NodeField
 
 LEAST_AMPLITUDE = 0.02
 """Amplitude, in units of s, below which displacements are mostly errors of measurement."""
-LEAST_POINTS = 9
-"""Windows that must be in place in a picture."""
+_LARGEST = 320
+"""Largest side of a fresh draw that is followed, px."""
+_FLAT = 1e-7
+"""Variance of a mean tile, of values in [0, 1], below which there is nothing to follow."""
 LEAST_FOUND = 0.5
 """Share of a picture in which the texture must be found."""
 Answer = float | str
@@ -46,17 +51,16 @@ def _columns_of(image: str) -> dict[str, Column]:
 class DeformationAmplitude:
     """Displacements in sample and output, measured in their pixels.
 
-    Both are followed by the lattice as ``regularity`` follows an output
-    (:class:`~nrbench.metrics.registration.followed.FollowedPicture`): windows of one to three cells, at every half
-    cell, each lie where they fit the mean cell best. Let p be the places of all windows that are in place, and fit
-    their best regular fit (affine, least squares). The *amplitude* is the root of sum |p - fit|^2 / (n - 3). The
-    *length* is the distance at which the autocorrelation of p - fit falls to 1/e, interpolated between steps of s / 2.
-    *Folded* is the share of quarter cells with a negative Jacobian at one of their corners. Sample and output are
-    compared in parts of equal size (the smaller of both), since an affine fit removes more from a small image. If the
-    texture is deformed at all and has fresh draws, the whole output is also compared with one of them.
+    The lattice is followed through both (:func:`~nrbench.displacement.following.find_knots`). Let p be the places of
+    all lattice points, and of points between them, and fit their best regular fit (affine, least squares). The
+    *amplitude* is the root of sum |p - fit|^2 / (n - 3). The *length* is the distance at which the autocorrelation of p
+    - fit falls to 1/e. *Folded* is the share of the cells between four neighbors with a negative Jacobian at one of
+    their corners. Sample and output are compared in parts of equal size (the smaller of both), since an affine fit
+    removes more from a small image. If the texture is deformed at all and has fresh draws, the whole output is also
+    compared with one.
 
-    Windows average displacements over their size. Parts of a tile that move independently count by their mean. A region
-    that is displaced by a whole lattice vector does not count as displaced.
+    Parts of a tile that move independently count by their mean. A region that is displaced by a whole lattice vector
+    does not count as displaced.
     """
 
     version: ClassVar[str] = "2"
@@ -77,29 +81,32 @@ class DeformationAmplitude:
 
     def score(self, observation: Observation) -> Score:
         """Return the scores."""
-        examination = examine(observation)
-        try:
-            pictures, shares = examination.both, examination.found
-        except CannotTell as none:
-            return Score.missing(self.columns, str(none))
-        tracked = {"tracked": shares[0]}
-        if min(shares) < LEAST_FOUND:
-            reason = f"not measured: the tile was found in only {min(shares):.0%} of the sample or the output"
-            return Score({**dict.fromkeys(self.columns), **tracked}, dict.fromkeys([*self.columns][:-1], reason))
-        output, sample = (NodeField.of(picture) for picture in pictures)
-        points = min(int(field.known.sum()) for field in (output, sample))
-        if points < LEAST_POINTS:
-            return Score.missing(self.columns, f"not measured: {points} windows are in place, at least 9 are needed")
+        lattice = examine(observation).known_lattice.lattice
+        if lattice is None:
+            return Score.missing(self.columns, examine(observation).known_lattice.reason)
+        if float(fold(observation.sample, lattice).values.var((0, 1)).sum()) < _FLAT:
+            return Score.missing(self.columns, "not applicable: the mean tile is flat")
+        output, sample = (NodeField.of(image, lattice) for image in (observation.output, observation.sample))
+        tracked = {"tracked": output.covered if output is not None else 0.0}
+        obstacle = _find_obstacle(output, "output") or _find_obstacle(sample, "sample")
+        if output is None or sample is None or obstacle:
+            return Score({**dict.fromkeys(self.columns), **tracked}, dict.fromkeys([*self.columns][:-1], obstacle))
         answers = {
             **_describe(output, ""),
             **_describe(sample, "sample_"),
-            **_compare_parts(output, sample, observation),
-            **_compare_fresh(output, sample, examination),
+            **_compare_parts(output, sample),
+            **_compare_fresh(output, sample, observation, lattice),
             **tracked,
         }
         values: dict[str, Value] = {name: None if isinstance(one, str) else one for name, one in answers.items()}
         reasons = {name: one for name, one in answers.items() if isinstance(one, str)}
         return Score(values, reasons, records={"points": int(output.known.sum())})
+
+
+def _find_obstacle(field: NodeField | None, name: str) -> str:
+    """Return why nothing can be measured in an image; empty if something can."""
+    share = 0.0 if field is None else field.covered
+    return "" if share >= LEAST_FOUND else f"not measured: the tile was found in only {share:.0%} of the {name}"
 
 
 def _describe(field: NodeField, start: str) -> dict[str, Answer]:
@@ -121,21 +128,26 @@ def _length(field: NodeField) -> Answer:
     return length if length is not None else "not measured: displacements correlate across the whole image"
 
 
-def _compare_parts(output: NodeField, sample: NodeField, observation: Observation) -> dict[str, Answer]:
+def _compare_parts(output: NodeField, sample: NodeField) -> dict[str, Answer]:
     """Return amplitude and length of the output over those of the sample, both in parts of equal size."""
-    shapes = [(image.shape[0], image.shape[1]) for image in (observation.output, observation.sample)]
-    shape = min(shapes[0][0], shapes[1][0]), min(shapes[0][1], shapes[1][1])
-    one, other = (field.parts(whole, shape) for field, whole in zip((output, sample), shapes, strict=True))
-    return _ratios(one, other, ("amplitude_ratio", "length_ratio"), "sample")
+    shape = min(output.extent[0], sample.extent[0]), min(output.extent[1], sample.extent[1])
+    return _ratios(output.parts(shape), sample.parts(shape), ("amplitude_ratio", "length_ratio"), "sample")
 
 
-def _compare_fresh(output: NodeField, sample: NodeField, examination: Examination) -> dict[str, Answer]:
+def _compare_fresh(
+    output: NodeField, sample: NodeField, observation: Observation, lattice: Lattice
+) -> dict[str, Answer]:
     names = ("amplitude_to_fresh", "length_to_fresh")
-    if examination.reference.from_sample:
+    if observation.again is None:
         return dict.fromkeys(names, "not measured: the texture has no fresh draws")
     if max(output.amplitude, sample.amplitude) < LEAST_AMPLITUDE * output.s:
         return dict.fromkeys(names, "not applicable: neither sample nor output is deformed")
-    return _ratios([output], [NodeField.of(examination.reference.pictures[0])], names, "fresh draws")
+    height, width = (min(side, _LARGEST) for side in observation.output.shape[:2])
+    draw = observation.again((height, width), FIRST_DRAW)
+    fresh = None if draw is None else NodeField.of(quantize(draw.image), lattice)
+    if fresh is None:
+        return dict.fromkeys(names, "not measured: the lattice cannot be followed through a fresh draw")
+    return _ratios([output], [fresh], names, "fresh draws")
 
 
 def _ratios(

@@ -7,14 +7,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
+from nrbench.displacement.deformation_field import Deformation
+from nrbench.displacement.following import find_knots
 from nrbench.imaging.convert import Image
+from nrbench.imaging.mean_tile import interpolate, tile_grid
+from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
 from .judgment.examination import examine
-from .judgment.texture_reference import CannotTell
-from .registration.followed import FollowedPicture
-from .registration.lattice_net import sample_planes, split_cells
-from .registration.node_field import NodeField
 
 _LEAST_G, _LEAST_A = 0.005, 1 / 255
 
@@ -26,7 +28,7 @@ class GeometryAppearance:
     In the spirit of Liu, Lin, Hays: Near-regular texture analysis and manipulation (SIGGRAPH 2004), and Lin, Hays, Wu,
     Kwatra, Liu: Quantitative evaluation of near regular texture synthesis algorithms (CVPR 2006). There a user helps to
     find the lattice; here it is followed (:class:`~.deformation.DeformationAmplitude`). Let p_i be the places of the n
-    windows that are in place, k_i their cell coordinates, and (M, o) the affine map that fits best. Then::
+    places that are found, k_i their cell coordinates, and (M, o) the affine map that fits best. Then::
 
         G = sqrt(sum_i |p_i - (k_i M + o)|^2 / n) / s,   s the shortest lattice vector
         A = mean over points x of the cell and channels of std_i T_i(x)
@@ -52,13 +54,13 @@ class GeometryAppearance:
 
     def score(self, observation: Observation) -> Score:
         """Return both scores for sample and output."""
-        try:
-            pictures = examine(observation).both
-        except CannotTell as none:
-            return Score.missing(self.columns, str(none))
-        images = (observation.output, observation.sample)
-        g, sample_g = (NodeField.of(picture).deviation / picture.net.s for picture in pictures)
-        a, sample_a = (appearance(image, picture) for image, picture in zip(images, pictures, strict=True))
+        known = examine(observation).known_lattice
+        if known.lattice is None:
+            return Score.missing(self.columns, known.reason)
+        measured = [measure(image, known.lattice) for image in (observation.output, observation.sample)]
+        if None in measured:
+            return Score.missing(self.columns, "not measured: the lattice cannot be followed through sample and output")
+        (g, a), (sample_g, sample_a) = (each for each in measured if each is not None)
         values: dict[str, Value] = {
             "g": g,
             "a": a,
@@ -73,9 +75,20 @@ class GeometryAppearance:
         return Score(values, {name: reason for name, value in values.items() if value is None})
 
 
-def appearance(image: Image, picture: FollowedPicture) -> float:
-    """Return the A-score of an image that was followed; NaN if fewer than two whole cells are in place."""
-    points, known = picture.locate_points(picture.unwrapped)
-    samples = picture.net.samples
-    cells = split_cells(sample_planes(image, points), samples)[split_cells(known, samples).all((2, 3))]
-    return float(cells.std(0, ddof=1).mean()) if len(cells) > 1 else math.nan
+def measure(image: Image, lattice: Lattice) -> tuple[float, float] | None:
+    """Return both scores of an image; None if the lattice cannot be followed, or if fewer than two cells are whole."""
+    knots = find_knots(image, lattice)
+    if knots is None:
+        return None
+    deformation = Deformation(image, knots)
+    straight, regular = deformation.rectify()
+    rows, columns = tile_grid(regular)
+    v, u = np.meshgrid((np.arange(rows) + 0.5) / rows - 0.5, (np.arange(columns) + 0.5) / columns - 0.5, indexing="ij")
+    around = np.stack([u, v], -1) @ regular.matrix
+    reach, middles = np.abs(around).reshape(-1, 2).max(0), regular.points(straight.shape[:2])
+    whole = ((middles >= reach) & (middles <= np.array(straight.shape[1::-1]) - 1 - reach)).all(1)
+    if whole.sum() < 2:
+        return None
+    cells = interpolate(straight, middles[whole][:, np.newaxis, np.newaxis] + around)
+    g = math.sqrt(float((deformation.field**2).sum(1).mean())) / regular.s
+    return g, float(cells.std(0, ddof=1).mean())

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from nrbench.detectors.ssdn import Ssdn
 from nrbench.errors import require, require_ranges
-from nrbench.imaging.boxes import box_sums
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, box_sums
 from nrbench.lattice.geometry import Integers, Lattice, Points, integers_within
 from nrbench.plugins.forms import Geometry, Refused, Shape, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector

@@ -53,19 +53,6 @@ class Examination:
         return self.reference.follow(self.lab)
 
     @cached_property
-    def both(self) -> tuple[FollowedPicture, FollowedPicture]:
-        """Output and sample, followed by the lattice; raises :class:`CannotTell` if the texture shows no pattern."""
-        if self.reference.usual_contrast <= 0:
-            raise CannotTell("not applicable: the mean tile is flat")
-        return self.followed, self.reference.follow(perceive(self.observation.sample))
-
-    @cached_property
-    def found(self) -> tuple[float, float]:
-        """Shares of output and sample in which the texture is in its place."""
-        output, sample = (1 - float(self.reference.misplacement(each)[each.valid].mean()) for each in self.both)
-        return output, sample
-
-    @cached_property
     def misplaced(self) -> float:
         """Share of the output that is out of place beyond what the references show, in [0, 1]."""
         bad = self.reference.misplacement(self.followed)[self.followed.valid]

@@ -161,12 +161,6 @@ class FollowedPicture:
         return self._growth[1]
 
     @cached_property
-    def unwrapped(self) -> Field:
-        """Displacement of each node, of those modulo the lattice the one nearest to the expected one."""
-        near = self.displacement - self.expected
-        return np.asarray(self.expected + near - np.rint(near))
-
-    @cached_property
     def away(self) -> Values:
         """Distance in s of each node from where it is expected."""
         return np.asarray(_length(self.displacement - self.expected, self.net.vectors) / self.net.s)
@@ -215,22 +209,17 @@ class FollowedPicture:
     @cached_property
     def straightened(self) -> tuple[Values, Mask]:
         """The picture with each point at its expected place, and the points that are known and in place."""
-        points, known = self.locate_points(self.expected)
-        return sample_planes(self.lab[..., :3], points), known
-
-    def locate_points(self, displacement: Field) -> tuple[Points, Mask]:
-        """Return the places (x, y) px of the net's points, displaced as the nodes are, and which are known."""
         sides = self.plane.shape[:2]
         rows, columns = (
             _spread_matrix(side, n, self.size, nodes)
             for side, n, nodes in zip(sides, self.net.samples, self.valid.shape, strict=True)
         )
-        planes = np.concatenate([displacement, self.in_place[..., np.newaxis]], -1)
+        planes = np.concatenate([self.expected, self.in_place[..., np.newaxis]], -1)
         spread = np.stack([rows @ plane @ columns.T for plane in np.moveaxis(planes, -1, 0)], -1)
         moved, known = spread[..., :2] @ self.net.vectors, spread[..., 2] > 0.5
         points = self.net.points + moved
         shape = (self.lab.shape[0], self.lab.shape[1])
-        return points, known & find_inside(points, shape)
+        return sample_planes(self.lab[..., :3], points), known & find_inside(points, shape)
 
     @cached_property
     def residual(self) -> tuple[Values, Mask]:
@@ -387,8 +376,9 @@ def _fill(field: Field, unknown: Mask) -> Field:
 
 def _compare_sides(picture: FollowedPicture) -> NDArray[np.float64]:
     """Return the largest difference px between the mean displacements of the two sides of each node."""
+    near = picture.displacement - picture.expected
     known = picture.valid & (picture.away < 0.3)
-    moved = np.where(known[..., np.newaxis], picture.unwrapped @ picture.net.vectors, 0)
+    moved = np.where(known[..., np.newaxis], (picture.expected + near - np.rint(near)) @ picture.net.vectors, 0)
     y, x = np.mgrid[-_SIDE : _SIDE + 1, -_SIDE : _SIDE + 1]
     planes = np.stack([known.astype(float), *np.moveaxis(moved, -1, 0)])
     planes = np.broadcast_to(planes, (2, *planes.shape))

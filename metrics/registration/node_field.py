@@ -1,4 +1,4 @@
-"""The displacements of the windows of a followed picture: their size, correlation length, and folds."""
+"""The displacements of a lattice that was followed through a picture: their size, correlation length, and folds."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.lattice.geometry import Points
+from nrbench.displacement.following import find_knots
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Shape
 
-from .followed import FollowedPicture
 from .lattice_net import Mask
 
 _AFFINE = 3
@@ -23,46 +24,65 @@ _LEAST_PAIRS = 0.05
 
 @dataclass(frozen=True)
 class NodeField:
-    """Where the nodes of a lattice, two for each vector, lie in a picture.
+    """Where the nodes of a lattice, lattice points and points between them, lie in a picture.
 
     Parameters
     ----------
     vectors
-        ``(2, 2)`` px: the generating vectors, as rows.
+        ``(2, 2)`` px: the steps from node to node along both axes of the arrays, as rows.
+    s
+        Length of the shortest lattice vector, px.
     places
         ``(R, C, 2)`` px: (x, y) of each node on the lattice.
     moved
         ``(R, C, 2)`` px: displacement of each node.
     known
         ``(R, C)``: the nodes that were found.
+    covered
+        Share of the picture in which nodes were found.
     """
 
     vectors: Points
+    s: float
     places: Points
     moved: Points
     known: Mask
+    covered: float = 1.0
 
     @classmethod
-    def of(cls, picture: FollowedPicture) -> NodeField:
-        """Return the displacements of the nodes in place, each as its window was found."""
-        moved = picture.unwrapped @ picture.net.vectors
-        return cls(picture.net.vectors, picture.centers, moved, picture.in_place)
+    def of(cls, image: Image, lattice: Lattice) -> NodeField | None:
+        """Follow a lattice through an image; None if it cannot be followed."""
+        knots = find_knots(image, lattice)
+        if knots is None:
+            return None
+        mean = knots.mean_lattice()
+        places, found = (values.swapaxes(0, 1) for values in (mean.from_cell(knots.cells), knots.places))
+        known = knots.known.T
+        vectors = mean.matrix / np.array(knots.parts)[:, np.newaxis]
+        moved = np.where(known[..., np.newaxis], found - places, 0)
+        covered = min(knots.area / math.prod(image.shape[:2]), 1.0)
+        return cls(vectors, mean.s, places, moved, known, covered)
 
     @property
-    def s(self) -> float:
-        """Length of the shortest vector, px."""
-        return float(np.hypot(*self.vectors.T).min())
+    def extent(self) -> Shape:
+        """Height and width, px, of the box that the known nodes span: a little less than the picture."""
+        places = self.places[self.known]
+        width, height = np.ptp(places, axis=0) if len(places) else (0, 0)
+        return int(height), int(width)
 
-    def parts(self, image: Shape, shape: Shape) -> list[NodeField]:
-        """Return the field in upright boxes of ``shape`` that cover an image and overlap by about half.
+    def parts(self, shape: Shape) -> list[NodeField]:
+        """Return the field in upright boxes of ``shape`` that cover the known nodes and overlap by about half.
 
-        An affine fit removes more from a small image than from a large one, but the same from parts of equal size.
+        An affine fit removes more from a small field than from a large one, but the same from parts of equal size.
         """
+        first, last = self.places[self.known].min(0)[::-1], self.places[self.known].max(0)[::-1]
         starts = [
-            np.linspace(0, n - box, 1 + math.ceil(2 * (n - box) / box)) for n, box in zip(image, shape, strict=True)
+            np.linspace(low, max(high - box, low), 1 + max(math.ceil(2 * (high - low - box) / max(box, 1)), 0))
+            for low, high, box in zip(first, last, shape, strict=True)
         ]
-        boxes = [np.array([x, y]) - 0.5 for y in starts[0] for x in starts[1]]
-        inside = [((self.places >= low) & (self.places < low + shape[::-1])).all(-1) for low in boxes]
+        boxes = [np.array([x, y]) for y in starts[0] for x in starts[1]]
+        end = np.array(shape[::-1]) + 0.5
+        inside = [((self.places >= low) & (self.places < low + end)).all(-1) for low in boxes]
         return [replace(self, known=self.known & part) for part in inside]
 
     @cached_property
@@ -110,7 +130,7 @@ class NodeField:
         power = np.abs(np.fft.fft2(table)) ** 2
         counts, sums = np.rint(np.fft.ifft2(power[0]).real), np.fft.ifft2(power[1:].sum(0)).real
         steps = np.stack(np.meshgrid(*(np.fft.fftfreq(2 * n, 1 / (2 * n)) for n in side), indexing="ij"), -1)
-        return sums, counts, np.hypot(*np.moveaxis(steps / 2 @ self.vectors, -1, 0))
+        return sums, counts, np.hypot(*np.moveaxis(steps @ self.vectors, -1, 0))
 
     @cached_property
     def folded(self) -> float | None:

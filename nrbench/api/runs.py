@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     from nrbench.running.guard import Limits
     from nrbench.running.options import Options
-    from nrbench.running.pace import Progress
+    from nrbench.running.runner import Progress
     from nrbench.runs.records import Run
     from nrbench.suites.cell import Cell
     from nrbench.suites.plan import Plan
@@ -109,7 +109,7 @@ def run(
     out
         Run directory.  [default: runs/SUITE; runs/SUITE-fresh for a fresh seed]
     progress
-        Called after each cell with a :class:`~nrbench.running.pace.Step`.
+        Called after each cell with a :class:`~nrbench.running.runner.Step`.
     options
         How to run: jobs, limits, and so on. An interrupt (Ctrl-C) stops at once. ``options.stop.set()``, called in
         ``progress`` or in another thread, lets the running cells end first. Both raise KeyboardInterrupt.

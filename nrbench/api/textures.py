@@ -249,12 +249,10 @@ def synthesize(
     import numpy as np
 
     from nrbench.calling.bent_samples import synthesize_in_geometry
-    from nrbench.calling.large_samples import synthesize_from_part
+    from nrbench.calling.method_calls import briefly_prepared, checked_synthesis, synthesize_from_part
     from nrbench.calling.tileable import require_wrapping, synthesize_tileable
     from nrbench.imaging.convert import match_ndim, quantize
     from nrbench.plugins.forms import Refused, Task
-    from nrbench.running.output_checks import checked_synthesis
-    from nrbench.running.preparing import briefly_prepared
     from nrbench.streams import pixels_hash, stream
 
     plugin = plugin_in("synthesizers", method, parameters)
@@ -453,7 +451,7 @@ def render_textures(
     >>> sorted({path.suffix for path in files})
     ['.csv', '.json', '.png']
     """
-    from nrbench.api.rendering import model_suite, write_textures
+    from nrbench.api.picture_folders import model_suite, write_textures
     from nrbench.api.runs import changed
     from nrbench.suites.plan import draw_samples
     from nrbench.suites.suite import builtin, load_suite

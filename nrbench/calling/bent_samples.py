@@ -28,7 +28,7 @@ from nrbench.plugins.forms import (
     Task,
     find_lattice,
 )
-from nrbench.plugins.registry import NamedDetector
+from nrbench.plugins.registry import NamedDetector, in_role
 
 _SAME = 0.15
 """Tolerance, in s, at which the mean lattice of a bent sample counts as the given one."""
@@ -82,7 +82,7 @@ def survey_sample(method: Synthesizer, task: Task) -> SampleSurvey | None:
 
 
 def _detector_of(method: Synthesizer) -> NamedDetector:
-    return NamedDetector(getattr(method, "finder", "") or "consensus")
+    return NamedDetector(getattr(method, "finder", "") or in_role("detector"))
 
 
 def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey | None = None) -> Synthesis:

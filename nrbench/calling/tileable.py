@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.displacement.deformation_field import pixel_places, read_spline
 from nrbench.errors import BadInput
-from nrbench.imaging.boxes import largest_box
-from nrbench.imaging.convert import Image, quantize
-from nrbench.lattice.closing import MOST_STRAIN, close_lattice, closing_strain, nearest_closing_shape
+from nrbench.imaging.convert import Image, largest_box, quantize
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
-from nrbench.plugins.registry import NamedDetector
+from nrbench.plugins.registry import NamedDetector, in_role
 
 from .bent_samples import find_bend, trace_points
 
@@ -48,11 +49,11 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
     BadInput
         If the method cannot wrap; the message names those that can.
     Refused
-        If the strain would exceed :data:`~nrbench.lattice.closing.MOST_STRAIN`; the message names the nearest size that
-        closes. Also if the method refuses the sample.
+        If the strain would exceed :data:`MOST_STRAIN`; the message names the nearest size that closes. Also if the
+        method refuses the sample.
     """
     require_wrapping(type(method))
-    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or "consensus"))
+    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or in_role("detector")))
     if found.lattice is None:
         return method.synthesize(replace(task, tileable=True))
     bent, bending = None, ""
@@ -151,3 +152,68 @@ class StrainedSample:
     def locate(self, points: Points) -> Points:
         """Return the places (x, y) px in the sample of points of :attr:`image`, ``(..., 2)``."""
         return np.asarray((points + self.corner) @ self.back)
+
+
+MOST_STRAIN: Final = 0.025
+"""Largest strain that closes a lattice. Stretched by 2.5 %, a brick of 60 px gains 1.5 px."""
+
+
+def close_lattice(lattice: Lattice, shape: tuple[int, int]) -> Lattice | None:
+    """Return the nearest lattice that has (width, 0) and (0, height) as vectors.
+
+    A linear map moves the lattice's vectors nearest to the two sides onto the sides.
+
+    Parameters
+    ----------
+    lattice
+        The lattice. Its origin is moved with it.
+    shape
+        (height, width) px of the output.
+
+    Returns
+    -------
+    Lattice or None
+        None if the two sides are shorter than the lattice's own periods, so that no lattice closes.
+
+    Examples
+    --------
+    >>> from nrbench.lattice.geometry import Lattice
+    >>> close_lattice(Lattice((31, 0), (15.5, 15)), (60, 128)).t1
+    (32.0, 0.0)
+    """
+    sides = np.diag(shape[::-1]).astype(np.float64)
+    near = sides - lattice.wrap(sides)
+    if abs(np.linalg.det(near)) < lattice.area / 2:
+        return None
+    change = np.linalg.solve(near, sides)
+    return Lattice.from_basis(lattice.matrix @ change, np.array(lattice.origin) @ change)
+
+
+def closing_strain(lattice: Lattice, shape: tuple[int, int]) -> float:
+    """Return how far the sides of an output are from vectors of a lattice, over their length; the larger of both."""
+    return max(float(_strains(lattice, axis, np.array([side]))[0]) for axis, side in enumerate(shape[::-1]))
+
+
+def nearest_closing_shape(lattice: Lattice, shape: tuple[int, int], strain: float) -> tuple[int, int]:
+    """Return the (height, width) px nearest to a shape at which a lattice closes with at most some strain.
+
+    Examples
+    --------
+    >>> from nrbench.lattice.geometry import Lattice
+    >>> nearest_closing_shape(Lattice((31, 0), (15.5, 15)), (50, 128), 0.002)
+    (60, 124)
+    """
+    found: list[int] = []
+    for axis, side in enumerate(shape[::-1]):
+        # A vector lies no farther from a side than the covering radius, so that a long side always closes.
+        lengths = np.arange(1, max(2 * side, math.ceil(lattice.covering_radius / strain)) + 1)
+        good = lengths[_strains(lattice, axis, lengths) <= strain]
+        found.append(int(good[np.abs(good - side).argmin()]))
+    return found[1], found[0]
+
+
+def _strains(lattice: Lattice, axis: int, lengths: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the distance of each length along an axis from a vector of the lattice, over the length."""
+    sides = np.zeros((len(lengths), 2))
+    sides[:, axis] = lengths
+    return np.asarray(np.hypot(*lattice.wrap(sides).T) / lengths)

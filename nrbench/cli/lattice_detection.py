@@ -1,12 +1,22 @@
-"""What the command ``lattice`` does: detect, compare, straighten, draw and print lattices."""
+"""What the command ``lattice`` does: detect, pick, compare, straighten, draw and print lattices."""
 
 from __future__ import annotations
 
+import base64
+import contextlib
 import json
+import math
+import os
+import secrets
+import sys
 import textwrap
 import time
-from collections.abc import Mapping, Sequence
+import webbrowser
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer  # noqa: TID251 - it listens, and connects to nothing
+from importlib.resources import files
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +25,7 @@ import numpy as np
 
 from nrbench import plugins
 from nrbench.api.arguments import as_lattice
-from nrbench.api.surveying import (
+from nrbench.api.picture_folders import (
     SHOWN,
     Survey,
     candidate_dict,
@@ -31,18 +41,21 @@ from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.jit import load_kernels
-from nrbench.lattice.geometry import Lattice
-from nrbench.pictures.files import read_image, write_image
-from nrbench.pictures.overlays import contact_sheet, draw_lattice, draw_overlay, draw_segments, stack
-from nrbench.plugins.forms import Alternative, Detection, NoLatticeFound
+from nrbench.lattice.geometry import Lattice, Vector, require_visible
+from nrbench.pictures.files import encode_png, read_image, write_image
+from nrbench.pictures.overlays import COLOR, contact_sheet, draw_lattice, draw_overlay, draw_segments, stack
+from nrbench.plugins.forms import Alternative, Curve, Detection, NoLatticeFound, Surface
 from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_aside
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from nrbench.displacement.bent_detection import Followed
     from nrbench.displacement.deformation_field import Deformation
 
-LETTERS = 38
+_CAPTION_LETTERS = 38
 """Number of letters on a line of a caption."""
 LARGEST = 1024
 """px; a larger image is followed only if ``--straighten`` is given, because it takes long."""
@@ -198,8 +211,6 @@ def _survey_folder(asked: LatticeQuestion) -> int:
 def _show_given(image: Image, asked: LatticeQuestion) -> None:
     """Print and draw the user's lattice, given as numbers or picked on a page."""
     if asked.lattice is None:
-        from nrbench.cli.lattice_picking import pick
-
         lattice, has_origin = pick(image, lambda address: click.echo(f"open in a browser: {address}", err=True)), True
         _print_numbers(lattice)
     else:
@@ -261,7 +272,6 @@ def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
 
 
 def _draw_diagnostics(diagnostics: Mapping[str, Any], title: str, output: Path) -> None:
-    from nrbench.cli.lattice_figures import diagram
 
     figure = diagram(diagnostics, title)
     if figure is None:
@@ -310,7 +320,7 @@ def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Pat
     for result in results:
         panels, texts = draw_candidates(image, result.candidates)
         if not panels:
-            lines = textwrap.wrap(result.reason, LETTERS, max_lines=4, placeholder=" ...")
+            lines = textwrap.wrap(result.reason, _CAPTION_LETTERS, max_lines=4, placeholder=" ...")
             panels, texts = [image[:1, :1]], ["\n".join(["no lattice", *lines])]
         pictures += panels
         captions += [f"{result.detector}\n{text}" for text in texts]
@@ -363,3 +373,209 @@ def draw_deformed_lattice(image: Image, found: Deformation) -> Image:
     size = np.array(image.shape[1::-1])
     seen = ((starts >= -1) & (starts <= size) & (ends >= -1) & (ends <= size)).all(1)
     return draw_segments(image, starts[seen], ends[seen])
+
+
+PANEL = (5.6, 4.8)
+"""Width and height of a panel, inches."""
+LETTERS = 72
+"""Number of letters on a line of text as wide as a panel."""
+
+
+def diagram(diagnostics: Mapping[str, Any], title: str = "") -> Figure | None:
+    """Draw the diagnostics of a detection: surfaces as pictures, curves as lines, numbers as text below.
+
+    A surface shows its candidates as circles and the chosen vectors as arrows from its zero. A vector outside the
+    surface is drawn as its negative. A curve shows the chosen values as vertical lines.
+
+    Parameters
+    ----------
+    diagnostics
+        Those of a :class:`~nrbench.plugins.forms.Detection`.
+    title
+        Text above the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        On an Agg canvas of its own; None if nothing can be drawn.
+    """
+    panels = {name: value for name, value in diagnostics.items() if isinstance(value, Surface | Curve)}
+    if not panels:
+        return None
+    columns = min(2, len(panels))
+    rows = math.ceil(len(panels) / columns)
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    for i, (name, value) in enumerate(panels.items(), 1):
+        axes = figure.add_subplot(rows, columns, i)
+        axes.set_title(name, fontsize=10)
+        _draw_surface(axes, value) if isinstance(value, Surface) else _draw_curve(axes, value)
+    figure.suptitle(textwrap.fill(title, LETTERS * columns), fontsize=10)
+    known = {name: value for name, value in diagnostics.items() if isinstance(value, Real | str)}
+    words = [f"{name} {value if isinstance(value, str) else format(value, '.4g')}" for name, value in known.items()]
+    figure.supxlabel(textwrap.fill(", ".join(words), LETTERS * columns), fontsize=8)
+    return figure
+
+
+def _draw_surface(axes: Axes, surface: Surface) -> None:
+    height, width = surface.values.shape
+    left, top = -surface.zero[0] - 0.5, -surface.zero[1] - 0.5
+    box = (left, left + width, top + height, top)
+    # Extremes, like the peak at zero, are cut off.
+    finite = surface.values[np.isfinite(surface.values)]
+    low, high = np.quantile(finite, (0.005, 0.995)) if finite.size else (0, 1)
+    shown = axes.imshow(surface.values, extent=box, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+    axes.figure.colorbar(shown, ax=axes, shrink=0.8)
+    peaks = np.reshape(surface.peaks, (-1, 2))
+    axes.plot(*peaks.T, "o", mfc="none", mec="tab:cyan", ms=5, mew=0.9, label=f"{len(peaks)} candidates")
+    for vector in () if surface.vectors is None else surface.vectors:
+        inside = box[0] <= vector[0] <= box[1] and box[3] <= vector[1] <= box[2]
+        tip = vector if inside else -vector
+        axes.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": COLOR, "lw": 1.8})
+        axes.plot(*tip, ".", color=COLOR, ms=3)
+    axes.set(xlim=box[:2], ylim=box[2:])
+    axes.legend(loc="upper right", fontsize=7, framealpha=0.7)
+
+
+def _draw_curve(axes: Axes, curve: Curve) -> None:
+    axes.plot(curve.x, curve.y, color="black", lw=1)
+    for mark in curve.marks:
+        axes.axvline(mark, color=COLOR, lw=1.2)
+        axes.annotate(f"{mark:.4g}", (mark, 1.0), xycoords=("data", "axes fraction"), fontsize=7, color=COLOR)
+    axes.set_xlabel(curve.label, fontsize=8)
+
+
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'"
+MOST_BYTES = 10_000
+"""Size of the largest answer that is read."""
+
+
+def lattice_of(points: Sequence[Vector]) -> Lattice:
+    """Return the lattice of three points (x, y) px: its origin, the end of t1, the end of t2.
+
+    Raises
+    ------
+    BadInput
+        When the points lie on one line, or so close together that no pixel shows the period.
+    """
+    (x, y), (x1, y1), (x2, y2) = points
+    return require_visible(Lattice((x1 - x, y1 - y), (x2 - x, y2 - y), (x, y)), "picked")
+
+
+def pick(image: Image, announce: Callable[[str], None]) -> Lattice:
+    """Serve a page on this machine until the user picks a lattice on it, and return the lattice.
+
+    Only this machine can reach the page, and only with the token that is part of its address. On a desktop, the page is
+    opened.
+
+    Parameters
+    ----------
+    image
+        The texture.
+    announce
+        Is called with the address of the page.
+
+    Raises
+    ------
+    BadInput
+        If the user cancels.
+    """
+    with PickServer(image) as server:
+        announce(server.address)
+        if sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+            webbrowser.open(server.address)
+        server.serve_forever(poll_interval=0.1)
+    if server.lattice is None:
+        raise BadInput("--pick: cancelled, no lattice was picked")
+    return server.lattice
+
+
+class PickServer(ThreadingHTTPServer):
+    """Serves the page of one image to this machine, and takes the answer.
+
+    Parameters
+    ----------
+    image
+        The texture.
+
+    Attributes
+    ----------
+    address
+        The address of the page.
+    lattice
+        The lattice; None before the answer, and if the user cancelled.
+    """
+
+    def __init__(self, image: Image) -> None:
+        super().__init__(("127.0.0.1", 0), _Handler)
+        page = files(__package__).joinpath("templates/pick.html").read_text("utf-8")
+        self.page = page.replace("IMAGE", base64.b64encode(encode_png(image)).decode("ascii")).encode()
+        self.path = f"/{secrets.token_urlsafe(16)}"
+        self.address = f"http://127.0.0.1:{self.server_port}{self.path}"
+        self.lattice: Lattice | None = None
+
+    def answer(self, text: bytes) -> str:
+        """Take the answer of the page, and return what the page shows.
+
+        Raises
+        ------
+        BadInput
+            If it is no lattice.
+        """
+        try:
+            points = json.loads(text)["points"]
+            self.lattice = None if points is None else lattice_of([(float(x), float(y)) for x, y in points])
+        except (ValueError, TypeError, KeyError) as error:
+            raise BadInput(f"no three points: {error}") from None
+        return "Cancelled." if points is None else "The lattice is printed in the terminal. You can close this page."
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers the requests of the page; all others get a 404."""
+
+    server: PickServer
+
+    def do_GET(self) -> None:
+        """Send the page."""
+        with self._of_page():
+            self._send(200, "text/html; charset=utf-8", self.server.page)
+
+    def do_POST(self) -> None:
+        """Take the answer."""
+        with self._of_page():
+            size = int(self.headers.get("Content-Length") or 0)
+            if not 0 < size <= MOST_BYTES:
+                raise BadInput(f"an answer of {size} bytes; at most {MOST_BYTES} are read")
+            text = self.server.answer(self.rfile.read(size))
+            self._send(200, "text/plain; charset=utf-8", text.encode())
+            self.server.shutdown()
+
+    @contextlib.contextmanager
+    def _of_page(self) -> Iterator[None]:
+        """Send 404 instead if the path is not that of the page, and 400 with the message after bad input."""
+        try:
+            if not secrets.compare_digest(self.path.encode(), self.server.path.encode()):
+                raise FileNotFoundError
+            yield
+        except FileNotFoundError:
+            self._send(404, "text/plain", b"not found")
+        except (BadInput, ValueError) as error:
+            self._send(400, "text/plain; charset=utf-8", str(error).encode())
+
+    def _send(self, status: int, kind: str, content: bytes) -> None:
+        self.send_response(status)
+        for name, value in (
+            ("Content-Type", kind),
+            ("Content-Length", str(len(content))),
+            ("Content-Security-Policy", POLICY),
+            ("Cache-Control", "no-store"),
+        ):
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: object) -> None:
+        """Log nothing."""

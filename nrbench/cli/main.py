@@ -167,9 +167,9 @@ def _command_path(error: click.ClickException) -> str:
 
 
 def _report_exception(error: Exception, debug: bool) -> int:
+    from nrbench.calling.method_calls import InvalidOutput
     from nrbench.errors import BadInput, describe_error
     from nrbench.plugins.forms import Refused
-    from nrbench.running.output_checks import InvalidOutput
 
     if debug:
         import traceback

@@ -55,9 +55,9 @@ def synth_command(
         Also write the pictures that the method returns beside the output.
     """
     from nrbench import plugins
+    from nrbench.calling.method_calls import is_picture
     from nrbench.pictures.files import read_image, write_image
     from nrbench.plugins.parameters import parse_size, parse_spec
-    from nrbench.running.output_checks import is_picture
 
     name, parameters = parse_spec(method)
     check_output(output)

@@ -23,7 +23,7 @@ from nrbench.running.options import Options, print_notice
 
 # The help of a command imports no more than this.
 if TYPE_CHECKING:
-    from nrbench.running.pace import Step
+    from nrbench.running.runner import Step
     from nrbench.suites.plan import Plan
 
 More = Annotated["tuple[Path, ...]", Flag(ARGUMENT, "", kind=Path, many=True)]
@@ -53,8 +53,7 @@ def run_command(
     from nrbench.api.run_reports import write_reports
     from nrbench.cli import summary
     from nrbench.running.executors import ClusterLost
-    from nrbench.running.pace import first_interrupt
-    from nrbench.running.runner import execute
+    from nrbench.running.runner import execute, first_interrupt
 
     scores = names_of(columns)
     summary.check_columns(scores)

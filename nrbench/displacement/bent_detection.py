@@ -17,7 +17,7 @@ from nrbench.imaging.convert import MIN_SIDE, Image, shrink
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.relation import lattice_error, relate
 from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
-from nrbench.plugins.registry import BENT_FINDERS, NamedDetector
+from nrbench.plugins.registry import NamedDetector, bent_finders
 
 from .deformation_field import LEAST_AMPLITUDE, Deformation
 from .following import find_knots, follow_on, follow_roughly, merit, probe
@@ -122,7 +122,7 @@ def find_deformation(
     """
     if lattice is not None:
         return Followed(_follow_given(image, lattice), None)
-    thorough, quick = (NamedDetector(name) for name in BENT_FINDERS)
+    thorough, quick = (NamedDetector(name) for name in bent_finders())
     quick_views = [view for group in _look_at_views(image, quick, 1) for view in group]
     factor = _detail_factor(quick_views)
     detector = detector or thorough

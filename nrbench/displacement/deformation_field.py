@@ -11,8 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.boxes import largest_box
-from nrbench.imaging.convert import MIN_SIDE, Image
+from nrbench.imaging.convert import MIN_SIDE, Image, largest_box
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 

@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.plugins.forms import Detection
 
-BENT_FINDERS = ("consensus", "gncc")
-"""The detectors that find the lattice of a bent sample: one that confirms lattices, and a quick one."""
-
 
 class DoesNotLoad(BadInput):
     """A plugin is registered, but cannot be imported, or is not valid. The message names it, and says why."""
@@ -124,7 +121,7 @@ class Plugin:
         Its class variable ``uses`` names these detectors. They run with their default parameters. A method with a
         ``geometry`` calls those that find the lattice of a bent sample.
         """
-        uses = (*getattr(self.cls, "uses", ()), *(BENT_FINDERS if hasattr(self.cls, "geometry") else ()))
+        uses = (*getattr(self.cls, "uses", ()), *(bent_finders() if hasattr(self.cls, "geometry") else ()))
         called = (f"+{name}-{find('detectors', name).full_version}" for name in uses)
         return "".join([self.version, *called])
 
@@ -216,6 +213,11 @@ def in_role(role: str) -> str:
     value = next(point.value for point in declared if _name_and_version(point.dist)[0] == "nrbench")
     points = (point for kind in FORMS for point in entry_points(group=f"nrbench.{kind}"))
     return next(point.name for point in points if point.value == value)
+
+
+def bent_finders() -> tuple[str, str]:
+    """Return the detectors that find the lattice of a bent sample: one that confirms lattices, and a quick one."""
+    return in_role("detector"), in_role("quick-detector")
 
 
 def lookup(kind: str, name: str) -> Plugin:

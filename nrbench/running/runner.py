@@ -7,15 +7,21 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import signal
+import threading
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from types import FrameType
 from typing import TypeVar
 
 from nrbench import plugins
-from nrbench.errors import BadInput
+from nrbench.calling.method_calls import InvalidOutput
+from nrbench.errors import BadInput, strip_control
 from nrbench.imaging.convert import Image
 from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import FoundLattice, Shape, Texture
@@ -23,8 +29,6 @@ from nrbench.running.executors import Executor, executor
 from nrbench.running.guard import LIMITS, Limits
 from nrbench.running.options import Options as Options
 from nrbench.running.options import print_notice
-from nrbench.running.output_checks import InvalidOutput
-from nrbench.running.pace import Pace, Progress
 from nrbench.running.phases import Request, read_output, read_texture
 from nrbench.running.supervisor import RequestRunner, Supervisor, third_party
 from nrbench.runs.records import Run
@@ -142,7 +146,7 @@ def execute(
     options
         How to run it.
     progress
-        Called after each cell with a :class:`~nrbench.running.pace.Step`.
+        Called after each cell with a :class:`~nrbench.running.runner.Step`.
     lock
         Keeps the directory locked after a complete run, until it is closed, for those who write reports.
 
@@ -326,3 +330,127 @@ def _prepare(where: CellFolder, cell: Cell, sample: PlannedSample) -> None:
     if again is not None:
         write_image(where.again, again)
     write_json(where.cell_file, cell.as_dict())
+
+
+@dataclass(frozen=True)
+class Step:
+    """A cell that has ended.
+
+    Parameters
+    ----------
+    done, total
+        Number of cells that have ended, this one included, and of all.
+    cached, failed
+        How many of those that have ended had their results on disk, and how many failed.
+    texture, method, lattice_source
+        What the cell is.
+    status
+        How it ended.
+    remaining
+        Estimated wall seconds until the run ends; None before a cell has been run.
+    """
+
+    done: int
+    total: int
+    cached: int
+    failed: int
+    texture: str
+    method: str
+    lattice_source: str
+    status: str
+    remaining: float | None = None
+
+    @property
+    def text(self) -> str:
+        """The cell and its status in words."""
+        return strip_control(f"{self.texture} / {self.method} ({self.lattice_source}): {self.status}")
+
+    @property
+    def remaining_text(self) -> str:
+        """The time until the run ends, rounded, in words; empty if it is unknown or none is left."""
+        if self.remaining is None or self.done == self.total:
+            return ""
+        seconds = max(1, round(self.remaining))
+        if seconds < 100:
+            return f"about {seconds} s left"
+        return f"about {round(seconds / 60)} min left" if seconds < 6000 else f"about {round(seconds / 3600)} h left"
+
+
+Progress = Callable[[Step], None]
+"""Called after each cell."""
+
+
+@dataclass
+class Pace:
+    """Counts the cells of a run, and estimates the time that the others will take.
+
+    Parameters
+    ----------
+    cells
+        All cells of the run.
+    """
+
+    cells: list[Cell]
+    _seconds: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    _counts: Counter[str] = field(default_factory=Counter)
+
+    def __post_init__(self) -> None:
+        self._left = Counter(cell.label for cell in self.cells)
+
+    def step(self, cell: Cell, status: str, seconds: float | None, slots: int) -> Step:
+        """Count a cell that has ended.
+
+        Parameters
+        ----------
+        cell, status
+            The cell, and how it ended.
+        seconds
+            The wall seconds that it took; None if it was cached.
+        slots
+            Number of cells that run at the same time, at present.
+        """
+        self._left[cell.label] -= 1
+        self._counts.update(done=1, cached=int(seconds is None), failed=int(status in FAILED))
+        if seconds is not None:
+            self._seconds[cell.label].append(seconds)
+        counts = {name: self._counts[name] for name in ("done", "cached", "failed")}
+        what = (cell.texture, cell.label, cell.lattice_source, status)
+        return Step(counts["done"], len(self.cells), counts["cached"], counts["failed"], *what, self._remaining(slots))
+
+    def _remaining(self, slots: int) -> float | None:
+        """Return the seconds left: each method's mean for its own cells, the mean of all for an unknown method."""
+        if not self._seconds:
+            return None
+        means = {label: sum(times) / len(times) for label, times in self._seconds.items()}
+        usual = sum(means.values()) / len(means)
+        total = sum(count * means.get(label, usual) for label, count in self._left.items())
+        return total / max(1, min(slots, sum(self._left.values())))
+
+
+@contextmanager
+def first_interrupt(tell: Callable[[], None]) -> Iterator[threading.Event]:
+    """Yield an event that the first interrupt (Ctrl-C) sets; the second one raises KeyboardInterrupt.
+
+    Outside the main thread, where no signal can be caught, and in a process that ignores interrupts, the event stays
+    unset.
+
+    Parameters
+    ----------
+    tell
+        Called at the first interrupt.
+    """
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        yield stop
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, before)
+        stop.set()
+        tell()
+
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, before)

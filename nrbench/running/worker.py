@@ -32,8 +32,7 @@ from nrbench.jit import load_kernels
 from nrbench.plugins.parameters import leave_user_folder, prepare_conversion
 from nrbench.running import guard
 from nrbench.running.guard import Message, Reply
-from nrbench.running.phases import PREPARED, Request, Send, perform, send_error
-from nrbench.running.sample_surveys import KeptSurvey
+from nrbench.running.phases import PREPARED, KeptSurvey, Request, Send, perform, send_error
 from nrbench.suites.cell import Cell, Recipe, reader_of
 
 SCORER_ROOM = 256.0

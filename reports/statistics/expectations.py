@@ -23,9 +23,8 @@ from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
 from nrbench.runs.records import Run
 from nrbench.streams import stream
-from nrbench.suites.claims import Claim, Expectation, Series
 from nrbench.suites.plan import PlannedMethod
-from nrbench.suites.suite import validated_suite
+from nrbench.suites.suite import Claim, Expectation, Series, validated_suite
 
 from .estimates import (
     NO_ESTIMATE,

@@ -16,8 +16,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.boxes import box_sums_from, integral_image
-from nrbench.imaging.convert import Image, to_bytes
+from nrbench.imaging.convert import Image, box_sums_from, integral_image, to_bytes
 from nrbench.lattice.geometry import Points
 
 from ..canvas.canvas import Box

@@ -15,8 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.boxes import Table, box_sums, box_sums_from, integral_image
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, Table, box_sums, box_sums_from, integral_image
 
 from ..canvas.canvas import Canvas, Mask, Source, Window, copy_patch
 from ..canvas.seam_kernels import FIRST, SECOND, cut_links

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nrbench.api.rendering import SHEET, model_suite, write_textures
+from nrbench.api.picture_folders import SHEET, model_suite, write_textures
 from nrbench.errors import BadInput
 from nrbench.pictures.files import read_image, write_image
 from nrbench.suites.cell import Cell

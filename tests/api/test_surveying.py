@@ -12,7 +12,7 @@ import pytest
 from candidates import CHOSEN, Ranked
 
 from nrbench import Lattice, plugins, texture
-from nrbench.api.surveying import FIELDS, Survey
+from nrbench.api.picture_folders import FIELDS, Survey
 from nrbench.errors import BadInput
 from nrbench.pictures.files import write_image
 from nrbench.suites.suite import load_suite

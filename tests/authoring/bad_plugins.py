@@ -67,8 +67,6 @@ class BadMethod:
                 return abs(hash("a word")) % 1000 / 10000
             case "randomness":
                 return float(np.random.rand()) / 10  # noqa: NPY002
-            case "side effects":
-                os.environ["LITTER"] = str(len(CALLS))
             case "read only":
                 task.sample[0, 0] = 0
             case "crash":
@@ -204,12 +202,11 @@ class BadReport:
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Violate a clause."""
-        target = (run.root if self.how == "inside" else directory) / "list.html"
+        target = directory / "list.html"
         statuses = [str(record.status) for record in run.cells]
         if self.how == "no results" and "ok" not in statuses:
             raise ZeroDivisionError("no results")
-        names = " ".join(record.texture for record in run.cells)
-        target.write_text(names if self.how == "markup" else str(statuses), "utf-8")
+        target.write_text(str(statuses), "utf-8")
         return [directory / "nothing.html"] if self.how == "files" else [target]
 
     def render(self, run: Run) -> str:

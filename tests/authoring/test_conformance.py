@@ -18,14 +18,14 @@ from nrbench.errors import BadInput
 
 PLUGINS = Path(__file__).with_name("bad_plugins.py")
 NAMES = {kind: f"bad{plugins.FORMS[kind].noun}" for kind in CHECKS}
-OF_METHODS = {"parameters", "docstring", "paper", "determinism", "processes", "randomness", "side effects"}
+OF_METHODS = {"parameters", "docstring", "paper", "determinism", "processes", "randomness"}
 """Clauses that plugins of all kinds share; methods violate them in these tests."""
 PLANTED = [
     (kind, clause)
     for kind, checks in CHECKS.items()
     for clause in checks
     if clause not in OF_METHODS and (clause != "read only" or kind in ("synthesizers", "datasets"))
-] + [("synthesizers", clause) for clause in ("determinism", "randomness", "side effects")]
+] + [("synthesizers", clause) for clause in ("determinism", "randomness")]
 
 
 @pytest.fixture(autouse=True)

@@ -12,6 +12,7 @@ from scipy import ndimage
 import nrbench
 from nrbench import plugins
 from nrbench.calling.bent_samples import find_bend, synthesize_in_geometry
+from nrbench.calling.method_calls import check_source
 from nrbench.displacement.deformation_field import LEAST_GAIN, Deformation, explained_share
 from nrbench.displacement.following import find_knots
 from nrbench.displacement.free_form import FreeForm, approximate, basis, refine
@@ -22,7 +23,6 @@ from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Geometry, Task, Texture, find_lattice
 from nrbench.plugins.registry import NamedDetector
-from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.tiling import Tiling
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from nrbench.calling.large_samples import synthesize_from_part
+from nrbench.calling.method_calls import synthesize_from_part
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Task
 

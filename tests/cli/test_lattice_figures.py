@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from nrbench.cli.lattice_figures import diagram
+from nrbench.cli.lattice_detection import diagram
 from nrbench.plugins.forms import Curve, Surface
 
 PEAKS = np.array([(3.0, -4.0), (6.0, 2.0)])

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from nrbench.cli.lattice_picking import pick
+from nrbench.cli.lattice_detection import pick
 from nrbench.lattice.geometry import Lattice
 
 IMAGE = np.random.default_rng(0).random((60, 80, 1), np.float32)

@@ -13,7 +13,7 @@ from commands import call
 from numpy.typing import NDArray
 
 from nrbench import plugins, synthesize, texture
-from nrbench.cli.lattice_picking import lattice_of
+from nrbench.cli.lattice_detection import lattice_of
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import read_image, write_image
@@ -66,7 +66,7 @@ def test_the_clicked_anchor_is_carried_through(
     x, y = wall.lattice.points((64, 64))[0] + 0.25
     (x1, y1), (x2, y2) = wall.lattice.t1, wall.lattice.t2
     clicked = lattice_of([(x, y), (x + x1, y + y1), (x + x2, y + y2)])
-    monkeypatch.setattr("nrbench.cli.lattice_picking.pick", lambda image, announce: clicked)
+    monkeypatch.setattr("nrbench.cli.lattice_detection.pick", lambda image, announce: clicked)
     assert call("lattice wall.png --pick -o over.png --json") == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["origin"] == list(clicked.origin)

@@ -135,14 +135,6 @@ def test_the_core_names_no_plugin() -> None:
 WORDS = {"figure", "json", "noise", "site", "text"}
 """Names of plugins that also are words of the core; they count only where a plugin is looked up."""
 LOOKUPS = {"build", "find", "NamedDetector", "Recipe"}
-BUILT = {
-    ("nrbench.calling.bent_samples", "consensus"),
-    ("nrbench.calling.tileable", "consensus"),
-    ("nrbench.plugins.registry", "consensus"),
-    ("nrbench.plugins.registry", "gncc"),
-    ("nrbench.running.sample_surveys", "consensus"),
-}
-"""Plugins that the core still builds by name. One that is mended leaves this list."""
 
 
 def test_the_core_builds_no_plugin_by_name() -> None:
@@ -164,7 +156,7 @@ def test_the_core_builds_no_plugin_by_name() -> None:
         for wanted, texts in ((others, nodes), (metrics, looked_up)):
             names = (node.value.partition(":")[0] for node in texts if isinstance(getattr(node, "value", 0), str))
             found |= {(module, name) for name in names if name in wanted}
-    assert found <= BUILT
+    assert not found
 
 
 def test_no_two_packages_import_each_other() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nrbench.detectors.autocorrelation.peaks import find_vertex
-from nrbench.imaging.boxes import box_sums, box_sums_from, integral_image, largest_box
+from nrbench.imaging.convert import box_sums, box_sums_from, integral_image, largest_box
 
 VALUES = np.random.default_rng(0).integers(0, 256, (7, 9, 3)).astype(np.float32)
 

@@ -204,7 +204,7 @@ def test_pixels_without_a_source_break_runs() -> None:
     assert score.records["mapped"] == pytest.approx(20 / 21)
 
 
-SLOW = dict.fromkeys(("quality", "integrity", "randomness", "regularity"), ("randomness", "side effects"))
+SLOW = dict.fromkeys(("quality", "integrity", "randomness", "regularity"), ("randomness",))
 
 
 @pytest.mark.parametrize("name", [plugin.name for plugin in plugins.inventory("metrics") if plugin.own])

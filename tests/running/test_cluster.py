@@ -22,8 +22,7 @@ from suites import scores, wall_suite, write_sleepers
 from nrbench import run
 from nrbench.errors import BadInput
 from nrbench.running import executors
-from nrbench.running.pace import Step
-from nrbench.running.runner import Options, _Runner
+from nrbench.running.runner import Options, Step, _Runner
 from nrbench.runs.records import Run
 
 pytest.importorskip("distributed")

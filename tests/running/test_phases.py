@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 import nrbench
 from nrbench import plugins, run
+from nrbench.calling.method_calls import is_picture
 from nrbench.plugins.forms import Observation, Score, Texture
 from nrbench.running import phases
-from nrbench.running.output_checks import is_picture
-from nrbench.running.pace import Pace, Step
-from nrbench.running.runner import Options
+from nrbench.running.runner import Options, Pace, Step
 from nrbench.runs.store import CellFolder
 from nrbench.suites.cell import Cell, Recipe
 from nrbench.suites.suite import validated_suite

@@ -29,9 +29,8 @@ from nrbench.api.runs import changed
 from nrbench.errors import BadInput
 from nrbench.running import executors
 from nrbench.running.executors import Executor
-from nrbench.running.pace import Step
 from nrbench.running.phases import Request
-from nrbench.running.runner import TICK, Options, _Runner
+from nrbench.running.runner import TICK, Options, Step, _Runner
 from nrbench.runs.records import Run
 from nrbench.runs.store import Result, RunDirectory
 from nrbench.suites.cell import Cell

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import nrbench
-from nrbench.running import sample_surveys
+from nrbench.running import phases
 
 
 def execute(out: Path, methods: list[str]) -> list[nrbench.CellRecord]:
@@ -36,7 +36,7 @@ def test_a_survey_is_made_once_and_its_cost_counts_for_each_method(
     kept = json.loads(file.read_text("utf-8"))
     kept["spent"]["seconds"] = 100.0
     file.write_text(json.dumps(kept), "utf-8")
-    monkeypatch.setattr(sample_surveys, "survey_sample", None)  # nothing may call it again
+    monkeypatch.setattr(phases, "survey_sample", None)  # nothing may call it again
     second = execute(tmp_path / "run", ["rsgf:block=20"])[0]
     assert second.status == "ok" and second.seconds is not None and second.seconds > 100
     assert first.seconds is not None and first.seconds < 100

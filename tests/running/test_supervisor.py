@@ -27,9 +27,8 @@ from suites import wall_suite, write_sleepers
 from nrbench import plugins, run, synthesize
 from nrbench.pictures.files import read_image, write_image
 from nrbench.running import guard, runner
-from nrbench.running.pace import Step
 from nrbench.running.phases import Request, perform
-from nrbench.running.runner import Options
+from nrbench.running.runner import Options, Step
 from nrbench.running.supervisor import Supervisor
 from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.suite import Suite

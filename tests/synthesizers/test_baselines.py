@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from synthesis_cases import OBLIQUE, noise, synthesize
 
+from nrbench.calling.method_calls import checked_synthesis
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused
-from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.baselines.lattice_baseline import half_extent
 from nrbench.synthesizers.random_phase import RandomPhase, _periodic
 from nrbench.synthesizers.scatter import Scatter

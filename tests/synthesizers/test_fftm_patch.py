@@ -5,11 +5,11 @@ import pytest
 from synthesis_cases import mask_of
 
 from nrbench import texture
+from nrbench.calling.method_calls import checked_synthesis, is_picture
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Synthesis, Task
-from nrbench.running.output_checks import checked_synthesis, is_picture
 from nrbench.synthesizers.fftm_patch import FftmPatch, automatic_size
 from nrbench.synthesizers.masks.texture_mask import MaskParameters, TextureMask
 

@@ -12,13 +12,13 @@ import pytest
 
 from nrbench import plugins, run, texture
 from nrbench.api.runs import changed
+from nrbench.calling.method_calls import checked_synthesis
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Task
 from nrbench.plugins.parameters import parse_spec
 from nrbench.plugins.registry import NamedDetector
-from nrbench.running.output_checks import checked_synthesis
 from nrbench.running.runner import Options
 from nrbench.suites.suite import load_suite
 from nrbench.synthesizers.ann_pixel import AnnPixel

@@ -5,10 +5,10 @@ import pytest
 from synthesis_cases import noise, synthesize
 
 from nrbench import texture
+from nrbench.calling.method_calls import checked_synthesis
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Observation, Refused, Task, Texture
-from nrbench.running.output_checks import checked_synthesis
 from nrbench.synthesizers.canvas.canvas import Window
 from nrbench.synthesizers.graph_cuts import GraphCuts
 from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat, WholePatches

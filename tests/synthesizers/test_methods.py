@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from synthesis_cases import BOND, FRACTIONAL, OBLIQUE, UPRIGHT, noise, synthesize, waves
 
 from nrbench import plugins, texture
+from nrbench.calling.method_calls import checked_synthesis
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.parameters import parse_spec
-from nrbench.running.output_checks import checked_synthesis
 
 
 def build(spec: str) -> Any:

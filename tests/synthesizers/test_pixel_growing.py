@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from synthesis_cases import mask_of, noise, synthesize
 
+from nrbench.calling.method_calls import checked_synthesis, is_picture
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.source import SourceUse
 from nrbench.plugins.forms import Observation, Refused, Synthesis, Task
-from nrbench.running.output_checks import checked_synthesis, is_picture
 from nrbench.spectra.harmonics import WaveAnalysis
 from nrbench.synthesizers.ann_pixel import AnnPixel
 from nrbench.synthesizers.fftm_pixel import FftmPixel

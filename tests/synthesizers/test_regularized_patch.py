@@ -12,10 +12,10 @@ from synthesis_cases import noise, synthesize
 
 import nrbench
 from nrbench.calling.bent_samples import synthesize_in_geometry
+from nrbench.calling.method_calls import check_source
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Geometry, Observation, Refused, Synthesis, Task, Texture
-from nrbench.running.output_checks import check_source
 from nrbench.synthesizers.regularized_patch import (
     NEIGHBORS,
     RegularizedPatch,

@@ -7,8 +7,8 @@ import pytest
 
 import nrbench
 from nrbench import plugins
+from nrbench.calling.tileable import close_lattice
 from nrbench.imaging.mean_tile import fold
-from nrbench.lattice.closing import close_lattice
 from nrbench.synthesizers.canvas.canvas import Canvas
 from nrbench.synthesizers.lattice_places.equal_places import CellTorus
 

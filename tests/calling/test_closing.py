@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nrbench.lattice.closing import MOST_STRAIN, close_lattice, closing_strain, nearest_closing_shape
+from nrbench.calling.tileable import MOST_STRAIN, close_lattice, closing_strain, nearest_closing_shape
 from nrbench.lattice.geometry import Lattice
 
 LATTICES = {

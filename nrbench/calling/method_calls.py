@@ -1,0 +1,256 @@
+"""What happens before and after a method is called: it prepares for a sample or a part of it; its output is checked.
+
+A preparation, such as training, is done once, and found again by all cells of the sample. An output is rounded to 8
+bits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import re
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nrbench.imaging.convert import Image, quantize, shrink
+from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.forms import NoLatticeFound, Shape, SourceMap, Synthesis, Synthesizer, Task
+from nrbench.plugins.registry import NamedDetector
+from nrbench.storage import read_json, remove, temporary_folder, write_json
+from nrbench.streams import pixels_hash, stream
+
+RECORD = ".prepared.json"
+"""The file of a prepared folder that says how long the preparation took."""
+
+
+def prepare_method(method: Any, task: Task, folder: Path, seed: int) -> tuple[Task, float | None]:
+    """Let a method with ``prepare(task)`` prepare for a sample, unless it has done so before.
+
+    The method works in another folder, which is renamed at the end: a preparation that is interrupted leaves nothing,
+    and of two at the same time one counts.
+
+    Parameters
+    ----------
+    method
+        The method.
+    task
+        The task of the synthesis.
+    folder
+        The folder that ``task.cache`` is to be.
+    seed
+        The seed of the run.
+
+    Returns
+    -------
+    task
+        The task with the folder; as it was if the method has no ``prepare``.
+    seconds
+        Wall seconds of the preparation, also of an earlier one; None if the method has none.
+    """
+    if not hasattr(method, "prepare"):
+        return task, None
+    seconds = _read_seconds(folder)
+    if seconds is None:
+        remove(folder)  # it is damaged, if it is there
+        aside = folder.with_name(f".{folder.name}-{uuid.uuid4().hex}")
+        aside.mkdir(parents=True)
+        rng, start = stream("prepare", seed, pixels_hash(task.sample)), time.perf_counter()
+        given = replace(task, shape=task.sample.shape[:2], rng=rng, cache=aside, again=None, recompose=None)
+        try:
+            method.prepare(given)
+            seconds = time.perf_counter() - start
+            write_json(aside / RECORD, {"seconds": seconds})
+            with contextlib.suppress(OSError):  # that of another cell is there
+                aside.rename(folder)
+        finally:
+            remove(aside)
+    return replace(task, cache=folder), seconds
+
+
+@contextlib.contextmanager
+def briefly_prepared(method: Any, task: Task, seed: int) -> Iterator[Task]:
+    """Yield the task of a method outside of a run, for which it has prepared; the folder does not last."""
+    with contextlib.ExitStack() as stack:
+        lasting = hasattr(method, "prepare")
+        folder = stack.enter_context(temporary_folder()) if lasting else Path()
+        yield prepare_method(method, task, folder / "prepared", seed)[0]
+
+
+def _read_seconds(folder: Path) -> float | None:
+    """Return how long the preparation of a folder took; None if the folder is not complete."""
+    seconds = (read_json(folder / RECORD) or {}).get("seconds")
+    return seconds if isinstance(seconds, float) and 0 <= seconds < float("inf") else None
+
+
+COPY_TOLERANCE = 1.5 / 255
+"""Largest difference between a copied pixel and its source: the rounding to 8 bits."""
+RANGE_TOLERANCE = 0.1
+"""How far values of an output may lie outside [0, 1]. Interpolation overshoots by less; they are clipped."""
+_BAND = 1 << 20
+"""Number of pixels that are checked at a time: a large output leaves no room for copies."""
+
+
+class InvalidOutput(Exception):
+    """A method returned something that is no valid :class:`~nrbench.plugins.forms.Synthesis` of its task."""
+
+
+def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
+    """Return what a method returned, checked, with its image rounded to 8 bits.
+
+    Raises
+    ------
+    InvalidOutput
+        When it is no :class:`~nrbench.plugins.forms.Synthesis`, its image is not finite or of another shape, its
+        source map is not true, or a field is not of its declared type.
+    """
+    if not isinstance(synthesis, Synthesis):
+        raise InvalidOutput(f"returned {type(synthesis).__name__} instead of a Synthesis")
+    image = _checked_image(synthesis.image, (*shape, sample.shape[2]))
+    source = None if synthesis.source is None else _numbers(synthesis.source, "source map").astype(np.float32)
+    if source is not None:
+        check_source(source, image, sample)
+    if not (synthesis.lattice is None or isinstance(synthesis.lattice, Lattice)):
+        raise InvalidOutput(
+            f"returned a lattice of the wrong type: expected Lattice or None, got {synthesis.lattice!r}"
+        )
+    extras = {_checked_name(name): _numbers(array, f"extra {name!r}") for name, array in synthesis.extras.items()}
+    seconds = synthesis.detection_seconds
+    if not (isinstance(seconds, int | float | np.number) and np.isfinite(seconds) and seconds >= 0):
+        raise InvalidOutput(f"returned wrong detection_seconds: expected a number of seconds, got {seconds!r}")
+    return dataclasses.replace(
+        synthesis,
+        image=image,
+        source=source,
+        extras=extras,
+        detection_seconds=float(seconds),
+        note=str(synthesis.note or ""),
+    )
+
+
+def is_picture(extra: NDArray[Any]) -> bool:
+    """Return whether a method's extra is a picture: ``(h, w, 1)`` or ``(h, w, 3)``, floats in [0, 1]."""
+    if extra.ndim != 3 or extra.shape[2] not in (1, 3) or extra.dtype.kind != "f" or not extra.size:
+        return False
+    return bool(extra.min() >= 0 and extra.max() <= 1)
+
+
+def _numbers(value: Any, what: str) -> NDArray[Any]:
+    array = np.asarray(value)
+    if array.dtype.kind not in "biufc":
+        raise InvalidOutput(f"returned a wrong {what}: expected an array of numbers, got dtype {array.dtype}")
+    return array
+
+
+def _checked_name(name: Any) -> str:
+    if not (isinstance(name, str) and re.fullmatch(r"\w[\w.-]{0,79}", name)):
+        raise InvalidOutput(f"returned an extra called {name!r}; use letters, digits, '.', '-' and '_'")
+    return name
+
+
+def _checked_image(image: Any, shape: tuple[int, int, int]) -> Image:
+    pixels = np.asarray(image)
+    if pixels.shape != shape:
+        raise InvalidOutput(f"returned an image of the wrong shape: expected {shape}, got {pixels.shape}")
+    if not np.issubdtype(pixels.dtype, np.floating):
+        raise InvalidOutput(f"returned wrong pixels: expected floats in [0, 1], got dtype {pixels.dtype}")
+    if not np.isfinite(pixels).all():
+        bad = int((~np.isfinite(pixels)).any(-1).sum())
+        raise InvalidOutput(f"returned NaN or infinity in {bad} of {shape[0] * shape[1]} pixels")
+    low, high = float(pixels.min()), float(pixels.max())
+    if low < -RANGE_TOLERANCE or high > 1 + RANGE_TOLERANCE:
+        raise InvalidOutput(f"returned values from {low:.3g} to {high:.3g}; an image has values in [0, 1]")
+    return quantize(np.asarray(pixels, np.float32))
+
+
+def check_source(source: SourceMap, image: Image, sample: Image) -> None:
+    """Check that a source map points into the sample, and that copies of whole pixels equal their sources.
+
+    Raises
+    ------
+    InvalidOutput
+        When the map is wrong. The message gives the number of pixels that differ from their sources.
+    """
+    shape = (*image.shape[:2], 3)
+    if source.shape != shape:
+        raise InvalidOutput(f"returned a source map of the wrong shape: expected {shape}, got {source.shape}")
+    rows = max(1, _BAND // source.shape[1])
+    starts = range(0, len(source), rows)
+    wrong = sum(_count_wrong(source[top : top + rows], image[top : top + rows], sample) for top in starts)
+    if wrong:
+        raise InvalidOutput(f"returned a source map that is not true: {wrong} copied pixels differ from their source")
+
+
+def _count_wrong(source: SourceMap, image: Image, sample: Image) -> int:
+    """Return how many pixels of some rows are copies that differ from their sources."""
+    known = np.isfinite(source).all(-1)
+    x, y, weight = np.moveaxis(source[known], -1, 0)
+    inside = (x >= -0.5) & (x <= sample.shape[1] - 0.5) & (y >= -0.5) & (y <= sample.shape[0] - 0.5)
+    if not (inside & (weight > 0) & (weight <= 1 + 1e-6)).all():
+        raise InvalidOutput("returned a source map that points outside the sample, or has weights outside (0, 1]")
+    copy = (weight > 1 - 1e-6) & (x == np.rint(x)) & (y == np.rint(y))
+    pixels = sample[y[copy].astype(int), x[copy].astype(int)]
+    return int((np.abs(image[known][copy] - pixels) > COPY_TOLERANCE).any(-1).sum())
+
+
+LARGE: Final = 1024
+"""px: smaller samples are used whole."""
+PERIODS: Final = 16
+"""Periods along each side that are enough: they hold 256 tiles."""
+
+
+def synthesize_from_part(
+    synthesize: Callable[[Synthesizer, Task], Synthesis], method: Synthesizer, task: Task
+) -> Synthesis:
+    """Return a synthesis from the middle of a large sample, as large as the lattice and the output need.
+
+    A method that finds a lattice gets at most :data:`LARGE` px, :data:`PERIODS` periods, or the longer side of the
+    output, whichever is the most, so that its time and memory do not grow with the sample. The periods are those of the
+    given lattice, or of one that the method's detector finds in the reduced sample.
+
+    Parameters
+    ----------
+    synthesize
+        Is called with the method and a task with the part.
+    method, task
+        The method and its task.
+    """
+    shape = task.sample.shape[:2]
+    finder = getattr(method, "finder", "")
+    if max(shape) <= LARGE or not finder or getattr(method, "reference", False):
+        return synthesize(method, task)
+    start = time.perf_counter()
+    side = max(LARGE, *task.shape, math.ceil(PERIODS * _longest_period(task, finder)))
+    seconds = 0.0 if task.lattice else time.perf_counter() - start
+    top, left = (max(length - side, 0) // 2 for length in shape)
+    part = task.sample[top : top + side, left : left + side]
+    lattice = None if task.lattice is None else task.lattice.shifted((-left, -top))
+    made = synthesize(method, replace(task, sample=np.ascontiguousarray(part), lattice=lattice))
+    note = "; ".join(filter(None, (made.note, f"from the middle {part.shape[1]}x{part.shape[0]} px of the sample")))
+    source = None if made.source is None else made.source + np.array([left, top, 0], np.float32)
+    return replace(
+        made,
+        lattice=None if made.lattice is None else made.lattice.shifted((left, top)),
+        source=source,
+        detection_seconds=made.detection_seconds + seconds,
+        note=note if max(shape) > side else made.note,
+    )
+
+
+def _longest_period(task: Task, finder: str) -> float:
+    """Return the longer of the two shortest periods of the sample, px; 0 if the reduced sample shows none."""
+    factor, lattice = 1, task.lattice
+    if lattice is None:
+        factor = math.ceil(max(task.sample.shape) / LARGE)
+        try:
+            lattice = NamedDetector(finder).detect(shrink(task.sample, factor)).lattice
+        except NoLatticeFound:
+            return 0.0
+    return factor * float(np.hypot(*lattice.reduced().matrix.T).max())
