@@ -141,7 +141,10 @@ def _titles(roots: Sequence[Path]) -> list[str]:
 def _read_rows(run: Run, title: str) -> list[SiteRow]:
     cells = tabulate_cells(run)
     scores = cells[QUALITY] if QUALITY in cells else pd.Series(np.nan, cells.index)
-    means = scores.where(cells["status"].eq("ok"), 0.0).groupby([cells["label"], cells["texture"]], sort=False).mean()
+    cells["value"] = scores.where(cells["status"].eq("ok"), 0.0)
+    means = {
+        label: rows.groupby("texture", sort=False)["value"].mean() for label, rows in cells.groupby("label", sort=False)
+    }
     versions = {record.method: record.cell.version for record in run.cells}
     return [
         SiteRow(

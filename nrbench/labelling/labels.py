@@ -390,7 +390,7 @@ def labels_table(run: Run, files: Sequence[Path]) -> pd.DataFrame:
     """
     table, pixels = read_labels(run, files), cache(_hash_output)
     folders = {record.key: record.folder for record in run.cells}
-    return table.assign(pixels=[pixels(folders[key]) for key in table["key"]]) if len(table) else table
+    return table.assign(pixels=table["key"].map(folders).map(pixels)) if len(table) else table
 
 
 def _labeler_names(files: Sequence[Path]) -> list[str]:

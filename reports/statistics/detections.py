@@ -206,12 +206,12 @@ def calibrate(confidence: NDArray[np.float64], right: NDArray[np.bool_]) -> Cali
         ``(n,)``: whether each answer was right.
     """
     index = np.clip((confidence * BINS).astype(int), 0, BINS - 1)
-    bins = pd.DataFrame(
+    bins: list[dict[str, Any]] = [
         {
             **{"low": i / BINS, "high": (i + 1) / BINS, "confidence": float(confidence[index == i].mean())},
             **{"right": estimate_proportion(right[index == i]), "share": float((index == i).mean())},
         }
         for i in np.unique(index)
-    )
-    gaps = [one.share * abs((one.right.value or 0.0) - one.confidence) for one in bins.itertuples()]
-    return Calibration(bins, math.fsum(gaps) if gaps else None, len(confidence))
+    ]
+    gaps = [one["share"] * abs((one["right"].value or 0.0) - one["confidence"]) for one in bins]
+    return Calibration(pd.DataFrame(bins), math.fsum(gaps) if gaps else None, len(confidence))

@@ -425,11 +425,11 @@ def print_detectors(summaries: pd.DataFrame) -> PrintedTable:
     """Return detectors by accuracy, calibration and time."""
     rows = [
         [
-            one.detector,
-            *(Number(rate if rate.n else None, rate=True) for rate in (one.exact, one.false)),
-            *map(format_number, (one.vector_error, one.calibration.error, one.seconds)),
+            one["detector"],
+            *(Number(rate if rate.n else None, rate=True) for rate in (one["exact"], one["false"])),
+            *map(format_number, (one["vector_error"], one["calibration"].error, one["seconds"])),
         ]
-        for one in summaries.astype(object).itertuples()
+        for one in summaries.to_dict("records")
     ]
     return PrintedTable("detectors", ["detector", "exact", "false", "error", "calibration", "seconds"], rows)
 
