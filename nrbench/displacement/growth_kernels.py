@@ -226,8 +226,10 @@ def register(
     steps
         Number of steps; 0 only measures the correlation.
 
-    Notes ----- With the normalized template t', the normalized image f' read at the state, the weights w of the window,
-    and the rows r = dt'/d(place, map), the cost of a move m of the state is
+    Notes
+    -----
+    With the normalized template t', the normalized image f' read at the state, the weights w of the window, and the
+    rows r = dt'/d(place, map), the cost of a move m of the state is
 
         sum w (f' - t' + r m)^2 + prior |M^-1 (state - predicted) + m|^2,
 
