@@ -58,7 +58,7 @@ _CONTROL = re.compile(
     r"\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)"
     r"|[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]"
 )
-_CALLERS = [Path(__file__).parent / folder for folder in ("running", "suites", "plugins", "authoring", "bending")]
+_CALLERS = [Path(__file__).parent / folder for folder in ("running", "suites", "plugins", "authoring", "calling")]
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS) if sys.platform != "win32" else (errno.ENOSPC,)
 
 

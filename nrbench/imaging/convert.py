@@ -151,15 +151,6 @@ def sum_channels(values: NDArray[Number]) -> NDArray[Number]:
     return total
 
 
-def subtract_color(values: NDArray[np.float32], color: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return ``(..., W, C)`` values less one color ``(C,)``.
-
-    The color is repeated along whole rows: numpy takes ten times as long for a loop over three channels.
-    """
-    rows = values.reshape(-1, values.shape[-2] * values.shape[-1])
-    return (rows - np.tile(color, values.shape[-2])).reshape(values.shape)
-
-
 def shrink(image: Image, factor: int) -> Image:
     """Return the means of blocks of ``factor`` x ``factor`` px; incomplete blocks at the borders are dropped."""
     if factor == 1:

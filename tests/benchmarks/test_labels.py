@@ -76,19 +76,3 @@ def test_labels_of_a_report_are_read(script: ModuleType, tmp_path: Path) -> None
     assert labels[script.OUTPUT].drop_duplicates().to_numpy().tolist() == [
         ["labels.csv", "core", "a", "rsgf:block=30", "own", 1, "f00d"]
     ]
-
-
-def test_outputs_that_cannot_be_made_again_are_counted(script: ModuleType) -> None:
-    """Unknown suites, unknown draws, lattices of detectors and other pixels each give a reason and no score."""
-    suite = load_suite("core")
-    (sample,) = draw_samples(suite, ["brick-mild"])
-    rows = [
-        ["set", "photos", "a", "tiling", "own", 0, "f00d"],
-        ["set", "core", "brick-mild", "tiling", "given", 7, "f00d"],
-        ["set", "core", "brick-mild", "tiling", "gncc", 0, "f00d"],
-        ["set", "core", "brick-mild", "tiling", "given", 0, pixels_hash(sample.texture.image)],
-    ]
-    scored, lost = script.score_outputs(pd.DataFrame(rows, columns=script.OUTPUT))
-    assert scored.empty
-    reasons = ("has no draw 7", "is not detected again", "is not the one that was labeled")
-    assert len(lost) == 4 and all(any(reason in why for why in lost) for reason in reasons)

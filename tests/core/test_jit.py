@@ -7,7 +7,7 @@ import pytest
 from numba.core import sigutils
 
 from nrbench import jit
-from nrbench.jit import Float64x2, Int64x1, UInt8View2, kernel
+from nrbench.jit import BoolView2, Float64x2, Int64x1, kernel
 from nrbench.synthesizers.matching.matching_kernels import correlate_at
 
 
@@ -123,10 +123,10 @@ def test_compiled_and_plain_kernels_agree() -> None:
 def test_annotations_are_the_types_of_a_kernel() -> None:
     """Numba compiles a kernel for its annotations: scalars, contiguous arrays, views and tuples."""
 
-    def count(a: Float64x2, b: UInt8View2, c: bool, d: np.int32) -> tuple[Int64x1, float]:
+    def count(a: Float64x2, b: BoolView2, c: bool, d: np.int32) -> tuple[Int64x1, float]:
         raise AssertionError  # only its annotations are read
 
-    expected = "Tuple((int64[::1], float64,))(float64[:, ::1], uint8[:, :], boolean, int32)"
+    expected = "Tuple((int64[::1], float64,))(float64[:, ::1], boolean[:, :], boolean, int32)"
     signature = jit.find_signature(count)
     assert (signature.args, signature.return_type) == sigutils.normalize_signature(expected)
 

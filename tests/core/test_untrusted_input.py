@@ -33,6 +33,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import MOST_PIXELS, read_image, read_shape
 from nrbench.plugins.parameters import parse_size, parse_spec
 from nrbench.reports.page.pictures import PictureStore
+from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 from nrbench.suites.plan import LatticeSource, PlannedMethod
 from nrbench.suites.suite import directory_suite, load_suite
@@ -271,7 +272,8 @@ def cell_files() -> tuple[Path, list[Path]]:
     """Return a run of one cell, with a page of labels and a source map, and the files that readers trust."""
     root = Path(tempfile.mkdtemp(prefix="fuzz-")) / "run"
     atexit.register(shutil.rmtree, root.parent, ignore_errors=True)
-    made = run("core", methods=["tiling"], textures=["brick-mild"], lattice=["given"], metrics=["cost"], out=root)
+    words: dict[str, Any] = {"methods": "tiling", "textures": "brick-mild", "lattice": "given", "metrics": ["cost"]}
+    made = run("core", out=root, options=Options(jobs=0), **words)
     page = make_page(made)
     write_key(root, page)
     rows = [f"{item.id},lattice,yes,1.5,{order},person" for order, item in enumerate(page.items, 1)]

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from nrbench import plugins
-from nrbench.datasets_procedural.basket import Basket
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.jigsaw import Jigsaw
@@ -18,7 +17,6 @@ from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.overlap import Overlap
 from nrbench.datasets_procedural.wallpaper import GROUPS, Group, Wallpaper, operations, random_motif
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.datasets_procedural.windows import Windows
 from nrbench.lattice.geometry import Lattice
 
 from .conftest import NONE, truth
@@ -76,15 +74,6 @@ def test_known_places(
         assert seen[layer] == (pytest.approx(1, abs=0.02), index)
 
 
-def test_small_courses() -> None:
-    """Every n-th course has bricks half as wide; the bond of the others continues across it."""
-    wall = Brick(width=20, height=10, small_every=3)
-    x = np.arange(-40.0, 40, 0.5)
-    counts = [len(np.unique(wall.pattern(x, np.full_like(x, 10 * j)).layers[0].index[0])) for j in range(-3, 4)]
-    assert [count > 7 for count in counts] == [True, False, False, True, False, False, True]
-    assert Lattice(*wall.vectors).is_equivalent(Lattice((20, 0), (10, 30)))
-
-
 def test_each_wire_is_one_element() -> None:
     """Three wires of a hexagonal net belong to each mesh; both meshes beside a wire give it one name."""
     net = Hexagon(period=20, joint=4, style="net", color=0.5, intensity=0, noise=0)
@@ -115,20 +104,6 @@ def test_two_lattices() -> None:
         steps = common.matrix @ np.linalg.inv(part.matrix)
         np.testing.assert_allclose(steps, np.rint(steps), atol=1e-9)
     assert common.area / squares.area == pytest.approx(25) and common.area / hexagons.area == pytest.approx(56)
-
-
-def test_windows_have_their_panes() -> None:
-    """Each pane is an element: columns x lines of them in each window."""
-    front = Windows(width=60, height=60, columns=3, lines=2, phase=(0.5, 0.5))
-    texture = front.render((60, 60), np.random.default_rng(0))
-    assert len(texture.elements["pane.index"]) == 6 and len(texture.elements["frame.index"]) == 1
-
-
-def test_double_strands() -> None:
-    """In a basket of double strands, two pass each stake alike."""
-    y = np.arange(4) * 8.0
-    stake = Basket(stake=20, strand=8, draft="double").pattern(np.zeros(4), y).layers[0].coverage
-    assert stake.round().tolist() == [1, 1, 0, 0]
 
 
 def test_each_brick_has_one_factor() -> None:

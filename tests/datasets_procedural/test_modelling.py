@@ -155,13 +155,6 @@ def test_the_draft_is_followed() -> None:
     np.testing.assert_array_equal(warp.index, np.tile(np.arange(6), (4, 1)))
 
 
-def test_threads_rise_and_dive() -> None:
-    """A thread is lighter where it lies above, and as light all along where it stays above two others."""
-    x = np.linspace(0, 30, 61)
-    weft = interlace(x, np.zeros(61), (10.0, 10.0), 2.0, ~DRAFT)[1]
-    assert weft.shade[0] == weft.shade[10] == weft.shade[20] == 1.0 and weft.shade[40] < 0.6
-
-
 def test_drafts_of_weaves() -> None:
     """In a twill each thread floats over two; a basket weave moves pairs; a herringbone turns back."""
     grid = np.mgrid[0:8, 0:8] * 10.0

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import errno
-import json
 import mmap
 import os
 import random
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -124,26 +121,6 @@ def hide() -> None:
     loop(0.01)
 
 
-def escape() -> None:
-    """Leave a forked process of another session behind, and a forged message in every open file."""
-    child = os.fork()
-    if child == 0:
-        os.setsid()
-        time.sleep(600)
-        os._exit(0)
-    print(f"child {child}", flush=True)
-    for handle in range(3, 64):
-        with contextlib.suppress(OSError):
-            os.write(handle, b"[1]\n{\n")
-
-
-def boast() -> None:
-    """Claim that the request is finished, and loop for ever."""
-    print(f"child {os.getpid()}", flush=True)
-    os.write(3, b'{"finished": true}\n')
-    loop(0.01)
-
-
 def flood() -> None:
     """Print much."""
     for _ in range(300):
@@ -165,18 +142,10 @@ def leave_folder() -> None:
     os.chdir("/")
 
 
-class Mute(Exception):
-    """An error whose message raises an error."""
-
-    def __str__(self) -> str:
-        raise RuntimeError
-
-
 DEEDS: dict[str, Callable[[], object]] = {
     "raise": lambda: fail(RuntimeError("planted failure")),
     "refuse": lambda: fail(Refused("planted refusal")),
     "full": lambda: fail(OSError(errno.ENOSPC, "No space left on device")),
-    "mute": lambda: fail(Mute()),
     "stubborn": lambda: loop(0.01),
     "busy": lambda: loop(0),
     "segfault": lambda: os.kill(os.getpid(), signal.SIGSEGV),
@@ -190,8 +159,6 @@ DEEDS: dict[str, Callable[[], object]] = {
     "share": share,
     "litter": litter,
     "hide": hide,
-    "escape": escape,
-    "boast": boast,
     "flood": flood,
     "seed": change_settings,
     "folder": leave_folder,
@@ -200,17 +167,6 @@ DEEDS: dict[str, Callable[[], object]] = {
 kept: list[mmap.mmap] = []
 MISJUDGED = "misjudged"
 """The extra of an output on which the metrics below misbehave. A run that names no metrics scores by all of them."""
-
-
-ODD: dict[str, dict[str, Any]] = {
-    "seconds": {"detection_seconds": float("nan")},
-    "text": {"detection_seconds": "long"},
-    "lattice": {"lattice": "32,0,0,32"},
-    "pickle": {"extras": {"x": np.array([object()])}},
-    "path": {"extras": {"../x": np.ones((2, 2, 3))}},
-    "source": {"source": "nowhere"},
-}
-"""Fields of a synthesis that are of no declared type."""
 
 
 @dataclass(frozen=True)
@@ -233,13 +189,11 @@ class Faulty:
             image = image[:-1]
         if self.how == "type":
             image = image.astype(object)
-        if self.how == "integers":
-            image = (255 * image).astype(np.uint8)
         if self.how == "nothing":
             return None  # type: ignore[return-value]
         if self.how == "lie":
             return Synthesis(1 - task.sample[1, 1] + 0 * image, source=np.ones((*task.shape, 3), np.float32))
-        return Synthesis(image, **{"extras": {MISJUDGED: np.ones(1)}, **ODD.get(self.how, {})})
+        return Synthesis(image, extras={MISJUDGED: np.ones(1)})
 
 
 @dataclass(frozen=True)
@@ -291,7 +245,7 @@ def make_judge(how: str) -> type:
 
 
 JUDGES = (
-    *("raise", "stubborn", "segfault", "exit", "hog", "litter", "flood", "seed", "folder", "mutate", "escape"),
+    *("raise", "stubborn", "segfault", "exit", "hog", "litter", "flood", "seed", "folder", "mutate"),
     *("nothing", "nan", "shape", "words", "fine"),
 )
 globals().update({f"Judge{how}": make_judge(how) for how in JUDGES})
@@ -328,53 +282,6 @@ class Picture:
     def again(self, texture: Texture, shape: tuple[int, int], rng: np.random.Generator) -> Texture | None:
         """Draw another one."""
         return self.render(shape, rng)
-
-
-@dataclass(frozen=True)
-class Meddler:
-    """A metric that tries to alter all that it is given, and the state of numpy."""
-
-    columns: ClassVar = {"written": Column("How many arrays it could write into.", "", (0, 9))}
-
-    def score(self, observation: Observation) -> Score:
-        """Write everywhere."""
-        truth, written = observation.truth, 0
-        arrays = [observation.sample, observation.output, observation.source, *observation.extras.values()]
-        arrays += [truth.image, truth.ideal, *truth.elements.values()] if truth else []
-        if observation.again is not None:
-            fresh = observation.again(observation.sample.shape[:2], 0)
-            arrays += [fresh.image] if fresh else []
-        for array in arrays:
-            if array is not None and array.flags.writeable:
-                array[...] = 0
-                written += 1
-        np.seterr(all="raise")
-        np.random.seed(0)  # noqa: NPY002
-        return Score({"written": float(written)})
-
-
-@dataclass(frozen=True)
-class Tenant:
-    """The sample, repeated, with a note on what its process finds; it may leave things behind, as ``leaves`` says."""
-
-    leaves: bool = False
-    uses_lattice: ClassVar[bool] = False
-
-    def synthesize(self, task: Task) -> Synthesis:
-        """Look around, leave things, and repeat the sample."""
-        place = Path(tempfile.gettempdir())
-        seen = {
-            "pid": os.getpid(),
-            "leads": os.getsid(0) == os.getpgid(0) == os.getpid(),
-            "place": str(place),
-            "folder": str(Path.cwd()),
-            "found": sorted(str(path.relative_to(place)) for path in place.rglob("*")),
-        }
-        if self.leaves:
-            for folder in (place, Path.cwd()):
-                (folder / "left").touch()
-            Path.cwd().chmod(0o500)
-        return dataclasses.replace(Fine().synthesize(task), note=json.dumps(seen))
 
 
 @dataclass(frozen=True)

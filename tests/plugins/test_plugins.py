@@ -7,7 +7,6 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -156,29 +155,6 @@ def test_a_plugin_that_does_not_import_costs_only_its_own_cells(
         plugins.registry._installed.cache_clear()
 
 
-def test_a_broken_and_a_duplicate_entry_point_are_isolated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plugin that does not import and one whose name is taken are listed with the reason; the rest works."""
-    real = plugins.registry.entry_points
-    broken = EntryPoint("broken", "nrbench_no_such_module:X", "nrbench.synthesizers")
-    double = EntryPoint("rsgf", "nrbench.synthesizers.scatter:Scatter", "nrbench.synthesizers")
-
-    def with_strangers(group: str) -> list[EntryPoint]:
-        return [*real(group=group), *([broken, double] if group == "nrbench.synthesizers" else [])]
-
-    monkeypatch.setattr(plugins.registry, "entry_points", with_strangers)
-    plugins.registry._installed.cache_clear()
-    try:
-        listed = plugins.inventory("synthesizers")
-        assert "No module named" in next(p.error for p in listed if p.name == "broken")
-        assert [bool(p.error) for p in listed if p.name == "rsgf"] == [False, True]
-        assert plugins.find("synthesizers", "rsgf").cls.__name__ == "Rsgf"  # type: ignore[union-attr]
-        with pytest.raises(BadInput, match="method 'broken' of unknown does not load: ModuleNotFoundError"):
-            plugins.find("synthesizers", "broken")
-    finally:
-        monkeypatch.undo()
-        plugins.registry._installed.cache_clear()
-
-
 HEAD = "from dataclasses import dataclass\n"
 FROZEN = HEAD + "@dataclass(frozen=True)\n"
 FILES = {
@@ -188,8 +164,6 @@ FILES = {
     FROZEN + "class X:\n    def synthesize(self, task): ...": "has no docstring",
     FROZEN
     + "class X:\n    'Page.'\n    shape: str = 'x'\n    def synthesize(self, task): ...": "rename it (taken: method",
-    FROZEN + "class X:\n    'Page.'\n    seed: int = 0\n    def render(self, s, r): ...": "rename it (taken: model",
-    FROZEN + "class X:\n    'Page.'\n    image: int = 0\n    def detect(self, i): ...": "rename it (taken: image",
     FROZEN + "class X:\n    'Page.'\n    size: int\n    def detect(self, i): ...": "'size' has no default",
     FROZEN + "class X:\n    'Page.'\n    def score(self, o): ...": "declares no columns",
     HEAD + "from nrbench.plugins.forms import Column\n@dataclass(frozen=True)\nclass X:\n    'Page.'\n"
@@ -241,19 +215,6 @@ def test_paths_start_from_the_folder_of_the_user(
     assert found == Places(file, file, (file, Path("/b")), [file], "a.txt")
     assert user_path(found.text) == file
     assert validated(Places, {"maybe": "none"}, "method places").maybe is None
-
-
-@dataclass(frozen=True)
-class Undefined:
-    """A plugin with a parameter whose annotation is a name that is not defined."""
-
-    other: Nothing = 2  # type: ignore[name-defined]  # noqa: F821
-
-
-def test_a_wrong_annotation_raises_when_it_is_used() -> None:
-    """A parameter whose annotation names nothing raises for that parameter."""
-    with pytest.raises(NameError, match="Nothing"):
-        validated(Undefined, {"other": 3}, "method undefined")
 
 
 WHITE = np.ones((8, 8, 1), np.float32)

@@ -143,20 +143,3 @@ def test_bad_presets_are_found_at_registration(body: str, message: str, tmp_path
     file.write_text(HEAD.replace("{name}", "Bad").replace("{body}", body + method), "utf-8")
     with pytest.raises(BadInput, match=message):
         plugins.add_file(file)
-
-
-def test_a_preset_need_not_give_parameters_without_default(tmp_path: Path) -> None:
-    """A required parameter that a preset leaves out is named as missing when the plugin is built."""
-    body = """
-    path: str
-    level: float = 0.25
-    presets: ClassVar = {"paper": {"level": 1.0}}
-    name: ClassVar[str] = "needy"
-    def synthesize(self, task): ...
-"""
-    file = tmp_path / "needy.py"
-    file.write_text(HEAD.replace("{name}", "Needy").replace("{body}", body), "utf-8")
-    plugins.add_file(file)
-    assert plugins.build("synthesizers", "needy", {"preset": "paper", "path": "x"}).level == 1.0
-    with pytest.raises(BadInput, match="parameter 'path' is missing"):
-        plugins.build("synthesizers", "needy", {"preset": "paper"})

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from nrbench.labelling.labels import QUESTIONS, LabelPage, labels_table, make_page, write_key
+from nrbench.labelling.labels import ANSWERS, QUESTIONS, LabelPage, labels_table, make_page, write_key
 from nrbench.plugins.forms import Column
 from nrbench.reports.statistics.frames import agreement_table
 from nrbench.reports.statistics.labelers import (
@@ -132,6 +132,26 @@ def test_self_agreement_counts_second_showings_only(judged: Run, tmp_path: Path)
     comparison = _compare(judged, _person(judged, tmp_path / "a.csv", answers, repeat=0.5))
     assert comparison.with_verdict[0].equal == 1.0
     assert (comparison.selves[0].n, comparison.selves[0].equal) == (20, 0.0)
+
+
+def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
+    """Three people give the verdict with each person, every pair of people, and the means of both."""
+    rng = np.random.default_rng(0)
+    files = [
+        _person(
+            judged, tmp_path / f"{name}.csv", lambda i, again: ANSWERS[rng.integers(2)] if rng.random() < 0.4 else None
+        )
+        for name in "abc"
+    ]
+    comparison = compare_labelers(judged, files)
+    assert comparison is not None
+    table = agreement_table(comparison)
+    assert set(table["question"]) == {"lattice"}
+    assert list(table["kind"]) == ["judge and labelers"] * 4 + ["labelers"] * 4 + ["self"] * 3
+    means = table[table["second"] == "mean of 3"]["kappa"].tolist()
+    each = table.groupby("kind", sort=False)["kappa"].apply(lambda one: one.iloc[:3].mean()).tolist()
+    assert means == pytest.approx(each[:2])
+    assert len(labels_table(judged, files)) == 120
 
 
 def _answers_by_method(judged: Run, path: Path, answers: Mapping[str, str]) -> Path:

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import psutil
 import pytest
 from commands import call
 from faults import registered_faults
-from machines import Machines, machines
+from machines import machines
 from suites import scores, wall_suite, write_sleepers
 
 from nrbench import run
@@ -89,46 +88,6 @@ def test_a_run_survives_its_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             patch.setattr(_Runner, "_job", lambda self, *words: dataclasses.replace(job(self, *words), **away_from))
             with pytest.raises(BadInput, match=r"the worker tcp://.* does not see /no/such/folder; pass an --out"):
                 run(suite, out=tmp_path / "unseen", options=options)
-
-
-def kill_once_connected(made: Machines, root: Path) -> None:
-    """Kill the scheduler a moment after a run has connected to it, however long that takes."""
-    deadline = time.monotonic() + 60
-    while not list(root.glob("cells/*/cell.json")) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    time.sleep(1.0)
-    made.processes["scheduler"].kill()
-
-
-def test_a_cluster_that_dies_ends_the_run(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without workers, and without a scheduler, a run ends with a line that says so, its table, and exit code 1."""
-    monkeypatch.setattr(executors, "NOTICE", 0.5)
-    suite = tmp_path / "small.toml"
-    suite.write_text(
-        'name = "small"\nsample = "64x64"\nsize = "64x64"\nmethods = ["scatter"]\nmetrics = ["cost"]\n'
-        'replicates = 3\ntexture = [{ name = "wall", dataset = "brick" }]\n'
-    )
-    with machines(tmp_path) as made:
-        words = ["run", str(suite), "--out", "run", "--no-report", "--scheduler", made.address]
-        assert call(*words, "--worker-wait", "2") == 1
-        seen = capfd.readouterr()
-        assert "has no worker; waiting for one up to 2 s" in seen.err
-        assert "had no worker for 2 s; run the same command again to resume" in seen.err
-        assert "3 of 3 cells" in seen.err
-        assert len(seen.err.splitlines()) == 3
-        assert "3 missing" in seen.out
-        threading.Thread(target=kill_once_connected, args=(made, tmp_path / "run"), daemon=True).start()
-        start = time.monotonic()
-        assert call(*words) == 1
-        assert time.monotonic() - start < 20
-        seen = capfd.readouterr()
-        assert "has ended or cannot be reached any more; run the same command again" in seen.err
-        assert len(seen.err.splitlines()) <= 3
-        monkeypatch.setattr(executors, "CONNECT", 1.0)
-        assert call(*words) == 2
-        assert "cannot be reached" in capfd.readouterr().err
 
 
 def test_a_run_that_is_stopped_takes_its_jobs_back(tmp_path: Path) -> None:

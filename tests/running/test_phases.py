@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 import nrbench
 from nrbench import plugins, run
 from nrbench.calling.method_calls import is_picture
-from nrbench.plugins.forms import Observation, Score, Texture
+from nrbench.plugins.forms import Observation, Score
 from nrbench.running import phases
-from nrbench.running.runner import Options, Pace, Step
+from nrbench.running.runner import Options, Pace
 from nrbench.runs.store import CellFolder
 from nrbench.suites.cell import Cell, Recipe
 from nrbench.suites.suite import validated_suite
@@ -84,42 +84,6 @@ def test_replicates_are_judged_by_the_same_draws(tmp_path: Path) -> None:
     np.testing.assert_array_equal(one.again((64, 64), 3).image, other.again((64, 64), 3).image)
 
 
-def test_the_truth_of_a_sample_is_drawn_once_for_the_metrics_of_nrbench(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Cells of one sample share its texture, which is read-only, and score as if each had drawn it."""
-    rows = [{"name": f"wall{k}", "dataset": "brick", "parameters": {"color": k / 10}} for k in range(2)]
-    content = {"name": "two", "sample": "64x64", "size": "64x64", "methods": ["scatter", "tiling"], "metrics": ["cost"]}
-    cells = run(validated_suite({**content, "texture": rows}, "test"), out=tmp_path, options=Options(jobs=0)).cells
-    folders = [CellFolder(record.folder) for record in cells]
-    drawn: list[str] = []
-    render = Recipe.render
-    monkeypatch.setattr(Recipe, "render", lambda recipe: drawn.append(recipe.texture) or render(recipe))
-
-    def truths(keep: bool) -> list[Texture]:
-        drawn.clear()
-        phases._drawn_truth.cache_clear()
-        cells = [Cell.from_dict(json.loads(folder.cell_file.read_text())) for folder in folders]
-        observed = [phases.observe(folder, cell, keep) for folder, cell in zip(folders, cells, strict=True)]
-        assert all(one.again is not None for one in observed)
-        return [one.truth for one in observed if one.truth is not None]
-
-    apart, kept = truths(keep=False), truths(keep=True)
-    assert drawn == ["wall0", "wall1"]
-    truths(keep=False)
-    assert len(drawn) == len(apart) == len(kept) == 4
-    for one, other in zip(apart, kept, strict=True):
-        assert one.ideal is not None and other.ideal is not None
-        assert not other.ideal.flags.writeable
-        assert (one.ideal == other.ideal).all() and (one.image == other.image).all()
-    drawn.clear()
-    phases._drawn_truth.cache_clear()
-    for record in cells:
-        phases.score_cell(record.folder, lambda message: None, "cost")
-    assert drawn == ["wall0", "wall1"]
-    assert phases._drawn_truth.cache_info().maxsize == 2
-
-
 @pytest.mark.parametrize(
     ("extra", "picture"),
     [
@@ -161,10 +125,3 @@ def test_a_run_of_cached_cells_has_no_pace() -> None:
     """Nothing is estimated before a cell was run."""
     cells = make_cells(["one", "other"])
     assert Pace(cells).step(cells[0], "ok", None, 1).remaining is None
-
-
-def test_long_times_are_rounded() -> None:
-    """Seconds, minutes and hours are named, each without false precision."""
-    left = {30.4: "30 s", 400.0: "7 min", 20_000.0: "6 h"}
-    for seconds, text in left.items():
-        assert Step(1, 9, 0, 0, "t", "m", "own", "ok", seconds).remaining_text == f"about {text} left"

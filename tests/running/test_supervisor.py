@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -25,9 +24,9 @@ from faults import registered_faults
 from suites import wall_suite, write_sleepers
 
 from nrbench import plugins, run, synthesize
-from nrbench.pictures.files import read_image, write_image
+from nrbench.pictures.files import read_image
 from nrbench.running import guard, runner
-from nrbench.running.phases import Request, perform
+from nrbench.running.phases import Request
 from nrbench.running.runner import Options, Step
 from nrbench.running.supervisor import Supervisor
 from nrbench.runs.records import CellRecord, Run
@@ -58,20 +57,6 @@ def is_scorer(child: psutil.Process) -> bool:
     return False
 
 
-@pytest.mark.usefixtures("warm_workers")
-def test_a_metric_alters_nothing_for_the_next_one(faulty_run: FaultyRun) -> None:
-    """All that a metric is given is read-only, and metrics that are not nrbench's have a process of their own."""
-    methods = ["oracle", "scatter"]
-    alone = faulty_run(wall_suite(methods, "cost", "source"), Options(jobs=1)).cells
-    beside = faulty_run(wall_suite(methods, "cost", "meddler", "source"), Options(jobs=1)).cells
-    for one, other in zip(alone, beside, strict=True):
-        assert other.status == "ok", other.message
-        assert other.values["meddler.written"] == 0
-        assert {name: other.values[name] for name in one.values if name.startswith("source.")} == {
-            name: value for name, value in one.values.items() if name.startswith("source.")
-        }
-
-
 def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
     """A result or score that is empty, cut, garbled, too deep or of another shape is computed again."""
     suite, options = wall_suite(["fine"], "cost"), Options(jobs=0)
@@ -89,25 +74,6 @@ def test_damaged_files_are_made_again(faulty_run: FaultyRun) -> None:
                 assert again.values["cost.seconds"] is not None
         (record.folder / "cell.json").write_bytes(b"\xff")
         assert [cell.status for cell in Run(done.root).cells] == ["ok"]
-
-
-@pytest.mark.usefixtures("warm_workers")
-def test_an_output_that_was_changed_is_not_scored(faulty_run: FaultyRun) -> None:
-    """Scores are of the pixels that the method returned: an output that another program overwrote gets none.
-
-    `retry_failed` makes it again.
-    """
-    suite, options = wall_suite(["fine"], "cost"), Options(jobs=0)
-    done = faulty_run(suite, options)
-    (record,) = done.cells
-    picture = read_image(record.folder / "output.png")
-    write_image(record.folder / "output.png", 1 - picture)
-    shutil.rmtree(record.folder / "scores")
-    with registered_faults():
-        (again,) = run(suite, out=done.root, options=Options(jobs=1)).cells
-        assert "has changed since the method returned it" in again.reasons["cost.seconds"]
-        (again,) = run(suite, out=done.root, options=Options(jobs=1, retry_failed=True)).cells
-        assert again.values["cost.seconds"] is not None
 
 
 @pytest.mark.parametrize(
@@ -185,22 +151,6 @@ def test_both_ways_of_starting_agree(started: dict[str, CellRecord], tmp_path: P
     assert output.read_bytes() == (here.folder / "output.png").read_bytes()
 
 
-@pytest.mark.usefixtures("warm_workers")
-def test_a_failed_metric_spares_the_others_and_is_tried_again(faulty: Path, tmp_path: Path) -> None:
-    """A metric that kills its process, or returns no number, is None with the cause; `retry_failed` scores again."""
-    methods, out = ["faulty:how=fine", "fine"], tmp_path / "run"
-    metrics = ("judge-segfault", "judge-words")
-    failed, fine = run(wall_suite(methods, "cost", *metrics), out=out, options=Options(timeout=20)).cells
-    assert failed.reasons["judge-segfault.value"] == "failed: crash: died by SIGSEGV"
-    assert "a score is a finite number" in failed.reasons["judge-words.value"]
-    assert failed.values["cost.seconds"] is not None
-    assert fine.values["judge-segfault.value"] == 1.0
-    file = next((failed.folder / "scores").glob("judge-words-*.json"))
-    before = file.stat().st_mtime_ns
-    run(wall_suite(methods, "cost", "judge-words"), out=out, options=Options(jobs=0, retry_failed=True))
-    assert file.stat().st_mtime_ns > before
-
-
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
 @pytest.mark.parametrize("way", WAYS)
 def test_an_interrupted_run_ends_at_once_and_resumes(
@@ -271,33 +221,6 @@ def prepare(folder: Path, method: str, **parameters: Any) -> Path:
     return folder
 
 
-def look_around(supervisor: Supervisor, folder: Path, **parameters: Any) -> dict[str, Any]:
-    """Run the method ``tenant`` in a cell's folder; return what its process found."""
-    cell = json.loads((folder / "cell.json").read_text())
-    (folder / "cell.json").write_text(json.dumps({**cell, "parameters": parameters}))
-    reply = supervisor.run(Request("synthesize_cell", str(folder), 20, 500))
-    assert reply.result["status"] == "ok", reply.result
-    found: dict[str, Any] = json.loads(reply.result["note"])
-    return found
-
-
-@pytest.mark.usefixtures("faulty")
-def test_a_phase_finds_nothing_of_the_last_one(supervisors: list[Supervisor], tmp_path: Path) -> None:
-    """Temporary files and working folder of a method are empty and outside the run, and have room for sockets."""
-    folder = prepare(tmp_path / "cell", "tenant")
-    clean, messy = (look_around(supervisors[0], folder, leaves=leaves) for leaves in (False, True))
-    assert not list(Path(messy["place"]).parent.rglob("left"))  # the disk may be that of the run, and full
-    after = look_around(supervisors[0], folder)
-    assert {clean["pid"], messy["pid"], after["pid"]} > {clean["pid"], messy["pid"]}
-    for found in (clean, messy, after):
-        assert found["found"] == []
-        assert found["folder"] == found["place"]
-        assert not Path(found["place"]).is_relative_to(tmp_path)
-        assert found["leads"]
-        assert len(found["place"]) <= 70 + len(tempfile.gettempdir())  # a socket's path has room for 107 bytes
-    assert not list(tmp_path.rglob("left"))
-
-
 def wait_until(holds: Callable[[], bool]) -> None:
     """Wait until a condition holds; fail if it does not soon."""
     deadline = time.monotonic() + 5
@@ -312,29 +235,6 @@ def test_the_worker_has_one_thread(supervisors: list[Supervisor]) -> None:
         server = server_of(supervisor)
         assert server.num_threads() == 1
         wait_until(lambda server=server: bool(server.children()))
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="asks the kernel of Linux")
-def test_a_worker_that_starts_ends_with_its_run(tmp_path: Path) -> None:
-    """A worker that is busy in compiled code, where no signal handler runs, ends when its run is killed."""
-    busy = tmp_path / "busy"
-    (tmp_path / "slow.py").write_text(f"from pathlib import Path\nPath({str(busy)!r}).touch()\nsum(range(10**12))\n")
-    program = (
-        "from pathlib import Path\nfrom nrbench.plugins import registry\n"
-        "from nrbench.running.supervisor import Supervisor\n"
-        "registry._files[Path('slow.py').resolve()] = []\n"
-        "Supervisor()._start()\n"
-    )
-    running = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path)
-    deadline = time.monotonic() + 60
-    while running.poll() is None and not busy.exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    children = psutil.Process(running.pid).children(recursive=True)
-    running.kill()
-    running.wait()
-    assert children
-    assert not psutil.wait_procs(children, timeout=5)[1]
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -398,19 +298,6 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
     assert len(third - second) == 1
     assert scorers("cost") == (third, ["ok", "ok"])
     assert [record.values["cost.peak_mib"] for record in Run(tmp_path / "run").cells] == whole
-
-
-def test_only_the_own_code_of_nrbench_shares_a_process(faulty_run: FaultyRun, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A cell is scored in the shared process by the metrics of nrbench alone, and if its dataset is nrbench's, too."""
-    rows = [{"name": name, "dataset": name} for name in ("brick", "picture")]
-    shared = []
-    monkeypatch.setattr(
-        "nrbench.running.supervisor.perform", lambda request, send: shared.append(request) or perform(request, send)
-    )
-    faulty_run(wall_suite(["fine"], "cost", "judge-fine", texture=rows), Options(jobs=0))
-    scored = [(request.metrics, request.own) for request in shared if request.phase == "score_cell"]
-    assert scored == [(("cost",), True), (("judge-fine",), False), (("cost",), False), (("judge-fine",), False)]
-    assert not any(request.own for request in shared if request.phase != "score_cell")
 
 
 def test_a_method_prepares_once_for_a_sample(supervisors: list[Supervisor], faulty: Path, tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 import nrbench
 from nrbench.datasets_procedural.brick import Brick
-from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
 from nrbench.spectra.harmonic_groups import (
     LEAST_DISTANCE,
@@ -281,20 +280,6 @@ def test_the_normal_equations_hold_the_gradient() -> None:
         move[k, a] = step
         rise = Waves(spectrum, start + move).explained - Waves(spectrum, start - move).explained
         assert rise.sum() / (4 * step) == pytest.approx(right[k, a], rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("change", "hint"),
-    [
-        ({"harmonics": "bound"}, "free or tied"),
-        ({"channels": "none"}, "joint or each"),
-        ({"signal": "complex"}, "real or analytic"),
-    ],
-)
-def test_unknown_choices_are_refused(change: dict[str, object], hint: str) -> None:
-    """Each error says what it is, and what to give."""
-    with pytest.raises(BadInput, match=hint):
-        analyze(np.zeros((8, 8, 1)), **change)  # type: ignore[arg-type]
 
 
 CLOTH, THREAD, INDEX = 144, 12, 3

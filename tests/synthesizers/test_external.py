@@ -57,23 +57,11 @@ def test_a_program_gets_the_sample_and_its_picture_comes_back(tmp_path: Path, sa
     assert made.image.shape == (30, 50, 3)
 
 
-def test_outputs_may_be_smaller_than_samples_may(tmp_path: Path, sample: Image) -> None:
-    """An output of one pixel, as ``nrbench check`` asks for it, is read; a sample needs eight a side."""
-    task = Task(sample, (1, 1), None, np.random.default_rng(0))
-    assert Command(run=f"{script(tmp_path, TILES)} {FIELDS}").synthesize(task).image.shape == (1, 1, 3)
-
-
 def test_the_seed_comes_from_the_tasks_stream(tmp_path: Path, sample: Image) -> None:
     """The same stream gives the same seed, another gives another."""
     command = f"{script(tmp_path, TILES)} {FIELDS}"
     seeds = [run(command, sample, seed).image[0, 0, 0] for seed in (1, 1, 2)]
     assert seeds[0] == seeds[1] != seeds[2]
-
-
-def test_a_gray_picture_written_as_color_is_gray(tmp_path: Path, sample: Image) -> None:
-    """A program that turns a gray sample into equal channels gives one channel back."""
-    colored = TILES.replace("PIL.Image.fromarray(tiled)", "PIL.Image.fromarray(tiled).convert('RGB')")
-    assert run(f"{script(tmp_path, colored)} {FIELDS}", sample[..., :1]).image.shape == (30, 50, 1)
 
 
 def test_the_program_runs_in_a_folder_of_its_own(tmp_path: Path, sample: Image) -> None:
@@ -134,11 +122,8 @@ def test_a_program_that_is_missing_is_bad_input(sample: Image) -> None:
     [
         ("tool {sample} {outptu}", "{outptu}; known are {sample}, {output}"),
         ("tool {sample}", "lacks {output}"),
-        ("tool {output}", "lacks {sample}"),
         ("tool {sample} {output", "write {{ and }}"),
-        ("tool {sample} {output} {}", "known are"),
         ("tool '{sample} {output}", "quotation"),
-        ("", "lacks"),
     ],
 )
 def test_templates_that_cannot_work_are_refused_at_once(command: str, hint: str) -> None:
@@ -219,25 +204,4 @@ def test_a_table_pairs_files_under_any_names(tmp_path: Path) -> None:
 def test_where_there_is_none_the_refusal_tells_the_name_looked_for(tmp_path: Path) -> None:
     """An author learns how to name the file."""
     with pytest.raises(Refused, match=f"{name_for(SAMPLE, (30, 50))}.*index.csv"):
-        look_up(tmp_path)
-
-
-def test_a_missing_folder_is_bad_input(tmp_path: Path) -> None:
-    """A folder that does not exist is the user's to mend."""
-    with pytest.raises(BadInput, match="give the one that holds the outputs"):
-        look_up(tmp_path / "none")
-
-
-@pytest.mark.parametrize("name", ["../b.png", "/etc/hostname", "x/../../b.png"])
-def test_a_table_reaches_no_file_outside_its_folder(tmp_path: Path, name: str) -> None:
-    """A folder from a stranger cannot read other files."""
-    (tmp_path / "index.csv").write_text(f"sample,output\n{name},b.png\n")
-    with pytest.raises(BadInput, match=r"line 2: .* is not in"):
-        look_up(tmp_path)
-
-
-def test_a_table_without_its_columns_is_bad_input(tmp_path: Path) -> None:
-    """The error about a table with other columns says what its first line must be."""
-    (tmp_path / "index.csv").write_text("input,result\na.png,b.png\n")
-    with pytest.raises(BadInput, match="first line must be sample,output"):
         look_up(tmp_path)

@@ -177,14 +177,6 @@ def test_patches_are_tiles_of_some_size(tile: tuple[int, int], room: tuple[int, 
     assert automatic_size(mask_of(smooth(*tile)), room) == size
 
 
-def test_a_sample_smaller_than_the_patch_is_refused() -> None:
-    """The message names the largest valid patch."""
-    tile = smooth(20, 24)
-    with pytest.raises(Refused, match="patch <= 40"):
-        synthesize(FftmPatch(patch=41), varied(tile, 40, 50, 0.1), (60, 60), mask_of(tile))
-    assert synthesize(FftmPatch(patch=40), varied(tile, 40, 50, 0.1), (60, 60), mask_of(tile)).source is not None
-
-
 @pytest.mark.parametrize("given", [False, True])
 def test_it_makes_the_mask_by_itself(given: bool) -> None:
     """The method finds the mask of a brick wall, with or without a lattice, and continues it far beyond the sample."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 from synthesis_cases import synthesize
 
 from nrbench.imaging.convert import Image, quantize
-from nrbench.plugins.forms import Refused
 from nrbench.synthesizers.gpnn import Gpnn
 
 
@@ -42,9 +40,3 @@ def test_the_sample_is_found_better_the_smaller_alpha() -> None:
         for alpha in (0.0005, 1)
     )
     assert small < large
-
-
-def test_a_sample_smaller_than_a_patch_is_refused() -> None:
-    """The refusal names the sizes of sample and patch."""
-    with pytest.raises(Refused, match="12x9 px, a patch 11 px"):
-        synthesize(Gpnn(patch=11), np.zeros((9, 12, 3), np.float32), (50, 50))

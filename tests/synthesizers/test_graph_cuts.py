@@ -5,10 +5,9 @@ import pytest
 from synthesis_cases import noise, synthesize
 
 from nrbench import texture
-from nrbench.calling.method_calls import checked_synthesis
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.regularity import Regularity
-from nrbench.plugins.forms import Observation, Refused, Task, Texture
+from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.canvas.canvas import Window
 from nrbench.synthesizers.graph_cuts import GraphCuts
 from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat, WholePatches
@@ -112,21 +111,6 @@ def test_regular_samples_stay_regular(name: str) -> None:
         output = quantize(synthesize(method, sample, (160, 160)).image)
         verdict = Regularity().score(Observation(sample, output, truth)).values
         assert verdict["preserved"] is preserved
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("options", [{"randomness": 1e6}, {"randomness": 1e-320}, {"feather": 0.1}])
-def test_the_largest_and_least_values_work(options: dict[str, Any]) -> None:
-    """At the ends of their ranges parameters cause no overflow."""
-    sample = noise(20, 20)
-    checked_synthesis(synthesize(GraphCuts(passes=1, **options), sample, (30, 30)), sample, (30, 30))
-
-
-def test_samples_too_small_for_a_region_are_refused() -> None:
-    """The refusal names the least region, and that one works."""
-    with pytest.raises(Refused, match=r"30x10 px.*region >= 0\.3,"):
-        synthesize(GraphCuts(region=0.2), noise(10, 30), (40, 40))
-    synthesize(GraphCuts(region=0.3, passes=0), noise(10, 30), (40, 40))
 
 
 def test_the_preset_of_the_paper_has_its_variants() -> None:

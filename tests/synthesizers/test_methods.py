@@ -240,19 +240,3 @@ def test_bad_parameters_are_named(spec: str) -> None:
     (name, *_) = parse_spec(spec)[1]
     with pytest.raises(BadInput, match=f"{name}.* (choose|drop one)"):
         build(spec)
-
-
-RANGES = {
-    "quilting:block=2": "3 px or more",
-    "quilting:block=12,overlap=7": "half of the block",
-    "patch-based:epsilon=1e200": r"epsilon 1e\+200; choose from 0 to 1e\+06",
-    "graph-cuts:passes=-1": "passes -1; choose 0 or more",
-    "scatter:block=20,border=11": "from 1 to half a block",
-}
-
-
-@pytest.mark.parametrize(("spec", "message"), RANGES.items())
-def test_the_error_says_what_may_be_given(spec: str, message: str) -> None:
-    """The error of a value out of range names the range."""
-    with pytest.raises(BadInput, match=message):
-        build(spec)

@@ -44,13 +44,6 @@ def test_a_texture_that_the_window_does_not_span_is_lost() -> None:
     assert len(rows) == 0 or (np.diff(rows) != 16).any()
 
 
-def test_a_sample_smaller_than_the_window_is_refused() -> None:
-    """The message names the sizes of the sample and of the window, whose rows below the pixel do not count."""
-    with pytest.raises(Refused, match="10x6 px, the sample is 30x5 px"):
-        synthesize(AnnPixel(10), noise(5, 30), (20, 20))
-    assert (synthesize(AnnPixel(10), noise(6, 10), (9, 9)).image == noise(6, 10)[5, 5]).all()
-
-
 SEARCHES = ("ann", "exhaustive", "k-coherence")
 MATCHES = ("full", "cluster")
 
@@ -194,16 +187,6 @@ def test_every_parameter_changes_something_beside_a_mask() -> None:
     ]  # fmt: skip
     for one, other in pairs:
         assert (output(**one) != output(**other)).any(), other
-
-
-def test_a_sample_smaller_than_the_window_is_refused_beside_a_mask() -> None:
-    """The message names the sizes of neighborhood and sample; one complete neighborhood is enough."""
-    mask = mask_of(soft_tile(7, 9))
-    with pytest.raises(Refused, match="6x6 px, the sample is 30x5 px"):
-        masked(FftmPixel(6), noise(5, 30), (20, 20), mask)
-    for match, search in itertools.product(MATCHES, SEARCHES):
-        made = masked(FftmPixel(6, match=match, search=search), noise(6, 6), (9, 9), mask)  # type: ignore[arg-type]
-        assert (made.image == noise(6, 6)[3, 3]).all()
 
 
 def test_a_flat_sample_gives_a_flat_output() -> None:

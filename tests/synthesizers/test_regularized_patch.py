@@ -1,6 +1,5 @@
 """Claims about regularized patches: the shape, the borders and the choice of texels, and the output."""
 
-import math
 import tracemalloc
 from dataclasses import replace
 
@@ -246,8 +245,3 @@ def test_texels_are_drawn_within_d_max(seed: int) -> None:
         chosen = mosaic.chosen[column, row]
         assert squares[chosen] <= max(largest**2 * points, squares.min()) * (1 + 1e-6)
         standing[column + 1, row + 1] = chosen
-
-
-def test_a_zone_is_no_broader_than_a_texel() -> None:
-    """A zone of 100 px on bricks of 12 px becomes one of 12 px."""
-    assert math.isclose(TexelShape.of(BRICKS, BRICK, 100.0).zone, 12.0)

@@ -219,12 +219,6 @@ def test_noise_is_refused_and_the_paper_goes_on() -> None:
     assert PAPER.synthesize(Task(sample, (64, 64), None, np.random.default_rng(0))).image.shape == (64, 64, 3)
 
 
-def test_samples_with_less_than_two_periods_are_refused() -> None:
-    """The refusal says how far the lattice reaches, and how much there is of it."""
-    with pytest.raises(Refused, match="less than two periods"):
-        synthesize(noise(70, 70), (256, 256), Lattice((36, 0), (0, 20)))
-
-
 def test_the_tolerance_decides_on_the_size_of_the_tile() -> None:
     """A slanted lattice has a large rectangle within a small tolerance, and a small one within a larger tolerance."""
     oblique = Lattice((20.3, 0), (6.1, 18.7))

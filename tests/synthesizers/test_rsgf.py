@@ -31,18 +31,6 @@ def test_the_papers_detector_stretches_the_weave() -> None:
     assert drift["paper"] > 2 and drift["default"] < 0.5
 
 
-def test_a_sample_smaller_than_a_block_with_borders_is_refused() -> None:
-    """The refusal says what would fit."""
-    with pytest.raises(Refused, match="block \\+ 2 border <= 50"):
-        synthesize(Rsgf(), noise(50, 128), (64, 64), FRACTIONAL)
-
-
-def test_a_lattice_too_large_for_the_sample_is_refused() -> None:
-    """The refusal says that no complete patch is equal to one of the output's."""
-    with pytest.raises(Refused, match="the tile is too large"):
-        synthesize(Rsgf(), noise(70, 70), (256, 256), Lattice((65, 0), (0, 65)))
-
-
 def test_a_sample_of_less_than_two_periods_works_or_is_refused() -> None:
     """Small blocks work on a sample of 1.5 periods; blocks without an equal patch in it are refused."""
     sample, lattice = noise(60, 60), Lattice((40.3, 0), (3.1, 38.6))

@@ -8,7 +8,6 @@ from synthesis_cases import synthesize
 
 from nrbench import texture
 from nrbench.imaging.convert import quantize
-from nrbench.plugins.forms import Refused
 from nrbench.synthesizers.texture_optimization import TextureOptimization
 
 
@@ -32,9 +31,3 @@ def test_robust_weights_blur_less() -> None:
         return float(np.abs(np.diff(made, axis=0)).mean() / np.abs(np.diff(sample, axis=0)).mean())
 
     assert sharpness(2.0) < sharpness(0.8) < 1.05
-
-
-def test_a_sample_smaller_than_two_neighborhoods_is_refused() -> None:
-    """The refusal names the size of the sample."""
-    with pytest.raises(Refused, match="15x40 px"):
-        synthesize(TextureOptimization(), np.zeros((40, 15, 3), np.float32), (50, 50))

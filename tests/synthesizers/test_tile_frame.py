@@ -67,12 +67,6 @@ def test_a_period_just_under_a_whole_number_is_that_number() -> None:
         assert find_tile_frame(Lattice((period, 0), (0, 20)), SHAPE, 0.1).size == (20, pixels)
 
 
-def test_patterns_finer_than_two_pixels_are_refused() -> None:
-    """A tile of a pixel's width shows nothing."""
-    with pytest.raises(Refused, match="less than 2 px"):
-        find_tile_frame(Lattice((1.5, 0), (0, 20)), SHAPE, 0.1)
-
-
 ENTRY = st.integers(-15, 15)
 BASIS = st.tuples(ENTRY, ENTRY, ENTRY, ENTRY).filter(lambda e: abs(e[0] * e[3] - e[1] * e[2]) > 0)
 HEXAGON = Lattice((20.0, 0.0), (10.0, 10 * math.sqrt(3)))

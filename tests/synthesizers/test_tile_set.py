@@ -481,9 +481,6 @@ def test_element_weights_are_least_at_joints() -> None:
     assert at(0, 0) > 3 * at(0, 12.2 / 2)
 
 
-RECTANGULAR = Lattice((20, 0), (0, 25))
-
-
 @pytest.mark.parametrize("lattice", LATTICES)
 def test_a_set_is_what_no_lattice_vector_leads_out_of(lattice: Lattice) -> None:
     """Upright, lattice and rectangle tiles have two sets, cells four, and tiles of 2 x 2 cells one."""
@@ -495,23 +492,6 @@ def test_a_set_is_what_no_lattice_vector_leads_out_of(lattice: Lattice) -> None:
             between = np.array(list(np.ndindex(2, 2))) @ shape.steps
             nearest = np.stack([lattice.wrap(between - np.array(one) @ shape.steps) for one in numbers])
             assert ((np.hypot(*np.moveaxis(nearest, -1, 0)) < 1e-6).sum(0) == 1).all()
-
-
-@pytest.mark.parametrize("size", [(30, 128), (128, 30), (40, 40), (49, 128), (128, 39)])
-@pytest.mark.parametrize("tile", TILES)
-def test_samples_under_two_periods_are_refused(size: tuple[int, int], tile: Any) -> None:
-    """The reason states the lattice's extent and the size of the sample."""
-    lattice = RECTANGULAR if min(size) != 40 else Lattice((33, 0), (0, 35))
-    with pytest.raises(Refused, match=f"reaches .* the sample is {size[1]}x{size[0]} px: .* less than two periods"):
-        synthesize(TileSet(tile=tile), noise(*size), (64, 64), lattice)
-
-
-def test_samples_without_a_tile_of_each_set_are_refused() -> None:
-    """A sample of two periods can be too small for a tile: the reason states the tile's size."""
-    with pytest.raises(Refused, match="a tile takes 80x100 px, the sample is 60x60 px: it does not hold a complete"):
-        synthesize(TileSet(cells=4, tile="cell"), noise(60, 60), (64, 64), RECTANGULAR)
-    with pytest.raises(Refused, match="does not hold a complete tile of each set"):
-        synthesize(TileSet(cells=64), noise(60, 60), (64, 64), RECTANGULAR)
 
 
 @settings(max_examples=40)
@@ -542,12 +522,3 @@ def test_upright_tiles_leave_no_gap(lattice: Lattice, cells: int) -> None:
     """Every pixel is filled where an upright tile is the minimum tile itself, with fractional sides."""
     made = synthesize(TileSet(tile="upright", cells=cells), noise(90, 140, 1), (150, 160), lattice)
     assert made.source is not None and (made.source[..., 2] > 0).all()
-
-
-@pytest.mark.parametrize("name", ["registration", "margin"])
-def test_nothing_reaches_farther_than_s(name: str) -> None:
-    """Registration and margin may be up to s; larger values are refused."""
-    parameters: dict[str, Any] = {name: 20.0}
-    assert synthesize(TileSet(**parameters), noise(140, 140, 1), (20, 20), RECTANGULAR).image.shape == (20, 20, 1)
-    with pytest.raises(Refused, match=f"{name} 20.5 px reaches farther than s, 20.0 px; choose at most 20.0"):
-        synthesize(TileSet(**{name: 20.5}), noise(80, 80, 1), (20, 20), RECTANGULAR)

@@ -1,0 +1,89 @@
+"""Whether a picture is bent has one answer: for the command line, the Python functions, the methods and the judge."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import call
+
+import nrbench
+from nrbench import plugins
+from nrbench.calling.bent_samples import survey_sample
+from nrbench.displacement.deformation_field import map_points
+from nrbench.imaging.convert import quantize
+from nrbench.imaging.mean_tile import interpolate
+from nrbench.pictures.files import read_image, write_image
+from nrbench.plugins.forms import Again, Observation, Shape, Task, Texture
+
+SIDE = 192
+TILT = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.2e-3, 6e-4, 1.0]])
+
+
+Case = tuple[Texture, Again | None]
+"""A texture, and its fresh draws, which the judge has of a model."""
+
+
+def model(name: str, **departures: float) -> Case:
+    """Return a draw of a model."""
+    built = plugins.build("datasets", name, departures)
+    texture = built.render((SIDE, SIDE), np.random.default_rng(1))
+
+    def again(shape: Shape, number: int) -> Texture:
+        drawn: Texture = built.again(texture, shape, np.random.default_rng(number))
+        return drawn
+
+    return texture, again
+
+
+def tilted() -> Case:
+    """Return a picture of a weave in perspective."""
+    points = np.stack(np.meshgrid(*2 * [np.arange(float(SIDE))]), -1)
+    drawn = nrbench.texture("weave", shape=(SIDE, SIDE), seed=0)
+    return Texture(interpolate(drawn.image, map_points(TILT, points)), drawn.lattice), None
+
+
+def noise(side: int = 96) -> Case:
+    """Return a picture without a lattice."""
+    return Texture(np.random.default_rng(3).random((side, side, 1), np.float32), None, kind="stochastic"), None
+
+
+def grain() -> Case:
+    """Return a picture of a model without a lattice."""
+    return nrbench.texture("noise", shape=(SIDE, SIDE), seed=1), None
+
+
+MODELS = ("brick", "weave", "hexagon")
+PICTURES: dict[str, tuple[Callable[[], Case], bool]] = {
+    **{name: (partial(model, name), False) for name in MODELS},
+    **{f"{name}, bent": (partial(model, name, bend=0.5), True) for name in MODELS},
+    "in perspective": (tilted, True),
+    "jitter": (partial(model, "hexagon", jitter=0.3), False),
+    "noise": (noise, False),
+    "grain": (grain, False),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_all_agree_on_what_is_bent(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Straight and bent models, a perspective, jitter, and pictures without a lattice."""
+    make, bent = PICTURES[name]
+    truth, again = make()
+    write_image(Path("picture.png"), quantize(truth.image))
+    image = read_image(Path("picture.png"))
+    assert call("lattice picture.png --straighten out.png --json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown.get("deformation", {}).get("bent", False) is bent
+    try:
+        assert nrbench.track_lattice(image).bent is bent
+    except nrbench.NoLatticeFound:
+        assert not bent
+    task = Task(image, (64, 64), None, np.random.default_rng(0))
+    survey = survey_sample(plugins.build("synthesizers", "rsgf"), task)
+    assert survey is not None and (survey.bent is not None) is bent
+    score = plugins.build("metrics", "regularity").score(Observation(image, image, truth, again=again))
+    assert (score.values["misplacement_ratio"] is not None) is bent
