@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nrbench import plugins
 from nrbench.errors import describe_error, strip_control
@@ -16,10 +16,6 @@ from nrbench.plugins.parameters import parse_spec
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 from nrbench.suites.cell import RESULTS_VERSION
-
-# Reports of nrbench run no cell.
-if TYPE_CHECKING:
-    pass
 
 
 def status_counts(cells: Sequence[CellRecord]) -> dict[str, int]:

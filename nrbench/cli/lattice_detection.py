@@ -272,7 +272,6 @@ def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
 
 
 def _draw_diagnostics(diagnostics: Mapping[str, Any], title: str, output: Path) -> None:
-
     figure = diagram(diagnostics, title)
     if figure is None:
         click.echo(f"{output}: not written, the detector returned nothing that can be drawn", err=True)

@@ -141,17 +141,14 @@ def plan_command(call: partial[Any], retry_failed: bool, as_json: Json = False) 
     print(json.dumps(cells, indent=1) if as_json else "\n".join(summary.plan_lines(cells)))
 
 
-@verb(runs.report, without=("jobs", *SCHEDULING))
+@verb(runs.report)
 def report_command(
     call: Callable[..., Any],
-    options: Options,
     labels: tuple[Path, ...],
     more: More = (),
     no_tests: Switch = False,
 ) -> int:
     """Write the reports of RUN again from its files. No cell is run.
-
-    The limits have no effect: reports are written in this process.
 
     Parameters
     ----------
