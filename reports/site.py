@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+import pandas as pd
 from markupsafe import Markup
 
 from nrbench.errors import BadInput
@@ -18,6 +20,7 @@ from nrbench.storage import write_text
 from .statistics.format import make_environment, pluralize
 from .statistics.method_comparison import compare_methods
 from .statistics.summaries import MethodSummary
+from .statistics.verdicts import QUALITY, tabulate_cells
 
 
 @dataclass(frozen=True)
@@ -136,26 +139,22 @@ def _titles(roots: Sequence[Path]) -> list[str]:
 
 
 def _read_rows(run: Run, title: str) -> list[SiteRow]:
-    comparison = compare_methods(run)
-    cells: dict[tuple[str, str], dict[str, list[float]]] = {}
-    versions: dict[str, str] = {}
-    for record in run.cells:
-        versions[record.method] = record.cell.version
-        value = record.values.get("quality.score") if record.status == "ok" else 0.0
-        values = cells.setdefault((record.method, record.lattice_source), {}).setdefault(record.texture, [])
-        values += [] if value is None else [float(value)]
+    cells = tabulate_cells(run)
+    scores = cells[QUALITY] if QUALITY in cells else pd.Series(np.nan, cells.index)
+    cells["value"] = scores.where(cells["status"].eq("ok"), 0.0)
+    means = {
+        label: rows.groupby("texture", sort=False)["value"].mean() for label, rows in cells.groupby("label", sort=False)
+    }
+    versions = {record.method: record.cell.version for record in run.cells}
     return [
         SiteRow(
             run,
             title,
             one,
             versions.get(one.method.name, "unknown"),
-            {
-                texture: sum(values) / len(values) if values else None
-                for texture, values in cells.get((one.method.name, one.method.lattice_source), {}).items()
-            },
+            {str(texture): None if np.isnan(mean) else float(mean) for texture, mean in means[one.label].items()},
         )
-        for one in comparison.summaries
+        for one in compare_methods(run).summaries
     ]
 
 

@@ -557,10 +557,10 @@ def report(
     ``report("runs/default", "html,latex:width=column")`` writes the page and the tables of an article.
     """
     from nrbench.api.run_reports import parse_formats, write_reports
-    from nrbench.labelling.labels import read_labelers
+    from nrbench.labelling.labels import read_labels
 
     read, files = as_run(run), tuple(map(Path, labels))
-    read_labelers(read, files)
+    read_labels(read, files)
     wanted = parse_formats(list_of(format)) if format else None
     shared = {"labels": files, "single_file": single_file, "population": population, **parameters}
     return write_reports(read, wanted, False, shared, progress, tell_failure)

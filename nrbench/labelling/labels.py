@@ -187,56 +187,6 @@ class LabelPage:
         return _folder(root) / f"{self.name}.json"
 
 
-@dataclass(frozen=True)
-class LabelAnswer:
-    """One labeler's answer to one question about one item.
-
-    Parameters
-    ----------
-    item
-        The item, with the cell's key.
-    question
-        Name of the question.
-    answer
-        One of :data:`~nrbench.labelling.labels.ANSWERS`.
-    seconds
-        Seconds to the answer: from the display of the pictures for the first question about an item, from the answer
-        before it for the others.
-    order
-        Position of the item in the order of the page, from 1.
-    """
-
-    item: Item
-    question: str
-    answer: str
-    seconds: float
-    order: int
-
-
-@dataclass(frozen=True)
-class Labeler:
-    """The answers of one labeler.
-
-    Parameters
-    ----------
-    name
-        The stem of the name of the file with the answers.
-    answers
-        The answers, in the order of the file.
-    labeled_by
-        What the labeler is: ``person``, as the page writes, or for example ``vision-language model``.
-    """
-
-    name: str
-    answers: Sequence[LabelAnswer]
-    labeled_by: str
-
-    def by_cell(self, question: str, again: bool = False) -> dict[str, str]:
-        """Return the first answers to a question, or with ``again`` the second answers, by the key of the cell."""
-        asked = [each for each in self.answers if each.question == question]
-        return {each.item.cell: each.answer for each in asked if each.item.again == again}
-
-
 def labelled_cells(run: Run) -> list[CellRecord]:
     """Return the cells that people label: those with an output, of textures that have a lattice.
 
@@ -396,8 +346,18 @@ def encode_pixels(path: Path) -> bytes:
     return file.getvalue()
 
 
-def read_labelers(run: Run, files: Sequence[Path]) -> list[Labeler]:
+def read_labels(run: Run, files: Sequence[Path]) -> pd.DataFrame:
     """Read the answers in files that pages of the run saved, one file for each labeler.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row an answer: ``labeler`` (the stem of the file), ``labeled_by`` (``person``, as the page writes, or for
+        example ``vision-language model``), the output, ``again`` (whether it was shown for the second time),
+        ``question``, ``answer``, ``judge`` (the automatic answer; empty for a question that has none), ``score`` (the
+        value of the column of the question), ``seconds`` to the answer (from the display of the pictures for the first
+        question about an item, from the answer before it for the others), ``order`` of the item on the page, from 1,
+        and ``key`` of the cell. Empty without files.
 
     Raises
     ------
@@ -406,10 +366,31 @@ def read_labelers(run: Run, files: Sequence[Path]) -> list[Labeler]:
         for one item, or an item that is on no page of this run. The message names file and line.
     """
     if not files:
-        return []
-    items = _known_items(run)
-    names = _labeler_names(files)
-    return [Labeler(name, *_read_answers(Path(file), items)) for name, file in zip(names, files, strict=True)]
+        return pd.DataFrame()
+    items, records, rows = _known_items(run), {record.key: record for record in run.cells}, []
+    for labeler, file in zip(_labeler_names(files), files, strict=True):
+        for answer in _read_answers(Path(file), items):
+            item, question = items[answer["item"]], QUESTIONS[answer["question"]]
+            record = records[item.cell]
+            rows.append({
+                **{"labeler": labeler, "labeled_by": answer["labeled_by"]},
+                **{"suite": record.suite, "texture": record.texture, "method": record.method},
+                **{"lattice_source": record.lattice_source, "replicate": record.replicate},
+                **{"again": item.again, "question": question.name, "answer": answer["answer"]},
+                **{"judge": question.automatic_answer(record), "score": record.values.get(question.column)},
+                **{"seconds": float(answer["seconds"]), "order": int(answer["order"]), "key": record.key},
+            })  # fmt: skip
+    return pd.DataFrame(rows).astype({"score": float})
+
+
+def labels_table(run: Run, files: Sequence[Path]) -> pd.DataFrame:
+    """Return the answers of :func:`read_labels` with the hash of the output's pixels.
+
+    The column ``pixels`` identifies an output that is made again. It is empty where the file has been removed.
+    """
+    table, pixels = read_labels(run, files), cache(_hash_output)
+    folders = {record.key: record.folder for record in run.cells}
+    return table.assign(pixels=table["key"].map(folders).map(pixels)) if len(table) else table
 
 
 def _labeler_names(files: Sequence[Path]) -> list[str]:
@@ -438,22 +419,23 @@ def _items_of(page: Mapping[str, Any]) -> list[Item]:
         return []
 
 
-def _read_answers(path: Path, items: Mapping[str, Item]) -> tuple[list[LabelAnswer], str]:
-    """Return the answers in a file, and what gave them."""
+def _read_answers(path: Path, items: Mapping[str, Item]) -> list[dict[str, str]]:
+    """Return the rows of a file of answers, all of which are valid answers of one labeler."""
     rows = _read_rows(path)
-    answers = [_answer(row, items, f"{path}, line {number}") for number, row in enumerate(rows, 2)]
-    counts = Counter((each.item.id, each.question) for each in answers)
+    for number, row in enumerate(rows, 2):
+        _check_answer(row, items, f"{path}, line {number}")
+    counts = Counter((row["item"], row["question"]) for row in rows)
     twice = next((asked for asked, count in counts.items() if count > 1), None)
     if twice:
         raise BadInput(f"{path}: item {twice[0]!r}, {twice[1]}, is answered twice; keep the answer that counts")
-    if not answers:
+    if not rows:
         raise BadInput(f"{path} has no answers; save them with the button of the page first")
     kinds = {row["labeled_by"] for row in rows}
     if len(kinds) > 1 or not all(kinds):
         raise BadInput(
             f"{path}: labeled_by must be one word for all answers, such as person; keep each labeler's answers apart"
         )
-    return answers, kinds.pop()
+    return rows
 
 
 def _read_rows(path: Path) -> list[dict[str, Any]]:
@@ -468,7 +450,7 @@ def _read_rows(path: Path) -> list[dict[str, Any]]:
     return [row for row in rows if any(row.values())]
 
 
-def _answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> LabelAnswer:
+def _check_answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> None:
     id, question, answer = row["item"], row["question"], row["answer"]
     if id not in items:
         raise BadInput(f"{where}: item {id!r} is on no page of this run; pass answers to a page made for it")
@@ -483,28 +465,6 @@ def _answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> La
         raise BadInput(
             f"{where}: is no answer as the page saves it ({', '.join(COLUMNS[:3])}, seconds >= 0, order >= 1)"
         )
-    return LabelAnswer(items[id], question, answer, seconds, order)
-
-
-def labels_table(run: Run, files: Sequence[Path]) -> pd.DataFrame:
-    """Return one row an answer: labeler, what the labeler is, output, question, answer, time, and score.
-
-    ``judge`` is the automatic answer; it is empty for a question that has none. ``score`` is the value of the column of
-    the question. ``pixels`` is the hash of the output's pixels, which identifies an output that is made again.
-    """
-    records, pixels = {record.key: record for record in run.cells}, cache(_hash_output)
-    rows = []
-    for labeler, answer in ((one, answer) for one in read_labelers(run, files) for answer in one.answers):
-        record, question = records[answer.item.cell], QUESTIONS[answer.question]
-        rows.append({
-            **{"labeler": labeler.name, "labeled_by": labeler.labeled_by},
-            **{"suite": record.suite, "texture": record.texture, "method": record.method},
-            **{"lattice_source": record.lattice_source, "replicate": record.replicate},
-            **{"again": answer.item.again, "question": question.name, "answer": answer.answer},
-            **{"judge": question.automatic_answer(record), "score": record.values.get(question.column)},
-            **{"seconds": answer.seconds, "order": answer.order, "key": record.key, "pixels": pixels(record.folder)},
-        })  # fmt: skip
-    return pd.DataFrame(rows).astype({"score": float})
 
 
 def _hash_output(folder: Path) -> str | None:

@@ -16,7 +16,7 @@ from nrbench.lattice.relation import lattice_error
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
-from .estimates import Estimate, estimate_proportion
+from .estimates import estimate_proportion
 
 ANSWER_COLUMNS = (
     *("detector", "texture", "family", "departure", "level", "regular_share", "replicate", "answer", "right", "found"),
@@ -32,36 +32,14 @@ BINS = 10
 
 
 @dataclass(frozen=True)
-class CalibrationBin:
-    """The answers whose confidence lies in one range.
-
-    Parameters
-    ----------
-    low, high
-        The range.
-    confidence
-        Mean confidence of the answers.
-    right
-        Share of the answers that are right, with Wilson's interval.
-    share
-        Their share of all answers.
-    """
-
-    low: float
-    high: float
-    confidence: float
-    right: Estimate
-    share: float
-
-
-@dataclass(frozen=True)
 class Calibration:
     """Confidence compared with truth.
 
     Parameters
     ----------
     bins
-        The bins that are not empty, by ascending confidence.
+        One row a bin that is not empty, by ascending confidence: its ends ``low`` and ``high``, the mean ``confidence``
+        of its answers, the share of them that are ``right`` with Wilson's interval, and their ``share`` of all answers.
     error
         Expected calibration error: the mean over answers of the distance between the share of right answers in the
         answer's bin and the mean confidence there (M. P. Naeini, G. F. Cooper, M. Hauskrecht, "Obtaining well
@@ -70,67 +48,9 @@ class Calibration:
         Number of answers.
     """
 
-    bins: Sequence[CalibrationBin]
+    bins: pd.DataFrame
     error: float | None
     n: int
-
-
-@dataclass(frozen=True)
-class DetectorSummary:
-    """The accuracy and the speed of one detector.
-
-    Parameters
-    ----------
-    detector
-        The detector, as the lattice axis names it.
-    exact
-        Share of exact answers on draws of textures that have a lattice.
-    false
-        Share of lattices found on draws of stochastic textures, which have none.
-    families
-        ``exact`` by family.
-    vector_error
-        Median over exact answers of the larger error of the two vectors, px; None if there are no exact answers.
-    seconds, slowest
-        Median and largest wall time of a detection, s; None if no detection ended.
-    calibration
-        How often a lattice is right, by its confidence.
-    kinds
-        Number of answers of each of :data:`KINDS`, on textures that have a lattice.
-    """
-
-    detector: str
-    exact: Estimate
-    false: Estimate
-    families: Mapping[str, Estimate]
-    vector_error: float | None
-    seconds: float | None
-    slowest: float | None
-    calibration: Calibration
-    kinds: Mapping[str, int]
-
-
-@dataclass(frozen=True)
-class AnswerGroup:
-    """The answers of one detector on a group of textures.
-
-    Parameters
-    ----------
-    n, found
-        Number of answers, and of lattices found.
-    right
-        Share of right answers.
-    vector_error
-        Median vector error of the right answers, px; None if there are none.
-    seconds
-        Median wall time of a detection, s; None if no detection ended.
-    """
-
-    n: int
-    found: int
-    right: Estimate
-    vector_error: float | None
-    seconds: float | None
 
 
 @dataclass(frozen=True)
@@ -140,14 +60,18 @@ class DetectorComparison:
     Parameters
     ----------
     summaries
-        One for each detector.
+        One row a ``detector``: the share of ``exact`` answers on draws of textures that have a lattice, and by family
+        in ``families``; the share of ``false`` lattices found on draws of stochastic textures, which have none; the
+        median ``vector_error`` of exact answers, px; the median and the largest wall time of a detection, ``seconds``
+        and ``slowest``; the ``calibration``; and in ``kinds`` the number of answers of each of :data:`KINDS`, on
+        textures that have a lattice.
     groups, levels
-        The answers of each detector by (family, departure), and by (family, departure, level).
+        The rows of :func:`group_answers` of each detector by (family, departure), and by (family, departure, level).
     """
 
-    summaries: Sequence[DetectorSummary]
-    groups: Mapping[tuple[Any, ...], Mapping[str, AnswerGroup]]
-    levels: Mapping[tuple[Any, ...], Mapping[str, AnswerGroup]]
+    summaries: pd.DataFrame
+    groups: Mapping[tuple[Any, ...], Mapping[str, Any]]
+    levels: Mapping[tuple[Any, ...], Mapping[str, Any]]
 
 
 def tabulate_answers(run: Run) -> pd.DataFrame:
@@ -209,51 +133,59 @@ def compare_detectors(run: Run) -> DetectorComparison | None:
     answers = tabulate_answers(run)
     if answers.empty:
         return None
-    names = list(dict.fromkeys(answers["detector"]))
+    by_detector = answers.groupby("detector", sort=False)
     return DetectorComparison(
-        summaries=[_summarize_detector(name, answers[answers["detector"] == name]) for name in names],
+        summaries=pd.DataFrame({"detector": name, **_summarize_detector(part)} for name, part in by_detector),
         groups=_by_detector(group_answers(answers, GROUP_KEYS[:3])),
         levels=_by_detector(group_answers(answers[answers["level"].notna()], GROUP_KEYS)),
     )
 
 
-def _summarize_detector(name: str, answers: pd.DataFrame) -> DetectorSummary:
+def _summarize_detector(answers: pd.DataFrame) -> dict[str, Any]:
     stochastic = answers["departure"] == STOCHASTIC
     regular, confident = answers[~stochastic], answers[answers["found"] & answers["confidence"].notna()]
     kinds = regular["answer"].str.partition(" ")[0]
     families = regular.groupby("family", sort=False)["right"]
-    return DetectorSummary(
-        detector=name,
-        exact=estimate_proportion(regular["right"]),
-        false=estimate_proportion(answers[stochastic]["found"]),
-        families={str(family): estimate_proportion(right) for family, right in families},
-        vector_error=median_of_known(regular[regular["right"]]["vector_error"]),
-        seconds=median_of_known(answers["seconds"]),
-        slowest=None if answers["seconds"].isna().all() else float(answers["seconds"].max()),
-        calibration=calibrate(confident["confidence"].to_numpy(float), confident["right"].to_numpy(bool)),
-        kinds={kind: int((kinds == kind).sum()) for kind in KINDS},
-    )
-
-
-def group_answers(answers: pd.DataFrame, keys: Sequence[str]) -> dict[tuple[Any, ...], AnswerGroup]:
-    """Return the answers by the values of some columns of :func:`tabulate_answers`, such as :data:`GROUP_KEYS`."""
     return {
-        cast(tuple[Any, ...], group): AnswerGroup(
-            n=len(part),
-            found=int(part["found"].sum()),
-            right=estimate_proportion(part["right"]),
-            vector_error=median_of_known(part[part["right"]]["vector_error"]),
-            seconds=median_of_known(part["seconds"]),
-        )
-        for group, part in answers.groupby(list(keys), sort=False)
+        "exact": estimate_proportion(regular["right"]),
+        "false": estimate_proportion(answers[stochastic]["found"]),
+        "families": {str(family): estimate_proportion(right) for family, right in families},
+        "vector_error": median_of_known(regular[regular["right"]]["vector_error"]),
+        "seconds": median_of_known(answers["seconds"]),
+        "slowest": None if answers["seconds"].isna().all() else float(answers["seconds"].max()),
+        "calibration": calibrate(confident["confidence"].to_numpy(float), confident["right"].to_numpy(bool)),
+        "kinds": {kind: int((kinds == kind).sum()) for kind in KINDS},
     }
 
 
-def _by_detector(groups: Mapping[tuple[Any, ...], AnswerGroup]) -> dict[tuple[Any, ...], dict[str, AnswerGroup]]:
-    """Return groups whose first key is the detector by the other keys, then by detector."""
-    found: dict[tuple[Any, ...], dict[str, AnswerGroup]] = {}
-    for (detector, *textures), group in groups.items():
-        found.setdefault(tuple(textures), {})[detector] = group
+def group_answers(answers: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
+    """Return one row a group of answers with equal values of some columns, such as those of :data:`GROUP_KEYS`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The keys; the number ``n`` of answers, and of lattices ``found``; the share ``right`` with Wilson's interval;
+        the median ``vector_error`` of the right answers, px, and the median ``seconds`` of a detection, None if there
+        are none.
+    """
+    table = pd.DataFrame(
+        {
+            **dict(zip(keys, cast(tuple[Any, ...], group), strict=True)),
+            **{"n": len(part), "found": int(part["found"].sum()), "right": estimate_proportion(part["right"])},
+            "vector_error": median_of_known(part[part["right"]]["vector_error"]),
+            "seconds": median_of_known(part["seconds"]),
+        }
+        for group, part in answers.groupby(list(keys), sort=False)
+    )
+    return table.astype(object).where(table.notna(), None)
+
+
+def _by_detector(groups: pd.DataFrame) -> dict[tuple[Any, ...], dict[str, Any]]:
+    """Return the rows of groups by their keys but the detector, then by detector."""
+    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for row in groups.to_dict("records"):
+        textures = tuple(row[key] for key in GROUP_KEYS[1:] if key in row)
+        found.setdefault(textures, {})[row["detector"]] = row
     return found
 
 
@@ -273,12 +205,13 @@ def calibrate(confidence: NDArray[np.float64], right: NDArray[np.bool_]) -> Cali
     right
         ``(n,)``: whether each answer was right.
     """
-    n = len(confidence)
     index = np.clip((confidence * BINS).astype(int), 0, BINS - 1)
-    bins = []
-    for i in np.unique(index):
-        inside = index == i
-        share, rate = float(inside.mean()), estimate_proportion(right[inside])
-        bins.append(CalibrationBin(i / BINS, (i + 1) / BINS, float(confidence[inside].mean()), rate, share))
-    gaps = [one.share * abs((one.right.value or 0.0) - one.confidence) for one in bins]
-    return Calibration(bins, math.fsum(gaps) if bins else None, n)
+    bins: list[dict[str, Any]] = [
+        {
+            **{"low": i / BINS, "high": (i + 1) / BINS, "confidence": float(confidence[index == i].mean())},
+            **{"right": estimate_proportion(right[index == i]), "share": float((index == i).mean())},
+        }
+        for i in np.unique(index)
+    ]
+    gaps = [one["share"] * abs((one["right"].value or 0.0) - one["confidence"]) for one in bins]
+    return Calibration(pd.DataFrame(bins), math.fsum(gaps) if gaps else None, len(confidence))

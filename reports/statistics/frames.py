@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from nrbench import plugins
 from nrbench.labelling.labels import labels_table
 from nrbench.runs.records import CellRecord, Run
 
-from .detections import GROUP_KEYS, STOCHASTIC, DetectorSummary, group_answers, tabulate_answers
+from .detections import GROUP_KEYS, STOCHASTIC, group_answers, tabulate_answers
 from .expectations import (
     ClaimResult,
     LevelPanel,
@@ -260,13 +259,13 @@ def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
     tables = [answers[answers["departure"] != STOCHASTIC], answers, answers, answers[answers["level"].notna()]]
     return pd.DataFrame(
         {
-            **dict(itertools.zip_longest(GROUP_KEYS, key)),
-            **{"n": group.n, "right": round(group.n * (group.right.value or 0)), "found": group.found},
-            **group.right.columns("share_right", "share_right_", ("low", "high")),
-            **{"median_vector_error": group.vector_error, "median_seconds": group.seconds},
+            **{key: row.get(key) for key in GROUP_KEYS},
+            **{"n": row["n"], "right": round(row["n"] * (row["right"].value or 0)), "found": row["found"]},
+            **row["right"].columns("share_right", "share_right_", ("low", "high")),
+            **{"median_vector_error": row["vector_error"], "median_seconds": row["seconds"]},
         }
         for depth, table in enumerate(tables, 1)
-        for key, group in group_answers(table, GROUP_KEYS[:depth]).items()
+        for row in group_answers(table, GROUP_KEYS[:depth]).to_dict("records")
     )
 
 
@@ -422,15 +421,15 @@ def print_rates(published: PublishedComparison) -> PrintedTable:
     return PrintedTable("published-rates", heads, rows, fixed=2)
 
 
-def print_detectors(summaries: Sequence[DetectorSummary]) -> PrintedTable:
+def print_detectors(summaries: pd.DataFrame) -> PrintedTable:
     """Return detectors by accuracy, calibration and time."""
     rows = [
         [
-            one.detector,
-            *(Number(rate if rate.n else None, rate=True) for rate in (one.exact, one.false)),
-            *map(format_number, (one.vector_error, one.calibration.error, one.seconds)),
+            one["detector"],
+            *(Number(rate if rate.n else None, rate=True) for rate in (one["exact"], one["false"])),
+            *map(format_number, (one["vector_error"], one["calibration"].error, one["seconds"])),
         ]
-        for one in summaries
+        for one in summaries.to_dict("records")
     ]
     return PrintedTable("detectors", ["detector", "exact", "false", "error", "calibration", "seconds"], rows)
 

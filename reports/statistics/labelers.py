@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from nrbench.labelling.labels import ANSWERS, QUESTIONS, Labeler, Question, read_labelers
+from nrbench.labelling.labels import ANSWERS, QUESTIONS, Question, read_labels
 from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import stream
 
@@ -134,14 +134,14 @@ class LabelerComparison:
     Parameters
     ----------
     labelers
-        Who gave answers.
+        What each labeler is, by name: ``person``, as the page writes, or for example ``vision-language model``.
     outputs
         Number of outputs with an answer.
     questions
         The comparison for each question that somebody answered, by the name of the question.
     """
 
-    labelers: Sequence[Labeler]
+    labelers: Mapping[str, str]
     outputs: int
     questions: Mapping[str, QuestionComparison]
 
@@ -157,22 +157,27 @@ def compare_labelers(run: Run, files: Sequence[Path]) -> LabelerComparison | Non
 
     The first showing of an output counts. The second showing counts for self-agreement only.
     """
-    labelers = read_labelers(run, files)
-    if not labelers:
+    labels = read_labels(run, files)
+    if labels.empty:
         return None
-    answered = {answer.question for labeler in labelers for answer in labeler.answers}
+    asked = dict(iter(labels.groupby("question")))
     return LabelerComparison(
-        labelers=labelers,
-        outputs=len({answer.item.cell for labeler in labelers for answer in labeler.answers}),
-        questions={name: _compare(run, labelers, QUESTIONS[name]) for name in QUESTIONS if name in answered},
+        labelers=dict(zip(labels["labeler"], labels["labeled_by"], strict=True)),
+        outputs=labels["key"].nunique(),
+        questions={name: _compare(run, asked[name], question) for name, question in QUESTIONS.items() if name in asked},
     )
 
 
-def _compare(run: Run, labelers: Sequence[Labeler], question: Question) -> QuestionComparison:
+def _by_labeler(labels: pd.DataFrame) -> dict[str, Answers]:
+    """Return the answers of each labeler by cell."""
+    parts = labels.groupby("labeler", sort=False)
+    return {str(name): dict(zip(part["key"], part["answer"], strict=True)) for name, part in parts}
+
+
+def _compare(run: Run, labels: pd.DataFrame, question: Question) -> QuestionComparison:
     """Compare the labelers who answered a question."""
     textures = {record.key: record.texture for record in run.cells}
-    answers = {one.name: by_cell for one in labelers if (by_cell := one.by_cell(question.name))}
-    again = {one.name: one.by_cell(question.name, again=True) for one in labelers if one.name in answers}
+    answers, again = _by_labeler(labels[~labels["again"]]), _by_labeler(labels[labels["again"]])
     verdicts = {one.key: answer for one in run.cells if (answer := question.automatic_answer(one)) is not None}
     pairs = [(a, b, answers[a], answers[b]) for a, b in itertools.combinations(answers, 2)]
     judged = [(JUDGE, name, verdicts, given) for name, given in answers.items()] if question.rule else []
@@ -186,7 +191,8 @@ def _compare(run: Run, labelers: Sequence[Labeler], question: Question) -> Quest
         ranks=[row for name, given in groups.items() for row in _rank_labelers(run, question, name, given)],
         between=_compare_each(pairs, textures, "labelers"),
         selves=[
-            compare_raters([(name, "shown again", given, again[name])], textures) for name, given in answers.items()
+            compare_raters([(name, "shown again", given, again.get(name, {}))], textures)
+            for name, given in answers.items()
         ],
         disagreements=_list_disagreements(run, verdicts, answers),
     )

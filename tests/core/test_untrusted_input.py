@@ -28,7 +28,7 @@ from hypothesis import strategies as st
 from nrbench import plugins, run
 from nrbench.datasets_procedural.images import read_rendered, read_truth
 from nrbench.errors import BadInput
-from nrbench.labelling.labels import make_page, read_labelers, write_key
+from nrbench.labelling.labels import make_page, read_labels, write_key
 from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import MOST_PIXELS, read_image, read_shape
 from nrbench.plugins.parameters import parse_size, parse_spec
@@ -278,7 +278,7 @@ def cell_files() -> tuple[Path, list[Path]]:
     write_key(root, page)
     rows = [f"{item.id},lattice,yes,1.5,{order},person" for order, item in enumerate(page.items, 1)]
     (root / "answers.csv").write_text("\n".join(["item,question,answer,seconds,order,labeled_by", *rows]))
-    assert read_labelers(made, [root / "answers.csv"])[0].answers
+    assert len(read_labels(made, [root / "answers.csv"]))
     return root, sorted(file for file in root.rglob("*") if file.suffix in (".json", ".npz", ".png", ".csv"))
 
 
@@ -298,7 +298,7 @@ def test_damaged_files_of_a_cell(data: st.DataObject) -> None:
         store = PictureStore(root)
         store.load(path.parent / "output.png")
         store.source_map(path.parent / "source.npz")
-        read_labelers(found, [root / "answers.csv"])
+        read_labels(found, [root / "answers.csv"])
     except BadInput as error:
         assert str(root) in str(error)
     finally:

@@ -27,7 +27,7 @@ from nrbench.labelling.labels import (
     labelled_cells,
     make_page,
     page_html,
-    read_labelers,
+    read_labels,
     write_key,
 )
 from nrbench.pictures.files import read_image
@@ -149,14 +149,16 @@ def test_answers_come_back(run: Run, tmp_path: Path) -> None:
     said = [[ANSWERS[(i + i * k) % 3] for k in range(3)] for i in range(len(label_page.items))]
     path = _answer(tmp_path / "ada.csv", label_page, said)
     path.write_text("\ufeff" + "\n".join(path.read_text().splitlines()[:-2]), "utf-8")
-    (person,) = read_labelers(run, [path])
-    assert person.name == "ada"
-    assert [one.answer for one in person.answers] == [answer for three in said for answer in three][:-2]
-    assert [one.question for one in person.answers] == (list(QUESTIONS) * len(said))[:-2]
+    labels = read_labels(run, [path])
+    assert set(labels["labeler"]) == {"ada"}
+    assert labels["answer"].tolist() == [answer for three in said for answer in three][:-2]
+    assert labels["question"].tolist() == (list(QUESTIONS) * len(said))[:-2]
     for k, question in enumerate(QUESTIONS):
         answered = list(zip(label_page.items, said, strict=True))[: None if k == 0 else -1]
-        assert person.by_cell(question) == {item.cell: three[k] for item, three in answered if not item.again}
-        assert person.by_cell(question, again=True) == {i.cell: three[k] for i, three in answered if i.again}
+        for again in (False, True):
+            part = labels[labels["question"].eq(question) & labels["again"].eq(again)]
+            found = dict(zip(part["key"], part["answer"], strict=True))
+            assert found == {item.cell: three[k] for item, three in answered if item.again == again}
 
 
 HEAD = "item,question,answer,seconds,order,labeled_by\n"
@@ -189,14 +191,14 @@ def test_answers_to_another_run_are_refused(run: Run, tmp_path: Path) -> None:
     label_page = make_page(run)
     path = _answer(tmp_path / "p.csv", label_page, _verdicts(run, label_page))
     with pytest.raises(BadInput, match="make one by `nrbench label"):
-        read_labelers(run, [path])
+        read_labels(run, [path])
     write_key(run.root, make_page(run, seed=7))
     with pytest.raises(BadInput, match=r"p\.csv, line 2: item .* is on no page of this run"):
-        read_labelers(run, [path])
+        read_labels(run, [path])
     with pytest.raises(BadInput, match=r"cannot be read .*No such file"):
-        read_labelers(run, [tmp_path / "missing.csv"])
+        read_labels(run, [tmp_path / "missing.csv"])
     with pytest.raises(BadInput, match="is given twice"):
-        read_labelers(run, [path, path])
+        read_labels(run, [path, path])
 
 
 def test_label_writes_page_and_key(run: Run, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
-from nrbench.labelling.labels import Labeler, make_page, page_html, read_labelers, write_key
+from nrbench.labelling.labels import make_page, page_html, read_labels, write_key
 from nrbench.runs.records import Run
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra test")
@@ -48,7 +49,7 @@ class Labeller:
         other.reload()
         self.page = other
 
-    def save(self, folder: Path) -> Labeler:
+    def save(self, folder: Path) -> pd.DataFrame:
         """Save the answers under the name ada, and read them."""
         self.page.fill("#who", "ada")
         with self.page.expect_download() as download:
@@ -56,8 +57,7 @@ class Labeller:
         path = folder / download.value.suggested_filename
         assert path.name == f"labels-{self.label_page.name}-ada.csv"
         download.value.save_as(path)
-        (person,) = read_labelers(self.run, [path])
-        return person
+        return read_labels(self.run, [path])
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def test_keys_label(label: Callable[..., Labeller], tmp_path: Path) -> None:
     labeller.count("4 of 15, 3 answered")
     labeller.press(*"1" * 12)
     labeller.count("15 of 15 answered")
-    person = labeller.save(tmp_path)
-    assert [one.answer for one in person.answers] == ["yes", "no", "cannot say"] + ["yes"] * 12
-    assert [one.order for one in person.answers] == list(range(1, 16))
-    assert all(0 <= one.seconds < 60 for one in person.answers)
+    labels = labeller.save(tmp_path)
+    assert labels["answer"].tolist() == ["yes", "no", "cannot say"] + ["yes"] * 12
+    assert labels["order"].tolist() == list(range(1, 16))
+    assert labels["seconds"].between(0, 60, inclusive="left").all()

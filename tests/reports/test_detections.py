@@ -90,18 +90,18 @@ def test_rates_are_those_of_the_answers(answered: Run) -> None:
     """Exact answers count over draws with a lattice, false lattices over draws without, with Wilson's interval."""
     comparison = compare_detectors(answered)
     assert comparison is not None
-    gncc, hostile = comparison.summaries
-    assert (gncc.exact.value, gncc.exact.n, (gncc.exact.low, gncc.exact.high)) == (
+    gncc, hostile = comparison.summaries.to_dict("records")
+    assert (gncc["exact"].value, gncc["exact"].n, (gncc["exact"].low, gncc["exact"].high)) == (
         pytest.approx(1 / 3),
         3,
         estimate_proportion([True, False, False]).ends,
     )
-    assert (gncc.false.value, hostile.false.value) == (0, 1)
-    assert gncc.kinds == {"exact": 1, "supercell": 1, "subcell": 0, "wrong": 0, "none": 1, "failed": 0}
-    assert gncc.seconds == pytest.approx(0.375) and gncc.slowest == 0.5
-    assert gncc.vector_error == pytest.approx(0, abs=1e-9)
-    assert (gncc.calibration.n, hostile.calibration.n) == (2, 3)
-    assert set(gncc.families) == {"bricks"}
+    assert (gncc["false"].value, hostile["false"].value) == (0, 1)
+    assert gncc["kinds"] == {"exact": 1, "supercell": 1, "subcell": 0, "wrong": 0, "none": 1, "failed": 0}
+    assert gncc["seconds"] == pytest.approx(0.375) and gncc["slowest"] == 0.5
+    assert gncc["vector_error"] == pytest.approx(0, abs=1e-9)
+    assert (gncc["calibration"].n, hostile["calibration"].n) == (2, 3)
+    assert set(gncc["families"]) == {"bricks"}
 
 
 def test_groups_are_by_family_departure_and_level(answered: Run) -> None:
@@ -110,7 +110,9 @@ def test_groups_are_by_family_departure_and_level(answered: Run) -> None:
     assert comparison is not None
     color, noise = ("bricks", "color"), ("noise", "stochastic")
     assert list(comparison.groups) == [color, ("bricks", "noise"), noise]
-    assert comparison.groups[color]["gncc"].right.value == 0.5 and comparison.groups[noise]["gncc"].right.value == 1
+    assert (
+        comparison.groups[color]["gncc"]["right"].value == 0.5 and comparison.groups[noise]["gncc"]["right"].value == 1
+    )
     assert [level for _, _, level in comparison.levels] == [0.3, 0.6, 0.1]
 
 
@@ -131,7 +133,9 @@ def test_calibration_of_known_answers() -> None:
     """One of two answers right at 0.25 and both at 0.95: distances 0.25 and 0.05, mean 0.15."""
     calibration = calibrate(np.array([0.25, 0.25, 0.95, 0.95]), np.array([True, False, True, True]))
     assert calibration.error == pytest.approx(0.15) and calibration.n == 4
-    assert [(one.low, one.high, one.right.n, one.right.value) for one in calibration.bins] == [
+    assert [
+        (one["low"], one["high"], one["right"].n, one["right"].value) for one in calibration.bins.to_dict("records")
+    ] == [
         (0.2, 0.3, 2, 0.5),
         (0.9, 1.0, 2, 1.0),
     ]
@@ -141,10 +145,12 @@ def test_calibration_of_known_answers() -> None:
 def test_calibration_bins_hold_every_answer_once(pairs: list[tuple[float, bool]]) -> None:
     """The bins hold every answer once, in order; the error lies in [0, 1]; intervals hold their share."""
     calibration = calibrate(np.array([c for c, _ in pairs]), np.array([right for _, right in pairs]))
-    assert sum(one.right.n for one in calibration.bins) == calibration.n == len(pairs)
-    assert sum(one.share for one in calibration.bins) == pytest.approx(1)
+    assert sum(one["right"].n for one in calibration.bins.to_dict("records")) == calibration.n == len(pairs)
+    assert sum(one["share"] for one in calibration.bins.to_dict("records")) == pytest.approx(1)
     assert calibration.error is not None and 0 <= calibration.error <= 1
-    assert [one.low for one in calibration.bins] == sorted(one.low for one in calibration.bins)
-    for one in calibration.bins:
-        low, value, high = one.right.low, one.right.value, one.right.high
+    assert [one["low"] for one in calibration.bins.to_dict("records")] == sorted(
+        one["low"] for one in calibration.bins.to_dict("records")
+    )
+    for one in calibration.bins.to_dict("records"):
+        low, value, high = one["right"].low, one["right"].value, one["right"].high
         assert low is not None and value is not None and high is not None and low <= value <= high

@@ -224,7 +224,7 @@ def test_questions_are_compared_one_by_one(judged: Run, tmp_path: Path) -> None:
     ]
     comparison = compare_labelers(judged, files)
     assert comparison is not None and list(comparison.questions) == ["lattice", "more"]
-    assert [one.name for one in comparison.labelers] == ["a", "b", "c"] and comparison.outputs == 40
+    assert list(comparison.labelers) == ["a", "b", "c"] and comparison.outputs == 40
     table = agreement_table(comparison)
     columns = ["question", "kind", "first", "second"]
     assert table[columns].apply(tuple, axis=1).tolist() == [
