@@ -80,15 +80,6 @@ def test_the_seed_decides(run: Run) -> None:
     assert [item.cell for item in one.items] != [item.cell for item in other.items]
 
 
-def test_the_questions_decide(run: Run) -> None:
-    """Pages with other questions have other names and ids, so that their answers are never mixed."""
-    pages = [make_page(run, questions=names) for names in (["lattice"], ["more", "lattice"], ["lattice", "more"])]
-    assert [page.questions for page in pages] == [["lattice"], ["more", "lattice"], ["lattice", "more"]]
-    assert make_page(run).questions == list(QUESTIONS) == ["lattice", "elements", "more"]
-    assert len({page.name for page in pages}) == 3
-    assert len({item.id for page in pages for item in page.items}) == sum(len(page.items) for page in pages)
-
-
 def test_a_page_asks_its_questions(run: Run) -> None:
     """Each question of the page stands in it once with its answers, and no other question does."""
     page = page_html(run.root, make_page(run, questions=["elements", "more"]))

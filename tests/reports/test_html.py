@@ -20,7 +20,6 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.page.gallery import (
     TextureDraw,
-    align_basis,
     build_gallery,
     list_failings,
     trace_lattice,
@@ -282,15 +281,6 @@ def test_every_lattice_point_lies_on_two_lines(
         offset = point - starts
         distance = np.abs(offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0])
         assert (distance < 0.05).sum() >= 2
-
-
-def test_a_detected_lattice_takes_the_true_basis_and_starting_point() -> None:
-    """Another basis and origin of the same lattice is drawn exactly like the true one."""
-    truth = Lattice((13.1, 22.7), (-13.1, 22.7), (4.0, 7.0)).reduced()
-    other = Lattice((26.2, 0.0), (13.1, 22.7), (0.0, 0.0))
-    assert set(trace_lattice(align_basis(other, truth, (64, 64)), (64, 64)).lines.split("M")) == set(
-        trace_lattice(truth, (64, 64)).lines.split("M")
-    )
 
 
 def test_the_perils_have_sections(ranked: Run) -> None:

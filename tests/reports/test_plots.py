@@ -14,12 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
-from nrbench.reports.figure import PictureGrid, choose_methods, choose_textures, plot_pictures
-from nrbench.reports.html import forest_axes
+from nrbench.reports.figure import PictureGrid, plot_pictures
 from nrbench.reports.page.pictures import PictureStore, find_marks, worst_place
 from nrbench.reports.page.plots import (
     caption_text,
-    hardest_first,
     method_styles,
     plot_cost,
     plot_heat_map,
@@ -130,28 +128,6 @@ def test_plots_are_the_same_again_and_embed_fonts(long_run: Run) -> None:
         assert b"/FontFile2" in pdf and b"/Type3" not in pdf
 
 
-def test_textures_without_a_score_are_not_the_hardest(make_cell: Make, make_run: Make) -> None:
-    """The heat map lists the hardest textures first, and last those that were not run."""
-    cells = [make_cell("absent", "a", status="missing"), make_cell("absent", "b", status="missing")]
-    cells += [make_cell("easy", name, perils=0.9) for name in "ab"]
-    cells += [make_cell("hard", name, perils=0.1) for name in "ab"]
-    rows, _ = hardest_first(compare_methods(make_run(cells)))
-    assert [row.texture for row in rows] == ["hard", "easy", "absent"]
-
-
-def test_the_grid_chooses_textures_by_the_methods_that_it_shows(make_cell: Make, make_run: Make) -> None:
-    """A sixth method, which the grid does not show, does not choose its textures."""
-    cells = []
-    for i in range(6):
-        shown = {name: 0.9 - (0.05 * j if i > 1 else 0.0) for j, name in enumerate("abcde")}
-        for name, quality in {**shown, "f": 0.0 if i < 2 else 0.5}.items():
-            cells.append(make_cell(f"t{i}", name, perils=quality))
-    comparison = compare_methods(make_run(cells))
-    methods = choose_methods(comparison, ())
-    assert [one.name for one in methods] == list("abcde")
-    assert [row.texture for row in choose_textures(comparison, (), methods)] == ["t2", "t3", "t4", "t5"]
-
-
 @pytest.fixture(scope="module")
 def comparison(ranked: Run) -> Comparison:
     """Return the comparison of a run with qualities."""
@@ -240,14 +216,3 @@ def test_no_name_is_cut(make_cell: Make, make_run: Make) -> None:
         pixels = np.asarray(PIL.Image.open(io.BytesIO(png)).convert("L"))
         edges = (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1])
         assert min(edge.min() for edge in edges) == 255, name
-
-
-def test_a_share_uses_the_whole_axis(make_cell: Make, make_run: Make) -> None:
-    """A score from 0 to 1 is drawn from 0 to 1, so that 0.9 lies at 90."""
-    run = make_run([make_cell("a"), make_cell("b")])
-    score = forest_axes(compare_methods(run).summary_rows)[1]
-    assert (score.row.title, score.ends, next(iter(score.points.values()))[0]) == (
-        "regularity.score",
-        ("0.00", "1.00"),
-        90,
-    )
