@@ -292,7 +292,7 @@ def write_page(
 def write_key(root: Path, page: LabelPage) -> Path:
     """Write the key file of a page, which lists the cell of each item, and return its path."""
     path = page.key_file(root)
-    write_json(path, {"sheet": page.name, "items": ITEMS.dump_python(page.items, by_alias=True)})
+    write_json(path, {"sheet": page.name, "items": ITEMS.dump_python(list(page.items), by_alias=True)})
     return path
 
 
