@@ -183,24 +183,16 @@ class Watch:
     messages: list[Message] = field(default_factory=list)
     finished: bool = False
     started: int = 0
-    _open: bool = True
-    _files: dict[str, tuple[int, int]] = field(default_factory=dict)
-    _undone: set[str] = field(init=False)
-    _starting: bool = field(init=False)
-    _deadline: float = field(init=False)
-    _allowed: float = field(init=False)
-    _near_limit: bool = False
-    _next_survey: float = field(init=False)
-    _next_exact_check: float = 0.0
-    _family: list[int] = field(default_factory=list)
-    _family_bytes: int = 0
-    _file_bytes: int = 0
 
     def __post_init__(self) -> None:
         limits, now = self.limits, time.monotonic()
-        self._undone, self._starting = set(limits.parts), limits.start_seconds > 0
-        self._deadline, self._next_survey = now + limits.start_seconds + limits.seconds, now + MEMORY_TICK
+        self._open, self._starting, self._undone = True, limits.start_seconds > 0, set(limits.parts)
+        self._deadline = now + limits.start_seconds + limits.seconds
         self._allowed = (limits.mib + limits.start_mib) * MIB
+        self._near_limit, self._next_survey, self._next_exact_check = False, now + MEMORY_TICK, 0.0
+        self._files: dict[str, tuple[int, int]] = {}
+        self._family: list[int] = []
+        self._family_bytes = self._file_bytes = 0
 
     def watch(self) -> tuple[str, str] | None:
         """Wait for the child. Return None when it finishes or ends, or (status, message) when it exceeds a limit."""

@@ -134,11 +134,9 @@ def _score(job: Request, where: CellFolder, runner: RequestRunner) -> None:
     missing = where.missing_scores(job.metrics)
     own = [metric for metric in missing if plugins.lookup("metrics", metric).built_in]
     for group in (own, *([metric] for metric in missing if metric not in own)):
-        left = group
+        left, built_in = group, job.built_in and group is own
         while left:
-            request = dataclasses.replace(
-                job, phase="score_cell", metrics=tuple(left), built_in=job.built_in and group is own
-            )
+            request = dataclasses.replace(job, phase="score_cell", metrics=tuple(left), built_in=built_in)
             reply = _checked(runner.run(request), request)
             left = [metric for metric in left if metric not in reply.scored]
             if left:
