@@ -55,7 +55,7 @@ _LETTERS = 38
 _LINES = 5
 """Number of lines of a caption."""
 _BLANK: Image = np.ones((1, 1, 3), np.float32)
-Progress = Callable[[int, int, str], object]
+OnPicture = Callable[[int, int, str], object]
 """``progress(done, total, name)`` is called after each picture."""
 
 
@@ -226,7 +226,7 @@ class Survey:
     def _is_rendered_sheet(self, path: Path) -> bool:
         return path.name == SHEET and (self.folder / KNOWN_FILE).is_file()
 
-    def run(self, progress: Progress) -> None:
+    def run(self, progress: OnPicture) -> None:
         """Detect all lattices, and write the table and the contact sheets. What was found is written if it is stopped.
 
         Raises

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     from nrbench.running.guard import Limits
     from nrbench.running.options import Options
-    from nrbench.running.runner import Progress
+    from nrbench.running.runner import OnStep
     from nrbench.runs.records import Run
     from nrbench.suites.cell import Cell
     from nrbench.suites.plan import Plan
@@ -72,7 +72,7 @@ def run(
     seed: SuiteSeed = None,
     replicates: Count = None,
     out: Folder = None,
-    progress: Progress | None = None,
+    progress: OnStep | None = None,
     options: Options | None = None,
     **changes: Any,
 ) -> Run:
@@ -207,7 +207,7 @@ def audit(
     textures: Textures = (),
     replicates: Count = None,
     out: Folder = None,
-    progress: Progress | None = None,
+    progress: OnStep | None = None,
     options: Options | None = None,
 ) -> Any:
     """Compare the quality of a method at the published seed of a suite with its quality at a fresh one.
@@ -655,7 +655,7 @@ def sheet(
     size: SampleSize = "384x384",
     lattice: Latticelike = None,
     seed: Number = 0,
-    progress: Progress | None = None,
+    progress: OnStep | None = None,
     options: Options | None = None,
 ) -> pd.DataFrame:
     """Show what all methods make of a photograph on one sheet, the best first.

@@ -193,7 +193,7 @@ def label_command(run: Path, output: Path | None, repeat: float, seed: int, ques
     from nrbench.labelling.labels import write_page
 
     path, key, page = write_page(run, output, repeat, seed, names_of(questions))
-    repeats = sum(item.again for item in page.items)
+    repeats = sum(item.repeated for item in page.items)
     print(f"{path}\n{len(page.items)} items, {repeats} of them second showings; questions: {', '.join(page.questions)}")
     print(f"the key {key} stays with the run")
 

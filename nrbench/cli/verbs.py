@@ -42,8 +42,8 @@ class Verb(click.Command):
         self.shared = {name: each for name, each in read_flags(function) if name not in without}
         how = read_flags(Options) if "options" in self.wanted else ()
         self.options = {name: each for name, each in how if name not in without}
-        self.own = dict(read_flags(show))
-        declared = {**self.shared, **self.options, **self.own}
+        self.command_options = dict(read_flags(show))
+        declared = {**self.shared, **self.options, **self.command_options}
         about = inspect.getdoc(show) or ""
         name = show.__name__.removesuffix("_command")
         super().__init__(name, callback=show, params=[*declared.values()], help=about.partition("\n\nParameters\n")[0])
@@ -56,7 +56,8 @@ class Verb(click.Command):
         def chosen(names: Collection[str]) -> dict[str, Any]:
             return {name: given[name] for name in names if name in given}
 
-        values: dict[str, Any] = {name: ctx.params[name] for name in {*self.wanted} & {*self.shared}} | chosen(self.own)
+        values: dict[str, Any] = {name: ctx.params[name] for name in {*self.wanted} & {*self.shared}}
+        values |= chosen(self.command_options)
         values["call"] = partial(self.function, **chosen(self.shared))
         values["options"] = Options(**chosen(self.options))
         ctx.params = {name: values[name] for name in self.wanted if name in values}

@@ -123,14 +123,17 @@ def find_deformation(
     if lattice is not None:
         return Followed(_follow_given(image, lattice), None)
     thorough, quick = (NamedDetector(name) for name in bent_finders())
-    quick_views = [view for group in _look_at_views(image, quick, 1) for view in group]
-    factor = _detail_factor(quick_views)
     detector = detector or thorough
-    first, reason = _look(detector, image, factor)
+    top, left = (max(side - LARGEST_VIEW, 0) // 2 for side in image.shape[:2])
+    middle = _best_lattice(quick, image[top : top + LARGEST_VIEW, left : left + LARGEST_VIEW], 1)
+    first, reason = _look(detector, image, _detail_factor([] if middle is None else [(middle, None)]))
     if first is not None:
         still = _look_straight(image, first.lattice, first.confidence)
         if still is not None:
             return _followed(still, first)
+    # Views take long, so they are left to images that are not straight.
+    quick_views = [view for group in _look_at_views(image, quick, 1) for view in group]
+    factor = _detail_factor(quick_views)
     best: Followed | None = None
     for group in _proposals(image, detector, factor, first, quick_views, only_promising):
         for knots in _follow_all(image, group)[:_MOST_CONFIRMED]:

@@ -10,17 +10,17 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import jinja2
 import numpy as np
 import pandas as pd
 import PIL.Image
 from markupsafe import Markup
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from nrbench.errors import BadInput
 from nrbench.pictures.files import read_image
@@ -155,13 +155,18 @@ class Item:
         Ten random letters without vowels, so that the id is neither a number for a spreadsheet nor a word.
     cell
         Key of the cell; it is in the key file only, never on the page.
-    again
-        Whether the output is shown for the second time. The two answers measure a labeler's self-agreement.
+    repeated
+        Whether the output is shown for the second time, ``again`` in the key file. The two answers measure a labeler's
+        self-agreement.
     """
 
     id: str
     cell: str
-    again: bool
+    repeated: Annotated[bool, Field(alias="again")]
+
+
+ITEMS = TypeAdapter(list[Item])
+"""Reads and writes the items of a key file."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +235,7 @@ def make_page(run: Run, repeat: float = 0.1, seed: int = 0, questions: Sequence[
     showings = _showings(len(order), math.ceil(repeat * len(order) - 1e-9), rng)
     ids = _random_ids(len(showings), rng)
     name = hashlib.blake2b(entropy.encode(), digest_size=4).hexdigest()
-    items = [Item(id, order[i], again) for id, (i, again) in zip(ids, showings, strict=True)]
+    items = [Item(id, order[i], repeated) for id, (i, repeated) in zip(ids, showings, strict=True)]
     return LabelPage(name, items, asked)
 
 
@@ -238,9 +243,9 @@ def _showings(count: int, repeats: int, rng: np.random.Generator) -> list[tuple[
     """Return (index of the output, whether it is shown for the second time) of each item."""
     gap = min(_LEAST_GAP, count // 2)
     early = max(count - gap, repeats)
-    again = rng.choice(early, repeats, replace=False)
+    repeated = rng.choice(early, repeats, replace=False)
     times = [(float(i), int(i), False) for i in range(count)]
-    times += [(float(rng.uniform(i + gap, max(count, i + gap) + 0.5)), int(i), True) for i in again]
+    times += [(float(rng.uniform(i + gap, max(count, i + gap) + 0.5)), int(i), True) for i in repeated]
     return [(i, second) for _, i, second in sorted(times)]
 
 
@@ -287,7 +292,7 @@ def write_page(
 def write_key(root: Path, page: LabelPage) -> Path:
     """Write the key file of a page, which lists the cell of each item, and return its path."""
     path = page.key_file(root)
-    write_json(path, {"sheet": page.name, "items": [asdict(item) for item in page.items]})
+    write_json(path, {"sheet": page.name, "items": ITEMS.dump_python(list(page.items), by_alias=True)})
     return path
 
 
@@ -376,7 +381,7 @@ def read_labels(run: Run, files: Sequence[Path]) -> pd.DataFrame:
                 **{"labeler": labeler, "labeled_by": answer["labeled_by"]},
                 **{"suite": record.suite, "texture": record.texture, "method": record.method},
                 **{"lattice_source": record.lattice_source, "replicate": record.replicate},
-                **{"again": item.again, "question": question.name, "answer": answer["answer"]},
+                **{"again": item.repeated, "question": question.name, "answer": answer["answer"]},
                 **{"judge": question.automatic_answer(record), "score": record.values.get(question.column)},
                 **{"seconds": float(answer["seconds"]), "order": int(answer["order"]), "key": record.key},
             })  # fmt: skip
@@ -414,7 +419,7 @@ def _known_items(run: Run) -> dict[str, Item]:
 def _items_of(page: Mapping[str, Any]) -> list[Item]:
     """Return the items of a page's file; none if the file is damaged."""
     try:
-        return TypeAdapter(list[Item]).validate_python(page.get("items", []))
+        return ITEMS.validate_python(page.get("items", []))
     except ValidationError:
         return []
 

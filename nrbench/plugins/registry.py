@@ -61,7 +61,7 @@ class Plugin:
     duplicate: bool = False
 
     @property
-    def own(self) -> bool:
+    def built_in(self) -> bool:
         """Whether nrbench itself defines it. Third-party plugins run in child processes of their own."""
         return self.distribution == "nrbench"
 
@@ -85,7 +85,7 @@ class Plugin:
         try:
             with contextlib.redirect_stdout(sys.stderr):  # what an import prints is no part of the answer
                 cls = self.source.load()
-            wrong = "" if self.own else fault(self.kind, cls)  # the tests of nrbench check its own plugins
+            wrong = "" if self.built_in else fault(self.kind, cls)  # the tests of nrbench check its own plugins
         except KeyboardInterrupt:
             raise
         except BaseException:
@@ -405,7 +405,7 @@ def _of_plugin(plugin: Plugin) -> Summary:
 
 def _read_source(plugin: Plugin) -> Summary | None:
     """Return the summary of a plugin of nrbench, or None if it cannot be read without an import."""
-    if not plugin.own:
+    if not plugin.built_in:
         return None
     try:
         page, constants = _read_class(plugin.source.module, plugin.source.attr)

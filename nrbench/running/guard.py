@@ -185,46 +185,77 @@ class Watch:
     started: int = 0
     _open: bool = True
     _files: dict[str, tuple[int, int]] = field(default_factory=dict)
+    _undone: set[str] = field(init=False)
+    _starting: bool = field(init=False)
+    _deadline: float = field(init=False)
+    _allowed: float = field(init=False)
+    _near_limit: bool = False
+    _next_survey: float = field(init=False)
+    _next_exact_check: float = 0.0
+    _family: list[int] = field(default_factory=list)
+    _family_bytes: int = 0
+    _file_bytes: int = 0
+
+    def __post_init__(self) -> None:
+        limits, now = self.limits, time.monotonic()
+        self._undone, self._starting = set(limits.parts), limits.start_seconds > 0
+        self._deadline, self._next_survey = now + limits.start_seconds + limits.seconds, now + MEMORY_TICK
+        self._allowed = (limits.mib + limits.start_mib) * MIB
 
     def watch(self) -> tuple[str, str] | None:
         """Wait for the child. Return None when it finishes or ends, or (status, message) when it exceeds a limit."""
-        limits, left, most = self.limits, set(self.limits.parts), self.limits.mib + self.limits.start_mib
-        deadline = time.monotonic() + limits.start_seconds + limits.seconds
-        starting = limits.start_seconds > 0
-        memory_check, started, close, exact_check = time.monotonic() + MEMORY_TICK, 0, False, 0.0
         while True:
             ended = self.child.has_ended()  # asked first: its last message may arrive just before its end
-            messages = self._receive(TICK / 4 if close else TICK)
-            self.finished = any("finished" in message for message in messages)
-            if any("status" in message for message in messages):  # the last one counts
-                self.messages = [message for message in self.messages if "status" not in message]
-            self.messages += [each for each in messages if "status" in each or each.get("scored") in left]
+            messages = self._receive(TICK / 4 if self._near_limit else TICK)
+            self._keep(messages)
             if self.finished or (ended and not messages):
                 return None
             now = time.monotonic()
-            done = left & {message.get("scored", "") for message in messages}
-            if done:
-                left -= done
-                deadline = now + limits.seconds
-            if starting and any(isinstance(message.get("held"), int) for message in messages):
-                starting, deadline = False, now + limits.seconds
-                self.base, most = held_bytes(self.child.pid), limits.mib
-            if now > deadline:
-                return "timeout", f"took longer than {limits.seconds:g} s; raise --timeout if it may"
-            own = held_bytes(self.child.pid)
-            close = own + started - self.base > most / 2 * MIB
-            if now > memory_check or close:
-                memory_check = now + MEMORY_TICK
-                family = [each for each in descendants(os.getpid(), self.spared) if each != self.child.pid]
-                files, mapped = shared_bytes([self.child.pid, *family], self._files)
-                started = sum(map(held_bytes, family)) + files - mapped
-                self.started = max(self.started, started)
-                shorten(self.log)
-            if own + started - self.base > most * MIB and now > exact_check:
-                exact_check, count = now + MEMORY_TICK, 1 + len(family)
-                known = self.base * count / (count + 1 + len(self.spared))  # the part of what the worker holds
-                if proportional_bytes([self.child.pid, *family], files) - known > most * MIB:
-                    return "memory", f"used more than {limits.mib:g} MiB; raise --memory if it may"
+            self._move_deadline(messages, now)
+            if now > self._deadline:
+                return "timeout", f"took longer than {self.limits.seconds:g} s; raise --timeout if it may"
+            if self._exceeds_memory(now):
+                return "memory", f"used more than {self.limits.mib:g} MiB; raise --memory if it may"
+
+    def _keep(self, messages: list[Message]) -> None:
+        """Keep the messages that count: the last result, and the parts that were not done before."""
+        self.finished = any("finished" in message for message in messages)
+        if any("status" in message for message in messages):
+            self.messages = [message for message in self.messages if "status" not in message]
+        self.messages += [each for each in messages if "status" in each or each.get("scored") in self._undone]
+
+    def _move_deadline(self, messages: list[Message], now: float) -> None:
+        """Start the clock again if a part is done, or if a fresh interpreter begins its work; that sets its base."""
+        done = self._undone & {message.get("scored", "") for message in messages}
+        begins = self._starting and any(isinstance(message.get("held"), int) for message in messages)
+        if done or begins:
+            self._undone -= done
+            self._deadline = now + self.limits.seconds
+        if begins:
+            self._starting = False
+            self.base, self._allowed = held_bytes(self.child.pid), self.limits.mib * MIB
+
+    def _exceeds_memory(self, now: float) -> bool:
+        """Return whether the child and all that it started hold too much. Costly measurements are rare."""
+        held = held_bytes(self.child.pid) - self.base
+        self._near_limit = held + self._family_bytes > self._allowed / 2
+        if now > self._next_survey or self._near_limit:
+            self._next_survey = now + MEMORY_TICK
+            self._survey_family()
+        if held + self._family_bytes <= self._allowed or now <= self._next_exact_check:
+            return False
+        self._next_exact_check = now + MEMORY_TICK
+        count = 1 + len(self._family)
+        known = self.base * count / (count + 1 + len(self.spared))  # the part of what the worker holds
+        return proportional_bytes([self.child.pid, *self._family], self._file_bytes) - known > self._allowed
+
+    def _survey_family(self) -> None:
+        """Find what the child started and the bytes that it holds, and cut the log."""
+        self._family = [each for each in descendants(os.getpid(), self.spared) if each != self.child.pid]
+        self._file_bytes, mapped = shared_bytes([self.child.pid, *self._family], self._files)
+        self._family_bytes = sum(map(held_bytes, self._family)) + self._file_bytes - mapped
+        self.started = max(self.started, self._family_bytes)
+        shorten(self.log)
 
     def _receive(self, seconds: float) -> list[Message]:
         if self._open:

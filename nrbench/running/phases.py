@@ -83,7 +83,7 @@ class Request:
         Files of plugins.
     imports
         Kind and name of the installed third-party plugins that a worker of a cluster imports before it forks.
-    own
+    built_in
         Whether it runs no third-party code: it scores by metrics of nrbench, and a dataset of nrbench drew the texture.
     side_by_side
         1 if other cells run at the same time, else 0; it is recorded beside the costs.
@@ -104,7 +104,7 @@ class Request:
     metrics: tuple[str, ...] = ()
     plugin_files: tuple[str, ...] = ()
     imports: tuple[tuple[str, str], ...] = ()
-    own: bool = False
+    built_in: bool = False
     side_by_side: float = 0.0
     group: str = ""
     user_folder: str = dataclasses.field(default_factory=os.getcwd)
@@ -317,7 +317,7 @@ def score_cell(folder: Path, send: Send, *metrics: str) -> None:
     where = CellFolder(folder)
     cell = _read_cell(where)
     named = [("datasets", cell.recipe.dataset), *(("metrics", metric) for metric in metrics)]
-    observation = observe(where, cell, keep=all(is_own(kind, name) for kind, name in named))
+    observation = observe(where, cell, keep=all(is_built_in(kind, name) for kind, name in named))
     for metric in metrics:
         try:
             write_score(where, metric, score_observation(observation, metric))
@@ -330,10 +330,10 @@ def score_cell(folder: Path, send: Send, *metrics: str) -> None:
 
 
 @cache  # a search among all plugins for each request would touch, and so copy, much memory that children share
-def is_own(kind: str, name: str) -> bool:
+def is_built_in(kind: str, name: str) -> bool:
     """Return whether a plugin is known, and belongs to nrbench."""
     try:
-        return plugins.lookup(kind, name).own
+        return plugins.lookup(kind, name).built_in
     except BadInput:
         return False
 
@@ -452,7 +452,7 @@ def _truth(cell: Cell, sample: Image, keep: bool) -> tuple[Texture, Again | None
         return Texture(sample, cell.lattice_truth, known, cell.texture, cell.family, region=cell.region), None
     draw = _drawn_truth if keep else _drawn_truth.__wrapped__
     texture, again = draw(_as_json(cell.recipe))
-    if cell.replicate and is_own("datasets", cell.recipe.dataset):
+    if cell.replicate and is_built_in("datasets", cell.recipe.dataset):
         again = draw(_as_json(dataclasses.replace(cell.recipe, replicate=0)))[1]
     return dataclasses.replace(texture, image=sample), again
 
@@ -528,7 +528,7 @@ def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> tuple[Samp
         The folder of the surveys of the run.
     """
     finder = (cell.finder or (in_role("detector"),))[0]
-    if not all(plugins.find("detectors", name).own for name in (finder, *bent_finders())):
+    if not all(plugins.find("detectors", name).built_in for name in (finder, *bent_finders())):
         return survey_sample(method, task), Spent()
     file = folder / f"{_survey_key(cell)}.json"
     kept = _read_survey(file)

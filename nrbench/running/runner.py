@@ -132,7 +132,7 @@ def execute(
     plan: Plan,
     root: Path,
     options: Options | None = None,
-    progress: Progress = lambda step: None,
+    progress: OnStep = lambda step: None,
     lock: contextlib.ExitStack | None = None,
 ) -> Run:
     """Run every cell that has no result yet, and return the run.
@@ -238,10 +238,10 @@ class _Runner:
                 phase = "load"
             result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
             return {**where.write_result(result), "wall": 0.0}
-        own = plugins.lookup("datasets", cell.recipe.dataset).own
-        return self._job("cell", where, cell.texture, own)
+        built_in = plugins.lookup("datasets", cell.recipe.dataset).built_in
+        return self._job("cell", where, cell.texture, built_in)
 
-    def _job(self, phase: str, where: CellFolder, group: str = "", own: bool = False) -> Request:
+    def _job(self, phase: str, where: CellFolder, group: str = "", built_in: bool = False) -> Request:
         options = self.options
         return Request(
             phase,
@@ -253,7 +253,7 @@ class _Runner:
             imports=tuple(third_party()[1]),
             side_by_side=float(options.jobs > 1 or options.scheduler is not None),
             group=group,
-            own=own,
+            built_in=built_in,
         )
 
     def run_jobs(self, jobs: Iterable[tuple[T, Request | Result]]) -> Iterator[tuple[T, Future[Result]]]:
@@ -376,7 +376,7 @@ class Step:
         return f"about {round(seconds / 60)} min left" if seconds < 6000 else f"about {round(seconds / 3600)} h left"
 
 
-Progress = Callable[[Step], None]
+OnStep = Callable[[Step], None]
 """Called after each cell."""
 
 

@@ -74,7 +74,7 @@ def run_job(job: Request, runner: RequestRunner) -> Result:
     """
     start, where = time.monotonic(), CellFolder(Path(job.folder))
     phase, function = ("detect", "detect") if job.phase == "detect" else ("synthesize", "synthesize_cell")
-    request = dataclasses.replace(job, phase=function, metrics=(), own=False)
+    request = dataclasses.replace(job, phase=function, metrics=(), built_in=False)
     try:
         result = where.result()
         if result is None:
@@ -132,11 +132,13 @@ def _score(job: Request, where: CellFolder, runner: RequestRunner) -> None:
     The metrics of nrbench share a process, and each third-party one has its own.
     """
     missing = where.missing_scores(job.metrics)
-    own = [metric for metric in missing if plugins.lookup("metrics", metric).own]
+    own = [metric for metric in missing if plugins.lookup("metrics", metric).built_in]
     for group in (own, *([metric] for metric in missing if metric not in own)):
         left = group
         while left:
-            request = dataclasses.replace(job, phase="score_cell", metrics=tuple(left), own=job.own and group is own)
+            request = dataclasses.replace(
+                job, phase="score_cell", metrics=tuple(left), built_in=job.built_in and group is own
+            )
             reply = _checked(runner.run(request), request)
             left = [metric for metric in left if metric not in reply.scored]
             if left:
@@ -207,7 +209,7 @@ class Supervisor:
         self._imports = third_party()
         folder = self._stack.enter_context(temporary_folder())
         (files, named), known = self._imports, plugins.inventory("synthesizers")
-        methods = [("synthesizers", plugin.name) for plugin in known if plugin.own and plugin.is_loaded]
+        methods = [("synthesizers", plugin.name) for plugin in known if plugin.built_in and plugin.is_loaded]
         content: dict[str, Any] = {"once": False, "warm": self._warm, "folder": str(folder)}
         content |= {"files": files, "imports": [*named, *methods]}
         self._worker = start_worker(content, stderr=subprocess.DEVNULL, env=worker_environment())
@@ -261,7 +263,7 @@ class Supervisor:
 
 def third_party() -> tuple[list[str], list[tuple[str, str]]]:
     """Return the third-party plugins that a worker imports before it forks: files, and kind and name of the others."""
-    known = [plugin for kind in KINDS for plugin in plugins.inventory(kind) if plugin.is_loaded and not plugin.own]
+    known = [plugin for kind in KINDS for plugin in plugins.inventory(kind) if plugin.is_loaded and not plugin.built_in]
     apart = any(plugin.in_file and not plugin.shared for plugin in known)
     named = [(plugin.kind, plugin.name) for plugin in known if plugin.shared and not (plugin.in_file and apart)]
     return [] if apart else plugins.files(), named

@@ -75,7 +75,7 @@ def warm(compiling: Callable[[], None], imports: Iterable[Sequence[str]] = ()) -
     wanted = {plugins.find(kind, name) for kind, name in imports}
     for kind in ("datasets", "detectors", "metrics", "synthesizers"):
         if kind != "synthesizers" or all(plugin.kind != kind for plugin in wanted):
-            wanted.update(plugin for plugin in plugins.inventory(kind) if plugin.own)
+            wanted.update(plugin for plugin in plugins.inventory(kind) if plugin.built_in)
     for plugin in wanted:
         prepare_conversion(plugin.cls)
     for read in (Cell, Recipe, KeptSurvey):
@@ -261,7 +261,7 @@ class ChildServer:
 
     def run(self, request: Request) -> Reply:
         """Run one request; return how it ended."""
-        shared = self._forks and request.own
+        shared = self._forks and request.built_in
         if not shared:
             self.recover()
             self._work = self._work or tempfile.mkdtemp(dir=self._folder)

@@ -254,7 +254,7 @@ class PlannedSample:
     def of(cls, sample: Sample) -> PlannedSample:
         """Return a sample without what can be drawn again."""
         image = sample.texture.image if sample.texture else None
-        redrawn = sample.recipe.procedural and plugins.lookup("datasets", sample.recipe.dataset).own
+        redrawn = sample.recipe.procedural and plugins.lookup("datasets", sample.recipe.dataset).built_in
         pixels = [None if redrawn or each is None else to_bytes(each) for each in (image, sample.region)]
         size = image.shape[:2] if image is not None else None
         return cls(sample.recipe, sample.shape, size, sample.log, (pixels[0], pixels[1]))
@@ -417,7 +417,7 @@ def _draw(row: TextureRow, recipe: Recipe, shape: Shape, draw: Draw) -> Sample:
 
 def _chosen(draw: Draw | None, recipe: Recipe) -> Draw:
     """Return the function that draws a recipe's texture: ``draw`` for a dataset that is not part of nrbench."""
-    own = plugins.lookup("datasets", recipe.dataset).own
+    own = plugins.lookup("datasets", recipe.dataset).built_in
     return draw_texture if own or draw is None else draw
 
 

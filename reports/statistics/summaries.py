@@ -446,7 +446,7 @@ def headline_columns(run: Run) -> dict[str, Column]:
 
 def _is_added(metric: str) -> bool:
     """Return whether a metric is installed that is not part of nrbench."""
-    return metric in plugins.names("metrics") and not plugins.find("metrics", metric).own
+    return metric in plugins.names("metrics") and not plugins.find("metrics", metric).built_in
 
 
 def sort_headlines_first(names: Iterable[str]) -> list[str]:

@@ -25,7 +25,7 @@ def test_the_fields_of_a_task_are_listed() -> None:
 
 def test_what_methods_declare_is_listed() -> None:
     """Each public class variable of a method is listed, and what is listed beside them belongs to other kinds."""
-    classes = [plugin.cls for plugin in plugins.inventory("synthesizers") if plugin.own and plugin.cls]
+    classes = [plugin.cls for plugin in plugins.inventory("synthesizers") if plugin.built_in and plugin.cls]
     declared = {
         name
         for cls in classes

@@ -246,7 +246,7 @@ BENDING = (
 
 def test_every_method_that_uses_a_lattice_is_straightened() -> None:
     """Of nrbench's methods, all do but the baselines and external tools."""
-    using = [p for p in plugins.inventory("synthesizers") if p.own and getattr(p.cls, "uses_lattice", True)]
+    using = [p for p in plugins.inventory("synthesizers") if p.built_in and getattr(p.cls, "uses_lattice", True)]
     ranked = [p for p in using if not getattr(p.cls, "reference", False) and p.name not in ("command", "lattice-only")]
     assert sorted(p.name for p in ranked if hasattr(p.cls, "geometry")) == sorted(BENDING)
     assert {p.name for p in ranked} == set(BENDING)

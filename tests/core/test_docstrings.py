@@ -39,7 +39,7 @@ def public_names() -> Iterator[str]:
 
 def own_plugins() -> Iterator[Any]:
     """Yield the class of each plugin of nrbench."""
-    return (plugin.cls for kind in plugins.FORMS for plugin in plugins.inventory(kind) if plugin.own)
+    return (plugin.cls for kind in plugins.FORMS for plugin in plugins.inventory(kind) if plugin.built_in)
 
 
 def find_errors(name: str, errors: set[str]) -> list[str]:

@@ -236,7 +236,7 @@ NAMED = [
     (kind, plugin.name, field)
     for kind in ("synthesizers", "detectors", "datasets", "reports")
     for plugin in plugins.inventory(kind)
-    if plugin.own
+    if plugin.built_in
     for field in plugin.cls.__dataclass_fields__  # type: ignore[union-attr]
 ]
 

@@ -109,7 +109,7 @@ def test_intensity_is_common_to_the_channels(model: type[Model]) -> None:
         assert (elements[name] == elements[name][:, :1]).all() and elements[name].std() > 0.1
 
 
-DATASETS = [plugin for plugin in plugins.inventory("datasets") if plugin.own and plugin.name != "images"]
+DATASETS = [plugin for plugin in plugins.inventory("datasets") if plugin.built_in and plugin.name != "images"]
 BAD: dict[type, tuple[Any, ...]] = {float: (0.0, -3.0, math.nan, math.inf, 1e9), int: (-1, 1000), str: ("nonsense",)}
 
 
@@ -163,7 +163,7 @@ def test_bad_parameters(model: Any, parameters: dict[str, Any], message: str) ->
         model(**parameters)
 
 
-@pytest.mark.parametrize("name", [plugin.name for plugin in DATASETS if plugin.own])
+@pytest.mark.parametrize("name", [plugin.name for plugin in DATASETS if plugin.built_in])
 def test_a_model_conforms(name: str) -> None:
     """The model fails no clause."""
     assert violations("datasets", name) == []

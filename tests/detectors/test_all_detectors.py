@@ -14,7 +14,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.plugins.forms import NoLatticeFound
 
-NAMES = [plugin.name for plugin in plugins.inventory("detectors") if plugin.own]
+NAMES = [plugin.name for plugin in plugins.inventory("detectors") if plugin.built_in]
 CHEAP: dict[str, dict[str, Any]] = {"frdft": {"reject": "none"}, "ssdn": {"surrogates": 8}}
 WITH_COPIES = ("gncc", "frdft", "ssdn", "dominance")
 """The detectors that are tested against phase-randomized copies."""

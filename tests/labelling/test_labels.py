@@ -61,14 +61,14 @@ def _with_scores(record: CellRecord, **values: float | bool | None) -> CellRecor
 def test_every_output_is_shown_and_a_share_twice(run: Run) -> None:
     """Each output of a texture with a lattice comes once, the share again, never twice in a row."""
     label_page = make_page(run, repeat=0.25, seed=1)
-    first = [item.cell for item in label_page.items if not item.again]
-    again = [item.cell for item in label_page.items if item.again]
+    first = [item.cell for item in label_page.items if not item.repeated]
+    again = [item.cell for item in label_page.items if item.repeated]
     assert sorted(first) == sorted(record.key for record in labelled_cells(run)) and len(first) == 12
     assert len(again) == len(set(again)) == 3
     places = [item.cell for item in label_page.items]
     assert all(a != b for a, b in itertools.pairwise(places))
     seconds = {cell: [i for i, other in enumerate(places) if other == cell] for cell in again}
-    assert all(not label_page.items[one[0]].again and label_page.items[one[1]].again for one in seconds.values())
+    assert all(not label_page.items[one[0]].repeated and label_page.items[one[1]].repeated for one in seconds.values())
 
 
 def test_the_seed_decides(run: Run) -> None:
@@ -158,7 +158,7 @@ def test_answers_come_back(run: Run, tmp_path: Path) -> None:
         for again in (False, True):
             part = labels[labels["question"].eq(question) & labels["again"].eq(again)]
             found = dict(zip(part["key"], part["answer"], strict=True))
-            assert found == {item.cell: three[k] for item, three in answered if item.again == again}
+            assert found == {item.cell: three[k] for item, three in answered if item.repeated == again}
 
 
 HEAD = "item,question,answer,seconds,order,labeled_by\n"

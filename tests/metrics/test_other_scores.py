@@ -207,7 +207,7 @@ def test_pixels_without_a_source_break_runs() -> None:
 SLOW = dict.fromkeys(("quality", "integrity", "randomness", "regularity"), ("randomness",))
 
 
-@pytest.mark.parametrize("name", [plugin.name for plugin in plugins.inventory("metrics") if plugin.own])
+@pytest.mark.parametrize("name", [plugin.name for plugin in plugins.inventory("metrics") if plugin.built_in])
 def test_a_metric_conforms(name: str) -> None:
     """The metric fails no clause."""
     assert violations("metrics", name, {}, SLOW.get(name, ())) == []

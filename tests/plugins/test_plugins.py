@@ -238,7 +238,7 @@ def test_metrics_share_what_is_computed_once() -> None:
 def test_the_overview_agrees_with_the_classes(kind: str) -> None:
     """Name, version, first line and role that are read from the source are those of the imported class."""
     read = {each.name: each for each in plugins.summaries(kind) if each.distribution == "nrbench"}
-    loaded = [plugin for plugin in plugins.inventory(kind) if plugin.own]
+    loaded = [plugin for plugin in plugins.inventory(kind) if plugin.built_in]
     assert loaded and set(read) == {plugin.name for plugin in loaded}
     for plugin in loaded:
         page = (inspect.getdoc(plugin.cls) or "").partition("\n")[0]
@@ -250,6 +250,6 @@ def test_the_overview_agrees_with_the_classes(kind: str) -> None:
 @pytest.mark.parametrize("kind", plugins.FORMS)
 def test_the_plugins_of_nrbench_keep_their_forms(kind: str) -> None:
     """The plugins of nrbench load and have no fault. They are not checked again when they are loaded."""
-    for plugin in [plugin for plugin in plugins.inventory(kind) if plugin.own]:
+    for plugin in [plugin for plugin in plugins.inventory(kind) if plugin.built_in]:
         assert not plugin.error, plugin.name
         assert plugins.fault(kind, plugin.cls) == "", plugin.name

@@ -11,7 +11,7 @@ from conformance import violations
 from nrbench import plugins
 
 
-@pytest.mark.parametrize("name", [plugin.name for plugin in plugins.inventory("reports") if plugin.own])
+@pytest.mark.parametrize("name", [plugin.name for plugin in plugins.inventory("reports") if plugin.built_in])
 def test_a_report_conforms(name: str, example_run: Path) -> None:
     """The report fails no clause; that of the terminal alone is printed, and some formats have no markup."""
     slow = ("randomness", "side effects") if name in ("perils", "html") else ()

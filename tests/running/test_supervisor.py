@@ -275,7 +275,7 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
         for record in cells:
             shutil.rmtree(record.folder / "scores", ignore_errors=True)
             own = metric == "cost"
-            reply = supervisor.run(Request("score_cell", str(record.folder), seconds, 500, (metric,), own=own))
+            reply = supervisor.run(Request("score_cell", str(record.folder), seconds, 500, (metric,), built_in=own))
             endings.append(reply.result["status"])
         children = server_of(supervisor).children()
         return {child.pid for child in children if is_scorer(child)}, endings
@@ -334,7 +334,7 @@ def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor],
     """
     supervisor = supervisors[0]
     cell = run(wall_suite(["oracle"], "cost"), out=tmp_path / "run", options=Options(jobs=0)).cells[0]
-    request = Request("score_cell", str(cell.folder), seconds=20, mib=500, metrics=("cost",), own=True)
+    request = Request("score_cell", str(cell.folder), seconds=20, mib=500, metrics=("cost",), built_in=True)
     assert supervisor.run(request).scored == ("cost",)
     server = server_of(supervisor)
     wait_until(lambda: len(server.children()) == 2)
@@ -361,7 +361,10 @@ def test_a_worker_imports_no_other_methods_than_those_of_the_run() -> None:
     """The kernels of the others would take seconds to compile; without a plan it imports all."""
     program = "from nrbench import plugins; from nrbench.running import worker; worker.load_kernels = print; "
     program += "worker.warm('', {}); print(*(p.name for p in plugins.inventory('synthesizers') if p.is_loaded))"
-    for methods, count in ((["rsgf"], 1), ([], len([each for each in plugins.inventory("synthesizers") if each.own]))):
+    for methods, count in (
+        (["rsgf"], 1),
+        ([], len([each for each in plugins.inventory("synthesizers") if each.built_in])),
+    ):
         named = [("synthesizers", name) for name in methods]
         imported = subprocess.check_output([sys.executable, "-c", program.format(named)], text=True).split()
         assert len(imported) == count and "rsgf" in imported

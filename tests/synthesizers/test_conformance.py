@@ -25,7 +25,7 @@ OPTIONAL = ("own lattice", "source map", "progress")
 SLOW = {"fftm-patch": ("randomness", "side effects"), "fftm-pixel": ("side effects",), "graph-cuts": ("side effects",)}
 QUICK = {"gpdm": {"steps": 5}, "gpnn": {"iterations": 1}}
 """Parameters of methods that are slow with their defaults."""
-INSTALLED = [plugin.name for plugin in plugins.inventory("synthesizers") if plugin.own]
+INSTALLED = [plugin.name for plugin in plugins.inventory("synthesizers") if plugin.built_in]
 
 
 @pytest.mark.parametrize("name", [name for name in INSTALLED if name not in ("command", "precomputed")])

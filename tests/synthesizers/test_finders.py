@@ -100,7 +100,7 @@ def test_without_a_lattice_a_method_refuses_or_says_so(spec: str, monkeypatch: p
 
 def test_every_method_that_uses_a_lattice_is_listed() -> None:
     """The finder of each installed method that uses a lattice is checked here."""
-    using = {p.name for p in plugins.inventory("synthesizers") if p.own and getattr(p.cls, "uses_lattice", True)}
+    using = {p.name for p in plugins.inventory("synthesizers") if p.built_in and getattr(p.cls, "uses_lattice", True)}
     assert using <= {spec.partition(":")[0] for spec in FINDERS}
 
 

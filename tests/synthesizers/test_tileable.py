@@ -18,7 +18,7 @@ OTHERS = {"fftm-patch", "fftm-pixel", "representative-tile"}
 LOSING = {"ann-pixel", "gpdm", "gpnn", "random-phase", "scatter", "texture-optimization"}
 """They know no lattice, and lose it in any output."""
 QUICK = {"gpdm": "gpdm:steps=60"}
-ABLE = [one.name for one in plugins.inventory("synthesizers") if one.own and getattr(one.cls, "wraps", False)]
+ABLE = [one.name for one in plugins.inventory("synthesizers") if one.built_in and getattr(one.cls, "wraps", False)]
 
 
 @pytest.fixture(scope="module")
