@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import ast
 import os
-import resource
 import subprocess
 import sys
 from pathlib import Path
 
 from unit import cpu_unit
+
+from nrbench.running.guard import cpu_seconds
 
 FOLDER = Path(__file__).parent
 BENCHMARKS = {
@@ -47,12 +48,6 @@ def question(script: str) -> str:
     """Return the first line of a script's page."""
     page = ast.get_docstring(ast.parse((FOLDER / script).read_text("utf-8"))) or ""
     return page.partition("\n")[0].rstrip(".")
-
-
-def cpu_seconds() -> float:
-    """Return the CPU seconds of all processes that have ended."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
 
 
 def main() -> int:

@@ -166,7 +166,8 @@ def _halves(scene: Scene, dark: float, bright: float, step: float = 0.0) -> Plan
     return np.where(upper, scene.picture * bright + step / 2, scene.picture * dark - step / 2)
 
 
-def _shortest(scene: Scene) -> float:
+def shortest(scene: Scene) -> float:
+    """Return the length of the shorter generating vector, px."""
     return float(np.linalg.norm(scene.vectors, axis=1).min())
 
 
@@ -201,8 +202,8 @@ EDITS: Mapping[str, tuple[Edit, tuple[float, ...], tuple[float, ...]]] = {
     "step of light": (lambda f, dose: _halves(f, 1, 1, dose), (), (0.16,)),
     "dark half, share": (lambda f, dose: _halves(f, 1 - dose, 1), (), (0.3,)),
     "text, share of the height": (write_text, (), (0.11,)),
-    "half slipped along rows, s": (lambda f, dose: slip(f, 0, round(dose * _shortest(f))), (), (0.3,)),
-    "half slipped along columns, s": (lambda f, dose: slip(f, 1, round(dose * _shortest(f))), (), (0.3,)),
+    "half slipped along rows, s": (lambda f, dose: slip(f, 0, round(dose * shortest(f))), (), (0.3,)),
+    "half slipped along columns, s": (lambda f, dose: slip(f, 1, round(dose * shortest(f))), (), (0.3,)),
     "cells sorted by tone": (lambda f, _: sort_cells(f, lambda n: n[:, 0]), (), (1,)),
     "cells as a checkerboard": (lambda f, _: sort_cells(f, lambda n: n.sum(1) % 2), (), (1,)),
     "cells as a blob": (lambda f, _: sort_cells(f, lambda n: ((n - n.mean(0)) ** 2).sum(1)), (), (1,)),

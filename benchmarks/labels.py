@@ -40,14 +40,12 @@ from nrbench.datasets_procedural.modelling.materials import MATERIALS, Material
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.labelling.labels import ANSWERS, ELEMENTS, LATTICE, MORE
-from nrbench.metrics.integrity import Integrity
-from nrbench.metrics.quality import Quality
-from nrbench.metrics.regularity import Regularity
 from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Again, Observation, Task
 from nrbench.plugins.parameters import parse_spec
 from nrbench.reports.statistics.estimates import Estimate
 from nrbench.reports.statistics.labelers import JUDGE, compare_orders, compare_raters
+from nrbench.running.phases import score_observation
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.plan import Sample, draw_samples
 from nrbench.suites.suite import load_suite
@@ -142,12 +140,8 @@ def score_output(sample: Sample, again: Again, output: Image) -> dict[str, Any]:
     """Return the scores of an output by ``metric.column``."""
     assert sample.texture is not None
     seen = Observation(sample.texture.image, output, sample.texture, again=again if sample.recipe.procedural else None)
-    metrics = {"regularity": Regularity(), "integrity": Integrity(), "quality": Quality()}
-    return {
-        f"{name}.{column}": value
-        for name, metric in metrics.items()
-        for column, value in metric.score(seen).values.items()
-    }
+    scores = {name: score_observation(seen, name) for name in ("regularity", "integrity", "quality")}
+    return {f"{name}.{column}": value for name, score in scores.items() for column, value in score.values.items()}
 
 
 def score_outputs(

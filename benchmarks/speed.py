@@ -36,7 +36,6 @@ import contextlib
 import json
 import multiprocessing
 import os
-import resource
 import statistics
 import subprocess
 import sys
@@ -59,6 +58,7 @@ from nrbench.lattice.relation import lattice_error
 from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
+from nrbench.running.guard import peak_bytes
 from nrbench.running.phases import score_observation
 from nrbench.running.runner import Options, Step
 from nrbench.streams import stream
@@ -126,14 +126,9 @@ def cost_alone(spec: str, side: int) -> tuple[float, float]:
     """Return what one synthesis takes in this process: CPU time in u, and bytes for each output pixel."""
     texture = sampled("brick", 128)
     synthesis(spec, texture, 64)()
-    u, held, start = cpu_unit(), peak_memory(), time.process_time()
+    u, held, start = cpu_unit(), peak_bytes(), time.process_time()
     synthesis(spec, texture, side)()
-    return (time.process_time() - start) / u, (peak_memory() - held) / side**2
-
-
-def peak_memory() -> int:
-    """Return the most bytes that this process has held so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return (time.process_time() - start) / u, (peak_bytes() - held) / side**2
 
 
 def time_models(options: argparse.Namespace) -> None:

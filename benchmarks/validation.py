@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from edits import Scene, edit_picture, slip
+from edits import Scene, edit_picture, shortest, slip
 from numpy.typing import NDArray
 from scipy.stats import mannwhitneyu
 
@@ -334,11 +334,8 @@ def study_bases(options: argparse.Namespace) -> None:
     tell = print_table("texture", "output", *CHANGES)
     for subject in subjects("default", options.textures):
         fresh = subject.draw(0)
-        moved = slip(
-            Scene(fresh, subject.vectors, stream("bases")),
-            0,
-            round(0.3 * np.linalg.norm(subject.vectors, axis=1).min()),
-        )
+        scene = Scene(fresh, subject.vectors, stream("bases"))
+        moved = slip(scene, 0, round(0.3 * shortest(scene)))
         found: dict[str, list[str]] = {"fresh": [], "slipped by 0.3 s": []}
         for change in CHANGES.values():
             assert subject.texture.lattice is not None

@@ -1,4 +1,4 @@
-"""Write the comparison as JSON."""
+"""Write the comparison as JSON: the tree form of the tables that :mod:`.csv` writes as files."""
 
 from __future__ import annotations
 

@@ -135,7 +135,9 @@ LEAST_DISTANCE = _limit("LEAST_DISTANCE", 0.03, "", "convention: share of the en
 DISTANCE_SLOPE = _limit("DISTANCE_SLOPE", 4.0, "", "convention: the score reaches 0 at a quarter of what is possible")
 ODD = _limit("ODD", 4.5, "", "median absolute deviations of the logarithm of the misfit: one normal value in 400")
 OF_DISTANCE = _limit("OF_DISTANCE", 1.1, "", "margin over the largest distance of 24 parts of the references")
-AMPLITUDE = _limit("AMPLITUDE", 0.06, "s", "displacements of the references below which the geometry does not vary")
+AMPLITUDE = _limit(
+    "AMPLITUDE", 0.06, "s", "the references' geometry does not vary below it; methods take samples for bent from 0.04 s"
+)
 AMPLITUDE_TOLERANCE = _limit(
     "AMPLITUDE_TOLERANCE", 0.35, "", "convention: displacements that differ by 40 % are not seen"
 )

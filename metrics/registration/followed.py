@@ -1,4 +1,9 @@
-"""Follow the lattice through a picture: where each cell lies, which are in place, and the straightened picture."""
+"""Follow the lattice through a picture: where each cell lies, which are in place, and the straightened picture.
+
+The judge of the perils follows outputs by this registration and not by :mod:`nrbench.displacement`, by which methods
+straighten their samples and bend their outputs: no contestant judges. Its windows are compared with cells of the
+references alone, so that an error of the methods' code is not repeated where their outputs are judged.
+"""
 
 from __future__ import annotations
 
