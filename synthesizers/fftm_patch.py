@@ -43,7 +43,7 @@ class FftmPatch(MaskParameters):
 
     The mask is the regular part of the sample, a sum of waves, and is drawn at the output's size
     (:class:`~nrbench.synthesizers.masks.texture_mask.MaskParameters`). Its frequencies are found by
-    :func:`nrbench.spectra.harmonics.analyze`. Each pixel is described by its color and by its mask value times the root
+    :mod:`nrbench.spectra.harmonics`. Each pixel is described by its color and by its mask value times the root
     of the weight. The output is divided into overlapping windows. Line by line, each window is covered by a patch, a
     part of the sample of the same size. To choose the patch, the method compares all such parts with the window
     (sub-patch matching, Kwatra et al. 2003, section 4): in color where the output is synthesized already, in the mask

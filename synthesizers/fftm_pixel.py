@@ -43,7 +43,7 @@ class FftmPixel(MaskParameters, SearchParameters):
 
     The mask is the regular part of the sample, a sum of waves, and is drawn at the output's size
     (:class:`~nrbench.synthesizers.masks.texture_mask.MaskParameters`). Its frequencies are found by
-    :func:`nrbench.spectra.harmonics.analyze`. The output is then synthesized pixel by pixel in scan-line order. Each
+    :mod:`nrbench.spectra.harmonics`. The output is then synthesized pixel by pixel in scan-line order. Each
     pixel is copied from the pixel of the sample that has the most similar neighborhood. The distance of two
     neighborhoods is d_TT + c d_MM (equations 8 and 9). The paper calls d_TT and d_MM L2 norms. By default both are the
     squares of these, whose sum is one Euclidean distance; ``distance=norms`` adds the norms. d_TT compares the texture

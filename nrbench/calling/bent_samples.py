@@ -65,8 +65,8 @@ class SampleSurvey:
 def survey_sample(method: Synthesizer, task: Task) -> SampleSurvey | None:
     """Find the lattice of a sample, and whether it is bent; None for a method that gets the sample as it is.
 
-    If no lattice is given, the detector of the method finds one, or ``consensus`` if it names none. Where the detector
-    finds none, a bent one is looked for.
+    If no lattice is given, the detector of the method finds one, or that of the role ``detector`` if it names none.
+    Where the detector finds none, nrbench looks for a bent lattice.
 
     Parameters
     ----------
@@ -158,11 +158,11 @@ def find_bend(sample: Image, lattice: Lattice | None, given: bool) -> tuple[Defo
     lattice
         Its lattice; None if it is not known.
     given
-        Whether the lattice is known for sure. If not, and it cannot be followed, another one is looked for.
+        Whether the lattice is known for sure. If not, and it cannot be followed, nrbench looks for another one.
     """
     found = _follow(sample, lattice, given)
     if found is None:
-        return None, "whether the sample is bent cannot be told: it is taken as it is" if lattice else ""
+        return None, "cannot tell whether the sample is bent; it is used as it is" if lattice else ""
     if found.bent:
         return found, f"bent by {found.amplitude:.2f} s: the sample was straightened"
     if found.is_smooth:

@@ -166,31 +166,31 @@ def describe_deformation(found: Deformation) -> str:
     return f"mean lattice {vectors}, bent by {kind} of amplitude {found.amplitude:.2f} s"
 
 
-def answer_question(asked: LatticeQuestion) -> int:
-    """Print and draw what was asked; return the exit code, which is 1 if a detector failed."""
-    if asked.image.is_dir():
-        return _survey_folder(asked)
-    image = read_image(asked.image)
-    if asked.every:
-        return _compare_detectors(image, asked)
-    if asked.straighten:
-        _straighten_picture(image, asked, asked.straighten)
-    elif asked.pick or asked.lattice is not None:
-        _show_given(image, asked)
+def answer_question(options: LatticeQuestion) -> int:
+    """Print and draw the answer; return the exit code, which is 1 if a detector failed."""
+    if options.image.is_dir():
+        return _survey_folder(options)
+    image = read_image(options.image)
+    if options.every:
+        return _compare_detectors(image, options)
+    if options.straighten:
+        _straighten_picture(image, options, options.straighten)
+    elif options.pick or options.lattice is not None:
+        _show_given(image, options)
     else:
-        _show_detection(image, asked)
+        _show_detection(image, options)
     return 0
 
 
-def _survey_folder(asked: LatticeQuestion) -> int:
+def _survey_folder(options: LatticeQuestion) -> int:
     """Detect the lattices of a folder; return 1 if a picture could not be read or the detector failed, else 0."""
-    existing = "keep" if asked.keep else "replace" if asked.force else "refuse"
-    survey = Survey(asked.image, asked.spec, asked.output, asked.least, existing)
+    existing = "keep" if options.keep else "replace" if options.force else "refuse"
+    survey = Survey(options.image, options.spec, options.output, options.least, existing)
     load_kernels()
     with live_progress() as progress:
         survey.run(progress)
     failed = sum(each.failed for each in survey.findings)
-    if asked.as_json:
+    if options.as_json:
         pictures = [each.as_dict() for each in survey.findings]
         content = {"truth": str(survey.table), "sheets": [str(page) for page in survey.pages], "pictures": pictures}
         print(json.dumps(content, indent=1))
@@ -208,16 +208,16 @@ def _survey_folder(asked: LatticeQuestion) -> int:
     return int(failed > 0)
 
 
-def _show_given(image: Image, asked: LatticeQuestion) -> None:
+def _show_given(image: Image, options: LatticeQuestion) -> None:
     """Print and draw the user's lattice, given as numbers or picked on a page."""
-    if asked.lattice is None:
+    if options.lattice is None:
         lattice, has_origin = pick(image, lambda address: click.echo(f"open in a browser: {address}", err=True)), True
         _print_numbers(lattice)
     else:
-        lattice, has_origin = Lattice.parse(asked.lattice), asked.lattice.count(",") == 5
-    if asked.output is not None:
-        write_image(asked.output, draw_overlay(image, lattice))
-    LatticeResult("given" if asked.lattice else "picked", lattice, has_origin=has_origin).print(asked.as_json)
+        lattice, has_origin = Lattice.parse(options.lattice), options.lattice.count(",") == 5
+    if options.output is not None:
+        write_image(options.output, draw_overlay(image, lattice))
+    LatticeResult("given" if options.lattice else "picked", lattice, has_origin=has_origin).print(options.as_json)
 
 
 def _print_numbers(lattice: Lattice) -> None:
@@ -225,12 +225,12 @@ def _print_numbers(lattice: Lattice) -> None:
     click.echo(f"for other verbs: --lattice {lattice_text(lattice, has_origin=True)}", err=True)
 
 
-def _show_detection(image: Image, asked: LatticeQuestion) -> None:
+def _show_detection(image: Image, options: LatticeQuestion) -> None:
     """Print and draw the lattice that one detector finds.
 
     If the default detector finds none, the mean lattice of a bent image is looked for.
     """
-    spec = asked.spec
+    spec = options.spec
     name, parameters = parse_spec(spec)
     detector = plugins.build("detectors", name, parameters)
     try:
@@ -241,17 +241,17 @@ def _show_detection(image: Image, asked: LatticeQuestion) -> None:
     except NoLatticeFound as none:
         result, detection = LatticeResult(name, None, reason=none.reason), none.best
         title = f"{spec}: no lattice: {none.reason}"
-    if result.lattice is None and asked.detector is None:
+    if result.lattice is None and options.detector is None:
         with waiting(f"{name} looks for a bent lattice"):
             bent = find_bent_lattice(image, name)
         if bent is not None:
             result, detection = bent, bent.detection
             title = f"{spec}, of the straightened image: {bent.vectors}"
-    if asked.diagnostics is not None:
-        _draw_diagnostics(detection.diagnostics if detection else {}, title, asked.diagnostics)
-    if asked.output is not None:
-        _draw_result(image, result, asked.output)
-    result.print(asked.as_json)
+    if options.diagnostics is not None:
+        _draw_diagnostics(detection.diagnostics if detection else {}, title, options.diagnostics)
+    if options.output is not None:
+        _draw_result(image, result, options.output)
+    result.print(options.as_json)
 
 
 def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
@@ -279,7 +279,7 @@ def _draw_diagnostics(diagnostics: Mapping[str, Any], title: str, output: Path) 
         write_aside(output, lambda file: figure.savefig(file, dpi=110, format=output.suffix.lstrip(".") or "png"))
 
 
-def _compare_detectors(image: Image, asked: LatticeQuestion) -> int:
+def _compare_detectors(image: Image, options: LatticeQuestion) -> int:
     """Print and draw the lattices of all detectors; return 1 if one of them failed, else 0."""
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
@@ -288,9 +288,9 @@ def _compare_detectors(image: Image, asked: LatticeQuestion) -> int:
         for number, name in enumerate(names, 1):
             results.append(_run_detector(image, name))
             progress(number, len(names), name)
-    if asked.output is not None:
-        _draw_comparison(image, results, asked.output)
-    if asked.as_json:
+    if options.output is not None:
+        _draw_comparison(image, results, options.output)
+    if options.as_json:
         print(json.dumps([result.comparison_dict() for result in results], indent=1))
     else:
         print(f"{'detector':<12} {'t1 (px)':<20} {'t2 (px)':<20} {'confidence':>10} {'seconds':>8}")
@@ -326,22 +326,22 @@ def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Pat
     write_image(output, contact_sheet(pictures, captions, columns=3))
 
 
-def _straighten_picture(image: Image, asked: LatticeQuestion, output: Path) -> None:
+def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) -> None:
     """Print the mean lattice, the deformation and the short list, and write the image with its deformation undone."""
-    name, parameters = parse_spec(asked.spec)
+    name, parameters = parse_spec(options.spec)
     try:
-        followed = follow_bent_lattice(image, as_lattice(asked.lattice), name, parameters)
+        followed = follow_bent_lattice(image, as_lattice(options.lattice), name, parameters)
     except NoLatticeFound as none:
         click.echo(f"{output}: not written, there is no lattice to straighten by", err=True)
-        LatticeResult(name, None, reason=none.reason).print(asked.as_json)
+        LatticeResult(name, None, reason=none.reason).print(options.as_json)
         return
     straight, straight_lattice = followed.deformation.straighten()
     write_image(output, straight)
-    if asked.output is not None:
-        write_image(asked.output, draw_deformed_lattice(image, followed.deformation))
+    if options.output is not None:
+        write_image(options.output, draw_deformed_lattice(image, followed.deformation))
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
-    LatticeResult.of_followed("" if asked.lattice else name, followed, straight_lattice).print(asked.as_json)
+    LatticeResult.of_followed("" if options.lattice else name, followed, straight_lattice).print(options.as_json)
 
 
 def find_bent_lattice(image: Image, detector: str) -> LatticeResult | None:

@@ -1,4 +1,4 @@
-"""What the command ``lattice`` is asked: its options, and which of them exclude each other."""
+"""Options of the command ``lattice``, and which of them exclude each other."""
 
 from __future__ import annotations
 

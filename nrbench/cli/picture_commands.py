@@ -215,8 +215,8 @@ def lattice_command(call: Callable[[], LatticeQuestion]) -> int:
     "No lattice" is a valid result: the exit code is 0. For a folder, the command writes truth.csv, which `nrbench run
     FOLDER` reads, and contact sheets by which you can check it.
     """
-    question = call()
-    question.check()
+    options = call()
+    options.check()
     from nrbench.cli.lattice_detection import answer_question
 
-    return answer_question(question)
+    return answer_question(options)

@@ -48,9 +48,9 @@ WAVES = 12
 SPECTRUM = 256
 """px; side of the middle of the image whose waves are searched."""
 LONGEST = 0.8
-"""Proposals with a vector above this share of the image's sides are left out, and ..."""
+"""Proposals with a vector above this share of the image's sides are left out."""
 MIN_AREA = 8.0
-"""... proposals with a smaller cell, px^2."""
+"""px^2; proposals with a smaller cell are left out."""
 CERTAIN = 0.8
 """Confidence from which the image is not looked at with less detail."""
 COARSEST = 8

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from nrbench.imaging.convert import Image, crop_middle
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
 from nrbench.spectra.harmonic_groups import FINALISTS, Basis, collect_peaks, find_fundamentals, off_line_evidence
-from nrbench.spectra.harmonics import analyze, lowest_period
+from nrbench.spectra.harmonics import find_channel_waves, find_free_waves, lowest_period
 from nrbench.spectra.spectrum import Spectrum
 from nrbench.spectra.wave_fit import FrequencyFit, fit_frequencies
 from nrbench.spectra.wave_search import WaveDetection, find_waves
@@ -178,9 +179,8 @@ class Frdft:
     def _read_lowest(self, image: Image) -> Detection:
         """Return the upright tile of an image by equation 7 of the paper."""
         planes = skimage.color.rgb2ypbpr(image.astype(np.float64)) if image.shape[2] == 3 else image.astype(np.float64)
-        waves = analyze(
-            planes, self.threshold or None, "free", "each", self.false_alarms, most=self.waves, signal="analytic"
-        )
+        find = partial(find_free_waves, threshold=self.threshold or None, most=self.waves, signal="analytic")
+        waves = find_channel_waves(find, planes, self.false_alarms)
         shape = image.shape[:2]
         width, height = lowest_period(waves.frequencies, waves.amplitudes, (shape[0], shape[1]))
         if width is None or height is None:

@@ -33,9 +33,9 @@ JOINED = 0.5
 LINES = 4
 """Lines per pixel when stripes are removed. With fewer, the edges of stripes leave steps, which form a lattice."""
 FURTHEST = 512
-"""px; largest lag of the folded autocorrelation, or ..."""
+"""px; largest lag of the folded autocorrelation, unless :data:`PERIODS` allows a larger one."""
 PERIODS = 6
-"""... so many of the longer generating vector, if that is more."""
+"""The largest lag is at least this number of lengths of the longer generating vector."""
 
 _check = checker("gncc")
 

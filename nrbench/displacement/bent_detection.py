@@ -90,8 +90,8 @@ def find_deformation(
     lattice
         The lattice, about as it is on average or somewhere in the image; None: it is detected.
     detector
-        The detector that finds the lattice of a straight image and confirms that of a straightened one; None:
-        ``consensus``.
+        The detector that finds the lattice of a straight image and confirms that of a straightened one; None: that of
+        the role ``detector``.
     only_promising
         Whether to give up if no lattice that the quick detector finds in a view can be followed through about half of
         the image. This costs little where there is no lattice.
@@ -118,7 +118,7 @@ def find_deformation(
         return the answer of the highest confidence times score, else what the detector found
 
     Fine detail of large elements is not shown to the detector: the lattice is measured when it is followed. The quick
-    detector is ``gncc``. It should rather be wrong than silent: a wrong lattice cannot be followed.
+    detector has the role ``quick-detector``. It should rather be wrong than silent: a wrong lattice cannot be followed.
     """
     if lattice is not None:
         return Followed(_follow_given(image, lattice), None)

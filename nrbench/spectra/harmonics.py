@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import checker
 from nrbench.spectra.regular_part import find_regular_part
 from nrbench.spectra.spectrum import Array, Planes, Spectrum
 from nrbench.spectra.wave_fit import Waves, wave_sum
@@ -17,6 +17,10 @@ from nrbench.spectra.wave_search import find_waves, find_waves_analytic
 Harmonic = Literal["free", "tied"]
 Signal = Literal["real", "analytic"]
 Channels = Literal["joint", "each"]
+FALSE_ALARMS = 0.01
+"""Probability that noise alone yields a wave."""
+MOST_WAVES = 400
+"""The largest number of waves."""
 DOMINANT = 0.25
 """Waves of at least this share of the largest amplitude belong to the regular structure of equation 7. On walls of mild
 departures, waves of bricks have 0.28 or more, those of chance 0.15 or less (running bond, color up to 0.2)."""
@@ -111,22 +115,19 @@ def lowest_period(frequencies: Array, amplitudes: Array, shape: tuple[int, int])
     return sides[0], sides[1]
 
 
-def analyze(
+def find_free_waves(
     planes: Planes,
+    false_alarms: float = FALSE_ALARMS,
     threshold: float | None = None,
-    harmonics: Harmonic = "free",
-    channels: Channels = "joint",
-    false_alarms: float = 0.01,
-    most: int = 400,
+    most: int = MOST_WAVES,
     signal: Signal = "real",
-    given: Array | None = None,
 ) -> WaveAnalysis:
-    """Return the waves of a picture: fractional Fourier texture masks, Nicoll et al. 2005, section 3.
+    """Return the waves of a picture, each frequency independent: Nicoll et al. 2005, section 3.
 
     Candidates are DFT coefficients above a threshold. Each is refined within a bin to the maximum of the fractional
     transform and subtracted, and all are fitted jointly by least squares
-    (:func:`~nrbench.spectra.wave_search.find_waves`). Tied waves are then sorted into groups of harmonics
-    (:func:`~nrbench.spectra.regular_part.find_regular_part`).
+    (:func:`~nrbench.spectra.wave_search.find_waves`). A wave has the same frequency in all planes;
+    :func:`find_channel_waves` analyzes each plane by itself.
 
     The method differs from the paper as follows. Real waves are fitted as cosine and sine instead of an analytic signal
     (``signal`` selects it), so that a wave and its mirror image do not interfere. The residual after a subtraction is
@@ -137,68 +138,80 @@ def analyze(
     ----------
     planes
         ``(H, W, C)``, any floating dtype; the paper takes YCbCr.
+    false_alarms
+        Probability in (0, 1) that noise alone yields a wave.
     threshold
         Least amplitude of a wave in at least one channel, in units of 1/255. None: the amplitude that noise exceeds
         anywhere with probability ``false_alarms``; the noise floor is measured in the spectrum.
-    harmonics
-        ``"free"``: every frequency is independent. ``"tied"``: frequencies are integer combinations of few
-        fundamentals, which are fitted jointly, and weaker waves are searched at the other harmonics of the lattices.
-        With free frequencies, small errors make masks interfere far from the sample (figure 10); tied frequencies are
-        exact multiples.
-    channels
-        ``"joint"``: a wave has the same frequency in all channels. ``"each"``: every channel is analyzed separately, as
-        in the paper; a wave then has amplitude 0 in the other channels.
-    false_alarms
-        Probability in (0, 1) that noise alone yields a wave.
     most
-        The largest number of waves (per channel, if channels are analyzed separately).
+        The largest number of waves.
     signal
         ``"real"``: waves are searched as cosine and sine. ``"analytic"``: the paper's search for one complex wave after
         the other in the analytic signal, with one joint fit at the end. Waves with f_x within a few bins of 0 are
         misplaced by some hundredths of a bin, or are found as several waves; the joint fit corrects this and drops
-        superfluous waves. With tied harmonics the waves of the search only propose the fundamentals.
-    given
-        ``(2, 2)`` cycles/px: fundamentals of the first group of tied harmonics, with an error of at most about 2 %.
-
-    Raises
-    ------
-    BadInput
-        If ``harmonics``, ``channels`` or ``signal`` is none of its values.
+        superfluous waves.
 
     Examples
     --------
     >>> y, x = np.indices((64, 64))
-    >>> waves = analyze(np.cos(2 * np.pi * (0.11 * x + 0.03 * y))[..., np.newaxis])
+    >>> waves = find_free_waves(np.cos(2 * np.pi * (0.11 * x + 0.03 * y))[..., np.newaxis])
     >>> waves.frequencies.round(4)
     array([[0.11, 0.03]])
     """
-    _check(harmonics in ("free", "tied"), f"harmonics is {harmonics!r}; give free or tied")
-    _check(channels in ("joint", "each"), f"channels is {channels!r}; give joint or each")
-    _check(signal in ("real", "analytic"), f"signal is {signal!r}; give real or analytic")
-    split = [planes] if channels == "joint" else np.split(planes, planes.shape[2], 2)
-    rate = false_alarms / len(split)
-    parts = [_analyze_planes(part, threshold, harmonics, rate, most, signal, given) for part in split]
-    return parts[0] if channels == "joint" else _combine_channels(parts, planes)
-
-
-def _analyze_planes(
-    planes: Planes,
-    threshold: float | None,
-    harmonics: Harmonic,
-    false_alarms: float,
-    most: int,
-    signal: Signal,
-    given: Array | None,
-) -> WaveAnalysis:
-    spectrum = Spectrum(planes)
-    if harmonics == "tied":
-        part = find_regular_part(spectrum, threshold, false_alarms, most, signal == "analytic", given)
-        f = part.orders @ part.fundamentals
-        return _sort_by_power(part.waves, f, part.fundamentals, part.orders, part.groups, part.kept)
     search = find_waves if signal == "real" else find_waves_analytic
-    waves = search(spectrum, threshold, false_alarms, most).waves
+    waves = search(Spectrum(planes), threshold, false_alarms, most).waves
     n = len(waves.frequencies)
     return _sort_by_power(waves, waves.frequencies, waves.frequencies, np.eye(n), (1,) * n, None)
+
+
+def find_tied_waves(
+    planes: Planes,
+    false_alarms: float = FALSE_ALARMS,
+    threshold: float | None = None,
+    most: int = MOST_WAVES,
+    signal: Signal = "real",
+    given: Array | None = None,
+) -> WaveAnalysis:
+    """Return the waves of a picture, sorted into groups of harmonics.
+
+    Frequencies are integer combinations of few fundamentals, which are fitted jointly, and weaker waves are searched at
+    the other harmonics of the lattices (:func:`~nrbench.spectra.regular_part.find_regular_part`). With free
+    frequencies, small errors make masks interfere far from the sample (figure 10); tied frequencies are exact
+    multiples.
+
+    Parameters
+    ----------
+    planes, false_alarms, threshold, most
+        As for :func:`find_free_waves`.
+    signal
+        The signal in which the waves that propose the fundamentals are searched, as for :func:`find_free_waves`.
+    given
+        ``(2, 2)`` cycles/px: fundamentals of the first group, with an error of at most about 2 %.
+    """
+    part = find_regular_part(Spectrum(planes), threshold, false_alarms, most, signal == "analytic", given)
+    f = part.orders @ part.fundamentals
+    return _sort_by_power(part.waves, f, part.fundamentals, part.orders, part.groups, part.kept)
+
+
+def find_channel_waves(
+    find: Callable[[Planes, float], WaveAnalysis], planes: Planes, false_alarms: float = FALSE_ALARMS
+) -> WaveAnalysis:
+    """Return the waves of a picture of which every channel is analyzed separately, as in the paper.
+
+    A wave of one channel has amplitude 0 in the others.
+
+    Parameters
+    ----------
+    find
+        The analysis of one channel, given its plane ``(H, W, 1)`` and its share of ``false_alarms``:
+        :func:`find_free_waves` or :func:`find_tied_waves`, with further arguments bound by name.
+    planes
+        ``(H, W, C)``.
+    false_alarms
+        Probability in (0, 1) that noise alone yields a wave in any channel.
+    """
+    count = planes.shape[2]
+    return _combine_channels([find(plane, false_alarms / count) for plane in np.split(planes, count, 2)], planes)
 
 
 def _sort_by_power(
@@ -239,6 +252,3 @@ def _combine_channels(parts: list[WaveAnalysis], planes: Planes) -> WaveAnalysis
     return WaveAnalysis(
         frequencies[strongest], cosine, sine, mean, np.concatenate(fundamentals), orders[strongest], groups, share
     )
-
-
-_check = checker("harmonics")

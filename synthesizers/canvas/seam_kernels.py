@@ -200,6 +200,7 @@ def touch_trees(residual: Float64x2, offset: Int64x1, nodes: Nodes, queue: Int64
     tree, parent, up, distance, mark, waiting = nodes
     head, tail, current = state[_HEAD], state[_TAIL], state[_CURRENT]
     while True:
+        # Take the next active node, unless the last one is still at work. Nodes that lost their tree are passed over.
         if current < 0 or tree[current] == 0:
             if head == tail:
                 return -1
@@ -212,16 +213,20 @@ def touch_trees(residual: Float64x2, offset: Int64x1, nodes: Nodes, queue: Int64
         from_source = own == SOURCE
         for d in range(4):
             j = current + offset[d]
+            # Flow runs away from the source's tree and toward the sink's.
             if (residual[d, current] if from_source else residual[d ^ 1, j]) <= 0:
                 continue
+            # A free neighbor joins the tree, and becomes active.
             if tree[j] == 0:
                 tree[j], parent[j], up[j], distance[j], mark[j] = own, d ^ 1, current, steps, time
                 if not waiting[j]:
                     queue[tail], waiting[j] = j, True
                     tail = (tail + 1) % queue.size
+            # The trees touch.
             elif tree[j] != own:
                 state[_HEAD], state[_TAIL], state[_CURRENT] = head, tail, current
                 return d
+            # A neighbor of the same tree gets a shorter way to the root.
             elif mark[j] <= time and distance[j] >= steps:
                 parent[j], up[j], distance[j], mark[j] = d ^ 1, current, steps, time
         current = -1

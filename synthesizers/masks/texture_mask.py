@@ -6,8 +6,8 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, ClassVar, Final
+from functools import cached_property, partial
+from typing import Any, ClassVar, Final, get_args
 
 import numpy as np
 import skimage
@@ -18,7 +18,15 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Geometry, Refused, Shape, Synthesis, Task
 from nrbench.plugins.parameters import append_parameters
-from nrbench.spectra.harmonics import Channels, Harmonic, Signal, WaveAnalysis, analyze
+from nrbench.spectra.harmonics import (
+    Channels,
+    Harmonic,
+    Signal,
+    WaveAnalysis,
+    find_channel_waves,
+    find_free_waves,
+    find_tied_waves,
+)
 
 from ..lattice_places.equal_places import shows_two_periods
 
@@ -89,6 +97,9 @@ class MaskParameters:
         append_parameters(cls, MaskParameters)
 
     def __post_init__(self) -> None:
+        require(self.harmonics in get_args(Harmonic), f"harmonics {self.harmonics!r}; choose free or tied")
+        require(self.channels in get_args(Channels), f"channels {self.channels!r}; choose joint or each")
+        require(self.signal in get_args(Signal), f"signal {self.signal!r}; choose real or analytic")
         require(0 <= self.threshold < 255, f"threshold {self.threshold}; choose 0 (automatic), or below 255")
         periodic = not self.tileable or self.harmonics == "tied"
         if self.tileable:
@@ -96,7 +107,7 @@ class MaskParameters:
         require(periodic, "tileable with harmonics 'free', which have no common period; choose harmonics 'tied'")
 
     def find_mask(self, sample: Image, lattice: Lattice | None = None) -> TextureMask:
-        """Return the mask of a sample; :func:`nrbench.spectra.harmonics.analyze` finds its frequencies.
+        """Return the mask of a sample; :mod:`nrbench.spectra.harmonics` finds its frequencies.
 
         Parameters
         ----------
@@ -116,7 +127,10 @@ class MaskParameters:
         planes = skimage.color.rgb2ypbpr(pixels) if sample.shape[2] == 3 else pixels
         usable = lattice is not None and lattice.s > FINEST and shows_two_periods(lattice, planes.shape)
         given = lattice.reduced().dual().matrix if lattice is not None and usable else None
-        waves = analyze(planes, self.threshold or None, self.harmonics, self.channels, signal=self.signal, given=given)
+        find = partial(find_free_waves, threshold=self.threshold or None, signal=self.signal)
+        if self.harmonics == "tied":
+            find = partial(find_tied_waves, threshold=self.threshold or None, signal=self.signal, given=given)
+        waves = find(planes) if self.channels == "joint" else find_channel_waves(find, planes)
         if not len(waves.frequencies):
             limit = f" and the threshold of {self.threshold:g}" if self.threshold else ""
             raise Refused(f"no wave of the sample exceeds its noise{limit}: there is no regular part for a mask")

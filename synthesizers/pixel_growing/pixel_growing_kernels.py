@@ -251,12 +251,14 @@ def build_tree(points: Int16x2, order: Int64x1, bounds: Int64x1, roots: Int64x1,
     todo = np.empty((DEEPEST, 3), np.int64)
     count = 0
     for g in range(roots.size):
+        # The whole group is the first part on the stack.
         roots[g] = count
         todo[0, 0], todo[0, 1], todo[0, 2] = bounds[g], bounds[g + 1], -1
         top = 1
         while top > 0:
             top -= 1
             start, stop, parent = todo[top, 0], todo[top, 1], todo[top, 2]
+            # Only now is the number of a right child known.
             if parent >= 0:
                 nodes[parent, RIGHT] = count
             # The node is a leaf, unless it is split below.
@@ -264,6 +266,7 @@ def build_tree(points: Int16x2, order: Int64x1, bounds: Int64x1, roots: Int64x1,
             node[FIRST], node[STOP], node[AXIS], node[RIGHT] = start, stop, -1, -1
             node[LEFT_END], node[RIGHT_START] = 0, 0
             axis = widest_axis(points, order, start, stop) if stop - start > leaf else -1
+            # Split at the median of the widest axis.
             if axis >= 0:
                 middle = (start + stop) // 2
                 for i in range(start, stop):
@@ -271,6 +274,7 @@ def build_tree(points: Int16x2, order: Int64x1, bounds: Int64x1, roots: Int64x1,
                 split_at_middle(values, order, start, stop, middle)
                 node[AXIS] = axis
                 node[LEFT_END], node[RIGHT_START] = values[start:middle].max(), values[middle:stop].min()
+                # The right part, then the left one, which is taken next and so follows its parent.
                 todo[top, 0], todo[top, 1], todo[top, 2] = middle, stop, count
                 todo[top + 1, 0], todo[top + 1, 1], todo[top + 1, 2] = start, middle, -1
                 top += 2
@@ -373,6 +377,7 @@ def search_tree(
     points, ranks, nodes, leading = tree.points, tree.ranks, tree.nodes, tree.leading
     stack, gaps = buffers.stack, buffers.gaps
     last = found.keys.size - 1
+    # The search starts at the root of the group, with the gaps of its box.
     distance = measure_gaps(tree, group, query, gaps)
     push(stack, 0, tree.roots[group], distance, 0, gaps[0])
     top = 1
@@ -380,8 +385,10 @@ def search_tree(
         top -= 1
         at, distance = stack[top, NODE], stack[top, DISTANCE]
         gaps[stack[top, CUT_AXIS]] = stack[top, GAP]
+        # The row only restored a gap, or the known points are nearer than the box by now.
         if at < 0 or distance * shrink > found.keys[last] >> 32:
             continue
+        # Go down to the leaf on the query's side of each cut.
         while nodes[at, AXIS] >= 0:
             axis = nodes[at, AXIS]
             # The query lies on the side of the cut whose points are nearer to it along the axis.
@@ -389,12 +396,14 @@ def search_tree(
             near, far, gap = at + 1, nodes[at, RIGHT], to_right * to_right
             if to_left + to_right <= 0:
                 near, far, gap = far, near, to_left * to_left
+            # Beyond the cut, one gap replaces another. The row that restores it lies below, and is taken later.
             farther = distance - gaps[axis] + gap
             if farther * shrink <= found.keys[last] >> 32:
                 push(stack, top, -1, 0, axis, gaps[axis])
                 push(stack, top + 1, far, farther, axis, gap)
                 top += 2
             at = near
+        # Compare the query with the points of the leaf.
         for place in range(nodes[at, FIRST], nodes[at, STOP]):
             keep_if_near(found, key_of(query, points, ranks, place, leading), place)
 

@@ -306,7 +306,7 @@ def blend_weights(
     known
         ``(h, w)``: where the picture under the tile's box is known.
     cells
-        See :attr:`~nrbench.synthesizers.tile_laying.tile_shape.TileShape.pixel_cells`.
+        See :attr:`~nrbench.synthesizers.tile_laying.tiles.TileShape.pixel_cells`.
     across, down, meeting
         The seams in the tile's grid, and the (row, column) at which they meet: see
         :class:`~nrbench.synthesizers.canvas.canvas.SeamPaths`.
@@ -367,7 +367,7 @@ def cut_tile(
         ``(h, w)``: the number of cells between each pixel and the tile's border, negative outside the tile. The tile's
         outermost pixels are not shown where the picture is known.
     weights
-        Table and numbers of :class:`~nrbench.synthesizers.tile_laying.tile_shape.ElementWeights`.
+        Table and numbers of :class:`~nrbench.synthesizers.tile_laying.tiles.ElementWeights`.
     corner
         (x, y) of the first pixel, in the coordinates of these numbers.
 

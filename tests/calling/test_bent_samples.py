@@ -139,7 +139,7 @@ def test_a_given_lattice_that_cannot_be_followed_is_found_in_a_part() -> None:
     assert found is not None and found.lattice.is_equivalent(texture.lattice, 2)
     other = Lattice.from_basis(1.3 * texture.lattice.matrix)
     found, note = find_bend(texture.image, other, given=True)
-    assert found is None and "cannot be told" in note
+    assert found is None and "cannot tell" in note
 
 
 def test_a_bent_lattice_is_found_where_the_detector_finds_none() -> None:

@@ -19,7 +19,7 @@ from nrbench.spectra.harmonic_groups import (
     propose_basis,
     select_spaced,
 )
-from nrbench.spectra.harmonics import WaveAnalysis, analyze, lowest_period
+from nrbench.spectra.harmonics import WaveAnalysis, find_channel_waves, find_free_waves, find_tied_waves, lowest_period
 from nrbench.spectra.regular_part import line_floor
 from nrbench.spectra.spectrum import Spectrum, dirichlet_sum, pair_kernels
 from nrbench.spectra.wave_fit import Waves
@@ -70,7 +70,7 @@ def errors(found: WaveAnalysis, f: np.ndarray) -> np.ndarray:
 def test_known_frequencies_are_found(n: int) -> None:
     """Of 1 to 12 pairs of real frequency, each is found within 1e-3 bin without noise, and nothing else."""
     f, amplitude, phase = draw_waves(n, np.random.default_rng([n, 0]))
-    found = analyze(picture(f, amplitude, phase))
+    found = find_free_waves(picture(f, amplitude, phase))
     assert len(found.frequencies) == n
     assert errors(found, f).max() < 1e-3
     assert found.share == pytest.approx(1, abs=1e-6)
@@ -83,7 +83,7 @@ def test_noise_costs_no_more_than_it_must(noise: float) -> None:
     for n in (1, 4, 8, 12):
         rng = np.random.default_rng([n, 7])
         f, amplitude, phase = draw_waves(n, rng)
-        found = analyze(picture(f, amplitude, phase) + noise * rng.standard_normal((SIDE, SIDE, 1)))
+        found = find_free_waves(picture(f, amplitude, phase) + noise * rng.standard_normal((SIDE, SIDE, 1)))
         ratios.extend(errors(found, f) / (np.sqrt(24) / (2 * np.pi) * noise / (amplitude * SIDE)))
     assert np.median(ratios) < 2
 
@@ -91,7 +91,7 @@ def test_noise_costs_no_more_than_it_must(noise: float) -> None:
 def test_amplitudes_and_phases_are_right() -> None:
     """What is analyzed at one place evaluates to the same picture anywhere, at any size and real offset."""
     f, amplitude, phase = draw_waves(6, np.random.default_rng(3))
-    found = analyze(picture(f, amplitude, phase, (90, 131)) + 0.4)
+    found = find_free_waves(picture(f, amplitude, phase, (90, 131)) + 0.4)
     shift = phase + 2 * np.pi * f @ (-40.5, 200.25)
     np.testing.assert_allclose(
         found.evaluate((300, 70), (-40.5, 200.25)), picture(f, amplitude, shift, (300, 70)) + 0.4, atol=1e-4
@@ -102,7 +102,7 @@ def test_channels_share_frequencies_or_not() -> None:
     """Joint waves have amplitudes in all channels; of channels analyzed each by itself, a wave has only its own."""
     one, two = (draw_waves(3, np.random.default_rng(seed)) for seed in (1, 2))
     planes = np.concatenate([picture(*one), picture(*two)], 2)
-    joint, each = analyze(planes), analyze(planes, channels="each")
+    joint, each = find_free_waves(planes), find_channel_waves(find_free_waves, planes)
     for found in (joint, each):
         assert len(found.frequencies) == 6 and max(errors(found, one[0]).max(), errors(found, two[0]).max()) < 1e-3
         np.testing.assert_allclose(found.evaluate((SIDE, SIDE)), planes, atol=1e-4)
@@ -114,13 +114,14 @@ def test_the_threshold_sets_how_many_waves() -> None:
     amplitude = np.array([0.5, 1.5, 3, 6, 12, 24]) / 255
     f, _, phase = draw_waves(6, np.random.default_rng(0))
     planes = picture(f, amplitude, phase)
-    assert [len(analyze(planes, threshold=t).frequencies) for t in (0.4, 1, 2, 5, 10, 20, 50)] == [6, 5, 4, 3, 2, 1, 0]
+    found = [find_free_waves(planes, threshold=t) for t in (0.4, 1, 2, 5, 10, 20, 50)]
+    assert [len(waves.frequencies) for waves in found] == [6, 5, 4, 3, 2, 1, 0]
 
 
 def test_noise_has_no_waves() -> None:
     """White noise yields a wave no more often than the false-alarm rate says (5 % of 40: more than 5 has odds 1 %)."""
-    rng = np.random.default_rng(0)
-    alarms = [len(analyze(rng.standard_normal((48, 48, 3)), false_alarms=0.05).frequencies) > 0 for _ in range(40)]
+    noise = np.random.default_rng(0).standard_normal((40, 48, 48, 3))
+    alarms = [len(find_free_waves(planes, false_alarms=0.05).frequencies) > 0 for planes in noise]
     assert sum(alarms) <= 5
 
 
@@ -141,8 +142,8 @@ def test_tied_masks_hold_far_from_the_sample() -> None:
     assert whole.ideal is not None
     sample = whole.image[:SIDE, :SIDE].astype(np.float64)
     fits = {}
-    for harmonics in ("free", "tied"):
-        mask = analyze(sample, harmonics=harmonics).evaluate((4 * SIDE, 4 * SIDE))  # type: ignore[arg-type]
+    for harmonics, waves in {"free": find_free_waves(sample), "tied": find_tied_waves(sample)}.items():
+        mask = waves.evaluate((4 * SIDE, 4 * SIDE))
         fits[harmonics] = np.corrcoef(mask.ravel(), whole.ideal.ravel())[0, 1]
     assert fits["tied"] > 0.95 > fits["free"]
 
@@ -154,7 +155,7 @@ def test_two_overlapping_lattices_are_two_groups() -> None:
     f = np.concatenate([orders @ first, orders @ second])
     amplitude = np.concatenate([strength / (1 + np.abs(orders).sum(1)) for strength in (1.0, 0.7)])
     noise = 0.05 * np.random.default_rng(1).standard_normal((SIDE, SIDE, 1))
-    found = analyze(picture(f, amplitude, np.random.default_rng(0).uniform(0, 6, len(f))) + noise, harmonics="tied")
+    found = find_tied_waves(picture(f, amplitude, np.random.default_rng(0).uniform(0, 6, len(f))) + noise)
     assert found.groups[:2] == (2, 2)
     np.testing.assert_allclose(found.frequencies, found.orders @ found.fundamentals, atol=1e-12)
     assert errors(found, f).max() < 0.02
@@ -165,7 +166,7 @@ def test_pinstripes_are_a_group_of_one_fundamental() -> None:
     step = np.array([0.0371, 0.0113])
     f = np.arange(1, 9)[:, None] * step
     noise = 0.05 * np.random.default_rng(1).standard_normal((SIDE, SIDE, 1))
-    found = analyze(picture(f, np.full(8, 0.1), np.zeros(8)) + noise, harmonics="tied")
+    found = find_tied_waves(picture(f, np.full(8, 0.1), np.zeros(8)) + noise)
     assert found.groups == (1,) and len(found.frequencies) >= 8
     np.testing.assert_allclose(np.abs(found.fundamentals), step[np.newaxis], atol=1e-4)
 
@@ -174,9 +175,9 @@ def test_a_constant_channel_has_amplitude_zero() -> None:
     """A constant channel stays constant, and a constant picture has no waves."""
     f, amplitude, phase = draw_waves(3, np.random.default_rng(0))
     planes = np.concatenate([picture(f, amplitude, phase), np.full((SIDE, SIDE, 1), 0.5)], 2)
-    found = analyze(planes)
+    found = find_free_waves(planes)
     np.testing.assert_allclose(found.evaluate((50, 50))[..., 1], 0.5, atol=1e-6)
-    assert len(analyze(np.full((16, 16, 3), 0.3)).frequencies) == 0
+    assert len(find_free_waves(np.full((16, 16, 3), 0.3)).frequencies) == 0
 
 
 @pytest.mark.parametrize("shape", [(31, 40), (30, 40), (9, 17)])
@@ -197,7 +198,7 @@ def test_the_analytic_search_finds_known_frequencies() -> None:
     for n in (1, 8, 12):
         f, amplitude, phase = draw_waves(n, np.random.default_rng([n, 0]))
         noise = 0.02 * np.random.default_rng(5).standard_normal((SIDE, SIDE, 1))
-        found = analyze(picture(f, amplitude, phase) + noise, signal="analytic")
+        found = find_free_waves(picture(f, amplitude, phase) + noise, signal="analytic")
         assert len(found.frequencies) == n and errors(found, f).max() < 2e-3
 
 
@@ -212,7 +213,7 @@ def test_the_analytic_signal_is_inexact_near_its_border() -> None:
         misplaced[f_x] = np.abs(first[0] - f[0]).max() * SIDE
         assert (len(first) > 1) == (f_x < 1)
         for signal in ("real", "analytic"):
-            found = analyze(planes, 0.05 * 255, signal=signal)  # type: ignore[arg-type]
+            found = find_free_waves(planes, threshold=0.05 * 255, signal=signal)  # type: ignore[arg-type]
             assert len(found.frequencies) == 1 and errors(found, f).max() < 1e-3
     assert misplaced[0.3] > 0.03 and misplaced[30.3] < 0.005
 
@@ -345,7 +346,7 @@ def test_the_first_of_near_places_stays() -> None:
 def test_weak_signs_of_a_larger_tile_count() -> None:
     """English bond, whose courses differ little, has its own lattice, not the four times finer one of its headers."""
     texture = nrbench.texture("brick", shape=(160, 160), seed=3, bond="english", color=0.18, intensity=0.25, noise=0.04)
-    found = analyze(texture.image.astype(np.float64), harmonics="tied")
+    found = find_tied_waves(texture.image.astype(np.float64))
     assert texture.lattice is not None and found.groups == (2,)
     assert Lattice.from_basis(np.linalg.inv(found.fundamentals).T).is_equivalent(texture.lattice, 0.05)
 
@@ -353,7 +354,7 @@ def test_weak_signs_of_a_larger_tile_count() -> None:
 def test_no_two_waves_of_a_mask_are_near() -> None:
     """Not even those that pixels fold back from beyond Nyquist: each is 3/4 bin from all others and their mirrors."""
     texture = nrbench.texture("weave", seed=4, color=0.3, intensity=0.2, noise=0.03)
-    seen = fold_frequencies(analyze(texture.image.astype(np.float64), harmonics="tied").frequencies)
+    seen = fold_frequencies(find_tied_waves(texture.image.astype(np.float64)).frequencies)
     both = np.concatenate([seen, -seen])
     apart = np.hypot(*np.moveaxis(fold_frequencies(both[:, np.newaxis] - both) * 128, 2, 0)) + 9 * np.eye(len(both))
     assert len(seen) > 100 and apart.min() >= LEAST_DISTANCE

@@ -29,9 +29,9 @@ MOST_LAGS = 2048
 """Number of lags that are read for each of many finer lattices: the mean of so many differs from that of all by 0.005
 at most, and the cells of fine grain have a hundred times as many."""
 MOST_FITTED = 2048
-"""A basis is fitted to about this number of multiples if it has more than twice as many, and to ..."""
+"""A basis is fitted to about this number of multiples if it has more than twice as many."""
 NEAREST = 8
-"""... all that are sums of up to this number of each vector, from which the fit starts."""
+"""The fit starts from, and always includes, the multiples that are sums of up to this number of each vector."""
 MARGIN = 0.02
 """Multiples within reach may move by this share of the image's sides while a basis is fitted."""
 LINES = np.array([(1, 0, 1, 1), (0, 1, 1, -1)])

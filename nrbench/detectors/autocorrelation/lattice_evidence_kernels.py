@@ -145,6 +145,7 @@ def rate_added_points(
     out = np.zeros((bases.shape[0], 3))
     for i in range(bases.shape[0]):
         x1, y1, x2, y2 = pair = bases[i, 0, 0], bases[i, 0, 1], bases[i, 1, 0], bases[i, 1, 1]
+        # The mean step that reads about `most` of the points of the box's upper half.
         points = 2 * end[0] * end[1] / abs(x1 * y2 - x2 * y1)
         step = 1 if most == 0 else max(1, int(np.rint(points / most)))
         total, squares, weights, count = 0.0, 0.0, 0.0, 0
@@ -153,6 +154,7 @@ def rate_added_points(
             first, last = row_ends(pair, b, end[0], end[1])
             if last < first:
                 continue
+            # The walk enters the row as far in as its last step led beyond the previous row.
             following = first + beyond
             while following <= last:
                 a = following
@@ -165,8 +167,10 @@ def rate_added_points(
                 # Of opposite points one is read, and none on the wrong side of rounding.
                 if (b == 0 and a <= 0) or abs(x) > end[0] or abs(y) > end[1]:
                     continue
+                # The points that the coarser lattice has too are left out.
                 if has_coarser and is_multiple(coarser, x, y):
                     continue
+                # The surface has its right half only; the opposite lag has the same correlation.
                 if x < 0:
                     x, y = -x, -y
                 value = height_at(spline, x + pad, y + height - 1)
@@ -176,6 +180,7 @@ def rate_added_points(
                 weights += overlap
                 count += 1
             beyond = following - last - 1
+        # Mean, variance and number; -1 is the mean of no lag.
         out[i, 0], out[i, 2] = -1.0, count
         if count:
             out[i, 0] = total / weights
@@ -248,15 +253,18 @@ def newton_sums(
         weights[count], signs[count] = (height - abs(y)) * (width - abs(x)), sign
         chosen[count, 0], chosen[count, 1] = a, b
         count += 1
+    # The surface's value, slopes and second derivatives at these multiples, then the sums by the chain rule.
     surface = jets(spline, at[:count])
     for i in range(count):
         a, b, weight = chosen[i, 0], chosen[i, 1], weights[i]
         out[1], out[2] = max(out[1], abs(a)), max(out[2], abs(b))
+        # Slopes: two columns for x, two for y.
         for axis in range(2):
             slope = weight * signs[i] * surface[i, 1 + axis]
             out[3 + 2 * axis] += a * slope
             out[4 + 2 * axis] += b * slope
-        for kind, column in enumerate((3, 5, 4)):  # xx, xy, yy
+        # Second derivatives: three columns each for xx, xy and yy.
+        for kind, column in enumerate((3, 5, 4)):
             bend = weight * surface[i, column]
             out[7 + 3 * kind] += a * a * bend
             out[8 + 3 * kind] += a * b * bend

@@ -194,6 +194,7 @@ def prominences(surface: Int32x2, peaks: Int64x1, saddles: Int64x1) -> Int32x2:
                 highest = pixel
         if peaks[pixel] >= 0 and height[pixel] < height[lowest]:
             lowest = pixel
+    # Join basins at the saddles, from the highest to the lowest. The low 32 bits of a key are the saddle's pixel.
     for key in saddles:
         if left == 0:
             break
@@ -206,11 +207,13 @@ def prominences(surface: Int32x2, peaks: Int64x1, saddles: Int64x1) -> Int32x2:
             other = root(parent, peaks[near])
             if one == other:
                 continue
+            # `one` is the higher peak; the other one's prominence ends at this saddle.
             if height[one] < height[other] or (height[one] == height[other] and other < one):
                 one, other = other, one
             found[other] = height[other] - height[pixel]
             parent[other] = one
             left -= 1
+    # No saddle leads to a higher peak than the highest.
     found[highest] = height[highest] - height[lowest]
     return found.reshape(surface.shape)
 
@@ -388,11 +391,13 @@ def inner_relief(tile: Int32x2, inside: Boolx2, order: Int64x1) -> float:
     peak = np.full(tile.size, -1, np.int64)
     corner, relief = -1, 0.0
     for pixel in order:
+        # The pixel starts as a region of its own.
         parent[pixel] = pixel
         if inner[pixel]:
             peak[pixel] = pixel
         elif corner < 0:
             corner = pixel
+        # Join it to the regions around it, across the periodic borders.
         y, x = pixel // columns, pixel % columns
         for step in range(9):
             near = (y + step // 3 - 1) % rows * columns + (x + step % 3 - 1) % columns
@@ -406,10 +411,12 @@ def inner_relief(tile: Int32x2, inside: Boolx2, order: Int64x1) -> float:
             if one == top:
                 one, other = other, one
             if other == top:
+                # The pixel is the pass between the inner peak of `one` and the corner peak.
                 if peak[one] >= 0:
                     if height[corner] == height[pixel]:
                         return np.inf if height[peak[one]] > height[pixel] else relief
                     relief = max(relief, (height[peak[one]] - height[pixel]) / (height[corner] - height[pixel]))
+            # Two inner regions: the higher peak is that of the joined region.
             elif peak[one] >= 0 and (peak[other] < 0 or height[peak[one]] > height[peak[other]]):
                 peak[other] = peak[one]
             parent[one] = other

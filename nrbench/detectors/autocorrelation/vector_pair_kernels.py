@@ -235,16 +235,19 @@ def count_hits(
     for i in range(n):
         for j in range(i + 1, n):
             x1, y1, x2, y2 = candidates[i, 0], candidates[i, 1], candidates[j, 0], candidates[j, 1]
+            # Thin or tiny cells, and lattices that an earlier pair generates too, are left out.
             area = abs(x1 * y2 - x2 * y1)
             if area < 4 or area * area < 0.01 * (x1 * x1 + y1 * y1) * (x2 * x2 + y2 * y2):
                 continue
             pair = reduce_pair((x1, y1, x2, y2))
             if is_listed(out[:m], pair):
                 continue
+            # The box, shrunk so that it holds at most about `most` lattice points.
             shrink = min(1.0, np.sqrt(most * area / (2 * reach[0] * reach[1])))
             end_x, end_y = shrink * reach[0], shrink * reach[1]
             points = count_multiples(pair, end_x, end_y)
             radius = max(tolerance * np.sqrt(pair[0] * pair[0] + pair[1] * pair[1]), 1.0)
+            # The vote: as many of the most dominant peaks of the box as it has lattice points.
             seen, hits, total = 0, 0, 0
             for k in range(peaks.shape[0]):
                 if seen == points:

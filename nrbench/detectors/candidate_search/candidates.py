@@ -29,9 +29,9 @@ MIN_ERRORS, MAX_ERRORS = 3.0, 50.0
 MIN_RELIEF = 0.02
 """Smaller reliefs are not told apart."""
 TOLERANCE = 1.0
-"""px; two lattices are the same if their reduced vectors differ by no more than this, or than ..."""
+"""px; two lattices are the same if their reduced vectors differ by no more than this."""
 SHARE = 0.04
-"""... this share of s."""
+"""Two lattices are also the same if their reduced vectors differ by no more than this share of s."""
 
 WEIGHTS: dict[str, float] = {
     "constant": -8.158,

@@ -67,10 +67,10 @@ lattices to the mean of the coarser one."""
 FEW = 10.0
 """Number of vectors for which twice as many standard deviations are allowed, because their scatter is uncertain."""
 NEARLY = 0.03
-"""A finer lattice that misses the limit by no more than this, or by ..."""
+"""A finer lattice is fitted and rated again if it misses the limit by at most this and :data:`NEARLY_SHARE`."""
 NEARLY_SHARE = 0.3
-"""... this share of the coarser one's correlation, if that is less, is fitted and rated again. Without the share, all
-finer lattices of a faint one would be fitted, which takes half a minute at 512 x 512."""
+"""The largest such miss, as a share of the coarser one's correlation. Without it, all finer lattices of a faint one
+would be fitted, which takes half a minute at 512 x 512."""
 
 
 def propose_lattices(evidence: LatticeEvidence) -> list[Points]:
