@@ -51,7 +51,7 @@ def _columns_of(image: str) -> dict[str, Column]:
 class DeformationAmplitude:
     """Displacements in sample and output, measured in their pixels.
 
-    The lattice is followed through both (:func:`~nrbench.displacement.following.find_knots`). Let p be the places of
+    The lattice is followed through both (:func:`~.registration.node_field.follow_lattice`). Let p be the places of
     all lattice points, and of points between them, and fit their best regular fit (affine, least squares). The
     *amplitude* is the root of sum |p - fit|^2 / (n - 3). The *length* is the distance at which the autocorrelation of p
     - fit falls to 1/e. *Folded* is the share of the cells between four neighbors with a negative Jacobian at one of

@@ -10,13 +10,13 @@ from typing import ClassVar
 import numpy as np
 
 from nrbench.displacement.deformation_field import Deformation
-from nrbench.displacement.following import find_knots
 from nrbench.imaging.convert import Image
 from nrbench.imaging.mean_tile import interpolate, tile_grid
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
 from .judgment.examination import examine
+from .registration.node_field import follow_lattice
 
 _LEAST_G, _LEAST_A = 0.005, 1 / 255
 
@@ -77,7 +77,7 @@ class GeometryAppearance:
 
 def measure(image: Image, lattice: Lattice) -> tuple[float, float] | None:
     """Return both scores of an image; None if the lattice cannot be followed, or if fewer than two cells are whole."""
-    knots = find_knots(image, lattice)
+    knots = follow_lattice(image, lattice)
     if knots is None:
         return None
     deformation = Deformation(image, knots)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.displacement.following import find_knots
+from nrbench.displacement.growth import Knots
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Shape
@@ -20,6 +21,27 @@ _AFFINE = 3
 """Points whose displacements an affine fit explains completely."""
 _LEAST_PAIRS = 0.05
 """Pairs of nodes at a lag, relative to the most frequent lag, below which the lag is ignored."""
+
+
+def follow_lattice(image: Image, lattice: Lattice) -> Knots | None:
+    """Return where the points of a lattice lie in an image; None if they are not found.
+
+    The lattice is followed from the best of several starts. The last answers are kept, because two metrics need them,
+    and many outputs have one sample.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    lattice
+        The lattice; its origin does not matter.
+    """
+    return _follow(np.ascontiguousarray(image, np.float32).tobytes(), image.shape, lattice)
+
+
+@lru_cache(maxsize=4)
+def _follow(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> Knots | None:
+    return find_knots(np.frombuffer(pixels, np.float32).reshape(shape), lattice, most_starts=1)
 
 
 @dataclass(frozen=True)
@@ -52,7 +74,7 @@ class NodeField:
     @classmethod
     def of(cls, image: Image, lattice: Lattice) -> NodeField | None:
         """Follow a lattice through an image; None if it cannot be followed."""
-        knots = find_knots(image, lattice)
+        knots = follow_lattice(image, lattice)
         if knots is None:
             return None
         mean = knots.mean_lattice()

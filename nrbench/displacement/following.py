@@ -29,8 +29,8 @@ _MIDDLES = (0.5, 0.25, 0.75)
 """Places of these parts, in units of the image's sides, in the order in which they are tried."""
 _FIRST_LEVEL = 0.55
 """Correlation from which a knot is known, while the tile is that of a few cells."""
-_MOST_STARTS = 3
-"""Number of starts, those from which the lattice is at first followed farthest, from which it is followed in full."""
+_MOST_STARTS: Final = 3
+"""Number of starts from which a lattice is followed in full, unless a caller needs speed more than the last bends."""
 _GOOD = 0.9
 """Similarity of the image and the mean tile from which no further start is tried."""
 _FIRST_SHARE = 0.65
@@ -52,7 +52,9 @@ _GAIN = 0.01
 """Gain of the score below which they are not found again."""
 
 
-def find_knots(image: Image, lattice: Lattice, near: Points | None = None) -> Knots | None:
+def find_knots(
+    image: Image, lattice: Lattice, near: Points | None = None, most_starts: int = _MOST_STARTS
+) -> Knots | None:
     """Return where the points of a lattice lie in an image, however it is bent; None if they are not found.
 
     The mean tile is at first that of the whole image, or that of a few cells; the start from which the lattice can be
@@ -66,6 +68,8 @@ def find_knots(image: Image, lattice: Lattice, near: Points | None = None) -> Kn
         The lattice near some place; its origin does not matter.
     near
         (x, y) px: the place, from which alone the lattice is followed at first; None: several places are tried.
+    most_starts
+        Number of starts, those from which the lattice is at first followed farthest, from which it is followed in full.
     """
     lattice = Lattice.from_basis(lattice.reduced().matrix)
     small, shrunk, factor = _shrink(image, lattice)
@@ -73,7 +77,7 @@ def find_knots(image: Image, lattice: Lattice, near: Points | None = None) -> Kn
     starts = _starts(small, shrunk) if at is None else [_local_start(small, shrunk, at)]
     first = [grow_from(small, start, (_FIRST_LEVEL,), fine=False) for start in starts]
     best, highest = None, 0.0
-    for knots in sorted(first, key=lambda each: -rate_knots(each, small))[:_MOST_STARTS]:
+    for knots in sorted(first, key=lambda each: -rate_knots(each, small))[:most_starts]:
         found = _sharpened(small, knots)
         alike = 0.0 if found is None else similarity(found, small.shape[:2])
         if alike > highest:
