@@ -131,6 +131,18 @@ def measure_own(place: Path) -> dict[str, dict[str, Any]]:
     }
 
 
+def measure_bent(place: Path) -> dict[str, dict[str, Any]]:
+    """Return the hash of the output, and the note, of two methods on bent samples, which are straightened first."""
+    bent = {"color": 0.3, "noise": 0.03, "bend": 0.5}
+    rows = [{"name": name, "dataset": name, "parameters": bent} for name in ("brick", "hexagon")]
+    content = {"sample": "192x192", "size": "144x136", "lattice": ["given"], "metrics": ["cost"], "texture": rows}
+    suite = validated_suite({"name": "bent", **content, "methods": ["rsgf", "tile-set"]}, "bent")
+    return {
+        f"{record.texture}/{record.cell.method}": {"output": output_hash(record), "note": record.note}
+        for record in cells_of(suite, place / "bent")
+    }
+
+
 def measure_detections(place: Path) -> dict[str, dict[str, Any] | None]:
     """Return the lattice and the confidence of each detector on each texture, and on noise; None if it finds none."""
     content = {"sample": "128x128", "texture": [{"name": "noise", "dataset": "noise"}], "methods": ["oracle"]}
@@ -162,6 +174,7 @@ MEASURES = {
     "outputs": measure_outputs,
     "papers": measure_papers,
     "own": measure_own,
+    "bent": measure_bent,
     "detections": measure_detections,
 }
 """The parts of the file of pins, and the functions that measure them."""
