@@ -78,7 +78,7 @@ def _person(
     label_page = make_page(run, repeat=repeat, questions=[question])
     write_key(run.root, label_page)
     verdicts = _automatic_answers(run, question)
-    answers = [wrong(i, item.again) or verdicts[item.cell] for i, item in enumerate(label_page.items)]
+    answers = [wrong(i, item.repeated) or verdicts[item.cell] for i, item in enumerate(label_page.items)]
     return _file(path, label_page, answers)
 
 
