@@ -164,7 +164,8 @@ def find_bend(sample: Image, lattice: Lattice | None, given: bool) -> tuple[Defo
     if found is None:
         return None, "cannot tell whether the sample is bent; it is used as it is" if lattice else ""
     if found.bent:
-        return found, f"bent by {found.amplitude:.2f} s: the sample was straightened"
+        known = replace(found, regular=lattice) if given else found
+        return known if known.bent else found, f"bent by {found.amplitude:.2f} s: the sample was straightened"
     if found.is_smooth:
         return None, "the sample seems bent, but straightening gains nothing: it is taken as it is"
     if found.amplitude < LEAST_AMPLITUDE:

@@ -72,16 +72,27 @@ class Deformation:
         Where lattice points, and points between them, were found in the image.
     confidence
         Confidence of the detector that the lattice is the right one, on the straightened image; None if it was given.
+    regular
+        The regular lattice, if it is known for sure. It then takes the place of the mean lattice: the part of a wave
+        that looks like a stretch is undone, too.
     """
 
     image: Image
     knots: Knots
     confidence: float | None = None
+    regular: Lattice | None = None
 
     @cached_property
     def _knot_lattice(self) -> Lattice:
-        """The mean lattice in the basis of the knots."""
-        return self.knots.mean_lattice()
+        """The mean lattice in the basis of the knots, or the regular one, in phase with it on average."""
+        mean = self.knots.mean_lattice()
+        if self.regular is None:
+            return mean
+        change = np.rint(mean.matrix @ np.linalg.inv(self.regular.matrix))
+        if abs(round(float(np.linalg.det(change)))) != 1:  # another lattice than that of the knots
+            return mean
+        basis = change @ self.regular.matrix
+        return Lattice.from_basis(basis, (self.places - self.knots.cells[self.knots.known] @ basis).mean(0))
 
     @cached_property
     def lattice(self) -> Lattice:
