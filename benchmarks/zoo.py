@@ -499,9 +499,9 @@ def study_prints(options: argparse.Namespace) -> None:
     for by, case in product(options.by, specimens(options, True)):
         for way, (least, most) in bounds.items():
             rows += case.judge(by, case.output(way), least, most, way=way)
-        for name in ("tile-set", "resample") if case.number == 0 else ():
+        for name, least in (("tile-set", LEAST_COPY), ("resample", 0.0)) if case.number == 0 else ():
             sample = subject_of(case, by).texture
-            rows += case.judge(by, baseline(name, sample.image, sample.lattice, SIZE), LEAST_COPY, way=name)
+            rows += case.judge(by, baseline(name, sample.image, sample.lattice, SIZE), least, way=name)
     print_rows(rows, "way", "texture")
 
 
