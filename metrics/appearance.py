@@ -15,8 +15,8 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Value
 
-from .judgment.examination import examine
 from .judgment.color_classes import measure_new_colors
+from .judgment.examination import examine
 from .judgment.texture_reference import FIRST_DRAW, STRIPS, CannotTell, perceive_draws
 from .perception import limits
 from .perception.visible import Lab, measure_detail, measure_looks, perceive

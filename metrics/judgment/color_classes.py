@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ..perception import limits
 from ..registration.coarse_plane import CoarsePlane
@@ -20,6 +20,7 @@ Colors = NDArray[np.float64]
 _MOST_CLASSES = 8
 _MOST_CELLS = 400
 """Largest number of cells from which classes are learned; every k-th one if there are more."""
+_LEAST_ELEMENTS = 6
 _ROUNDS = 8
 _FLOOR = (limits.JND / 2) ** 2
 
@@ -63,11 +64,38 @@ class PlaceClasses(NamedTuple):
 
 @lru_cache(maxsize=2)
 def learn_classes(reference: TextureReference) -> list[PlaceClasses]:
-    """Return the classes at each place of the cell whose colors come in classes; empty for most textures."""
+    """Return the classes at each place of the cell whose colors come in classes; empty for most textures.
+
+    Where two elements meet, a place has a class for each pair of their colors, of which a sample shows few. So a place
+    counts only if no place within two around it has fewer classes.
+    """
     planes = [CoarsePlane(fine, known, reference.net.samples) for fine, known in reference.departures]
-    colors, known = (np.concatenate(parts) for parts in zip(*(_split_places(plane) for plane in planes), strict=True))
-    found = [find_classes(colors[known[:, place], place], place) for place in range(known.shape[1])]
-    return [classes for classes in found if classes is not None]
+    parts = [_split_places(plane) for plane in planes]
+    sides = (limits.PLACES, limits.PLACES)
+    found, number = [], np.full(sides, _MOST_CLASSES + 1)
+    for place in range(limits.PLACES**2):
+        classes = find_classes(np.concatenate([_gather_elements(*part, place) for part in parts]), place)
+        if classes is not None:
+            found.append(classes)
+            number[np.unravel_index(place, sides)] = len(classes.centers)
+    least = ndimage.minimum_filter(number, 5, mode="wrap").ravel()
+    return [classes for classes in found if len(classes.centers) == least[classes.place]]
+
+
+def _gather_elements(colors: NDArray[np.float64], known: Mask, place: int) -> Colors:
+    """Return the colors of the elements at a place: those of all cells, or the means of lines of cells.
+
+    Cells along a line, in one of four directions, show one element, a thread, if nobody sees that they differ.
+    """
+    cells, own = np.argwhere(known[..., place]), colors[known[..., place], place]
+    lines, least = own, limits.JND**2
+    for step in ((1, 0), (0, 1), (1, 1), (1, -1)) if len(own) else ():
+        line = np.unique(cells @ np.array(step), return_inverse=True)[1].ravel()
+        means = np.stack([np.bincount(line, own[:, k]) for k in range(3)], 1) / np.bincount(line)[:, np.newaxis]
+        within = ((own - means[line]) ** 2).sum() / max(len(own) - len(means), 1e-9)
+        if within < least and len(means) < len(own):
+            lines, least = means, within
+    return lines
 
 
 def measure_new_colors(reference: TextureReference, plane: CoarsePlane) -> float | None:
@@ -86,12 +114,13 @@ def measure_new_colors(reference: TextureReference, plane: CoarsePlane) -> float
     if not classes:
         return None
     colors, known = _split_places(plane)
-    return max(each.measure_new(colors[known[:, each.place], each.place]) for each in classes)
+    return max(each.measure_new(colors[known[..., each.place], each.place]) for each in classes)
 
 
 def _split_places(plane: CoarsePlane) -> tuple[NDArray[np.float64], Mask]:
-    """Return the colors of all cells at each place, ``(n, 64, 3)``, and which of them are known."""
-    known = split_cells(plane.complete, (limits.PLACES, limits.PLACES)).reshape(-1, limits.PLACES**2)
+    """Return the colors of all cells at each place, ``(N1, N2, 64, 3)``, and which of them are known."""
+    known = split_cells(plane.complete, (limits.PLACES, limits.PLACES))
+    known = known.reshape(*known.shape[:2], -1)
     return plane.cells.reshape(*known.shape, 3).astype(np.float64), known
 
 
@@ -113,7 +142,7 @@ def find_classes(colors: Colors, place: int = 0) -> PlaceClasses | None:
         Number of their place in the cell.
     """
     colors = colors[:: -(-len(colors) // _MOST_CELLS) or 1]
-    if len(colors) < 4 or colors.var(0).sum() < limits.CLASS_GAP**2 * _FLOOR / len(colors):
+    if len(colors) < _LEAST_ELEMENTS or colors.var(0).sum() < limits.CLASS_GAP**2 * _FLOOR / len(colors):
         return None
     whole, best, found = _log_size(colors - colors.mean(0)), limits.DECISIVE, None
     for count in range(2, min(_MOST_CLASSES, len(colors) // 2) + 1):
@@ -124,6 +153,8 @@ def find_classes(colors: Colors, place: int = 0) -> PlaceClasses | None:
         rest = colors - centers[labels]
         gain = 2 * (counts * np.log(counts / len(colors))).sum() + len(colors) * (whole - _log_size(rest))
         gain -= 4 * (count - 1) * math.log(len(colors))
+        if found is not None and gain < best:
+            break
         if gain > best:
             best, within = gain, math.sqrt((rest**2).sum(1).mean())
             gap = math.sqrt(_square_distances(centers, centers)[np.triu_indices(count, 1)].min())
