@@ -20,7 +20,8 @@ Colors = NDArray[np.float64]
 _MOST_CLASSES = 8
 _MOST_CELLS = 400
 """Largest number of cells from which classes are learned; every k-th one if there are more."""
-_LEAST_ELEMENTS = 6
+_LEAST_ELEMENTS = 12
+"""Fewer elements may lack a class of a print by chance."""
 _ROUNDS = 8
 _FLOOR = (limits.JND / 2) ** 2
 
@@ -38,19 +39,28 @@ class PlaceClasses(NamedTuple):
         ``(k,)``: the cells of each class in the references.
     within
         Root mean square distance of the colors to the means of their classes.
+    step
+        (1, 0), (0, 1), (1, 1) or (1, -1): cells (i, j) with equal sums of i and j times it show one element, a thread;
+        (0, 0) if each cell shows its own.
     """
 
     place: int
     centers: Colors
     counts: NDArray[np.intp]
     within: float
+    step: tuple[int, int] = (0, 0)
 
-    def measure_new(self, colors: Colors) -> float:
-        """Return the share of colors that belong to no class, over the share that chance explains.
+    def measure_new(self, colors: Colors, cells: NDArray[np.intp]) -> float:
+        """Return the share of cells whose color belongs to no class, over the share that chance explains.
 
         The chance that a cell has a class that n cells do not show is about f1 / n, with the number f1 of classes that
         one cell shows; the variance of this estimate is (f1 + 2 f2) / n^2 (Good 1953). One cell in n is allowed beside
-        it, and the scatter of the given colors.
+        it, and the scatter of the given elements.
+
+        Parameters
+        ----------
+        colors, cells
+            ``(n, 3)`` and ``(n, 2)``: colors, and the numbers (i, j) of their cells.
         """
         if not len(colors):
             return 0.0
@@ -59,7 +69,8 @@ class PlaceClasses(NamedTuple):
         once, twice = (int((self.counts == count).sum()) for count in (1, 2))
         chance = (1 + once + limits.DEVIATIONS * math.sqrt(once + 2 * twice)) / max(int(self.counts.sum()), 1)
         chance = min(chance, 1.0)
-        return float(new / (chance + limits.DEVIATIONS * math.sqrt(chance * (1 - chance) / len(colors))))
+        count = len(np.unique(cells @ np.array(self.step))) if any(self.step) else len(cells)
+        return float(new / (chance + limits.DEVIATIONS * math.sqrt(chance * (1 - chance) / count)))
 
 
 @lru_cache(maxsize=2)
@@ -69,33 +80,40 @@ def learn_classes(reference: TextureReference) -> list[PlaceClasses]:
     Where two elements meet, a place has a class for each pair of their colors, of which a sample shows few. So a place
     counts only if no place within two around it has fewer classes.
     """
-    planes = [CoarsePlane(fine, known, reference.net.samples) for fine, known in reference.departures]
-    parts = [_split_places(plane) for plane in planes]
+    parts = [_split_places(CoarsePlane(*each, reference.net.samples)) for each in reference.departures]
     sides = (limits.PLACES, limits.PLACES)
     found, number = [], np.full(sides, _MOST_CLASSES + 1)
     for place in range(limits.PLACES**2):
-        classes = find_classes(np.concatenate([_gather_elements(*part, place) for part in parts]), place)
+        step, colors = _gather_elements(
+            [(values[known[..., place], place], np.argwhere(known[..., place])) for values, known in parts]
+        )
+        classes = find_classes(colors)
         if classes is not None:
-            found.append(classes)
+            found.append(classes._replace(place=place, step=step))
             number[np.unravel_index(place, sides)] = len(classes.centers)
     least = ndimage.minimum_filter(number, 5, mode="wrap").ravel()
     return [classes for classes in found if len(classes.centers) == least[classes.place]]
 
 
-def _gather_elements(colors: NDArray[np.float64], known: Mask, place: int) -> Colors:
-    """Return the colors of the elements at a place: those of all cells, or the means of lines of cells.
+def _gather_elements(parts: list[tuple[Colors, NDArray[np.intp]]]) -> tuple[tuple[int, int], Colors]:
+    """Return the colors of the elements at a place of some pictures: of all cells, or the means of lines of cells.
 
-    Cells along a line, in one of four directions, show one element, a thread, if nobody sees that they differ.
+    Cells along a line, in one of four directions, show one element, a thread, if nobody sees that they differ. The
+    direction is returned, too.
     """
-    cells, own = np.argwhere(known[..., place]), colors[known[..., place], place]
-    lines, least = own, limits.JND**2
-    for step in ((1, 0), (0, 1), (1, 1), (1, -1)) if len(own) else ():
-        line = np.unique(cells @ np.array(step), return_inverse=True)[1].ravel()
-        means = np.stack([np.bincount(line, own[:, k]) for k in range(3)], 1) / np.bincount(line)[:, np.newaxis]
-        within = ((own - means[line]) ** 2).sum() / max(len(own) - len(means), 1e-9)
-        if within < least and len(means) < len(own):
-            lines, least = means, within
-    return lines
+    found, best, step = np.concatenate([own for own, _ in parts]), limits.JND**2, (0, 0)
+    for each in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        means, rest = [np.zeros((0, 3))], 0.0
+        for own, cells in parts:
+            line = np.unique(cells @ np.array(each), return_inverse=True)[1].ravel()
+            sums = np.stack([np.bincount(line, own[:, k]) for k in range(3)], 1)
+            means.append(sums / np.bincount(line)[:, np.newaxis])
+            rest += float(((own - means[-1][line]) ** 2).sum())
+        lines = np.concatenate(means)
+        free = sum(len(own) for own, _ in parts) - len(lines)
+        if free > 0 and rest / free < best:
+            best, step, found = rest / free, each, lines
+    return step, found
 
 
 def measure_new_colors(reference: TextureReference, plane: CoarsePlane) -> float | None:
@@ -111,10 +129,12 @@ def measure_new_colors(reference: TextureReference, plane: CoarsePlane) -> float
         The residual of an output.
     """
     classes = learn_classes(reference)
-    if not classes:
-        return None
-    colors, known = _split_places(plane)
-    return max(each.measure_new(colors[known[..., each.place], each.place]) for each in classes)
+    values, known = _split_places(plane)
+    ratios = [
+        each.measure_new(values[known[..., each.place], each.place], np.argwhere(known[..., each.place]))
+        for each in classes
+    ]
+    return max(ratios, default=None)
 
 
 def _split_places(plane: CoarsePlane) -> tuple[NDArray[np.float64], Mask]:
@@ -124,7 +144,7 @@ def _split_places(plane: CoarsePlane) -> tuple[NDArray[np.float64], Mask]:
     return plane.cells.reshape(*known.shape, 3).astype(np.float64), known
 
 
-def find_classes(colors: Colors, place: int = 0) -> PlaceClasses | None:
+def find_classes(colors: Colors) -> PlaceClasses | None:
     """Return the classes of colors; None unless they explain the colors decisively, and are tight and far apart.
 
     k = 2 to 8 classes of shares p_j, with one covariance W, are compared with one Gaussian of covariance C by the
@@ -138,8 +158,6 @@ def find_classes(colors: Colors, place: int = 0) -> PlaceClasses | None:
     ----------
     colors
         ``(n, 3)``.
-    place
-        Number of their place in the cell.
     """
     colors = colors[:: -(-len(colors) // _MOST_CELLS) or 1]
     if len(colors) < _LEAST_ELEMENTS or colors.var(0).sum() < limits.CLASS_GAP**2 * _FLOOR / len(colors):
@@ -159,7 +177,7 @@ def find_classes(colors: Colors, place: int = 0) -> PlaceClasses | None:
             best, within = gain, math.sqrt((rest**2).sum(1).mean())
             gap = math.sqrt(_square_distances(centers, centers)[np.triu_indices(count, 1)].min())
             good = within <= limits.JND and gap > limits.CLASS_GAP * math.sqrt(within**2 + _FLOOR)
-            found = PlaceClasses(place, centers, counts, within) if good else None
+            found = PlaceClasses(0, centers, counts, within) if good else None
     return found
 
 

@@ -124,7 +124,7 @@ def test_rare_classes_allow_new_ones() -> None:
     centers, new = np.eye(3) * 40, np.full((100, 3), -30.0)
     new[10:] = centers[0]
     ratios = [
-        PlaceClasses(0, centers, np.array(counts), 0.5).measure_new(new)
+        PlaceClasses(0, centers, np.array(counts), 0.5).measure_new(new, np.argwhere(np.ones((10, 10))))
         for counts in ((100, 100, 100), (20, 10, 10), (38, 1, 1))
     ]
     assert ratios[0] > 1.5 > ratios[1] > 1 > ratios[2]
