@@ -107,9 +107,7 @@ class TextureReference:
         if self.strips is None:
             return np.array([self.misplacement(picture)[picture.valid].mean() for picture in self.pictures])
         (picture,) = self.pictures
-        number, bad = self.strips.number(picture.centers), self.misplacement(picture)
-        parts = [bad[picture.valid & (number == k)] for k in range(STRIPS)]
-        return np.array([part.mean() for part in parts if part.size])
+        return self.strips.share_out(self.misplacement(picture), picture)
 
     @cached_property
     def most_misplaced(self) -> float:
@@ -225,9 +223,7 @@ def _reference_of(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> Te
     """Learn a texture from the pixels of its sample; cached, because many outputs have one sample."""
     sample = np.frombuffer(pixels, np.float32).reshape(shape)
     height, width = shape[:2]
-    axis = int(height > width)
-    strips = Strips(axis, np.linspace(0, (width, height)[axis], STRIPS + 1))
-    return _learn([perceive(sample)], lattice, None, strips, (height, width))
+    return _learn([perceive(sample)], lattice, None, Strips.across((height, width), STRIPS), (height, width))
 
 
 def _learn(

@@ -19,7 +19,7 @@ from scipy import ndimage
 from ..perception import limits
 from ..perception.visible import Lab
 from .lattice_net import LatticeNet, Mask, Values, find_inside, fold_cells, sample_planes, split_cells
-from .lattice_nodes import Field, LatticeNodes, Strips, node_shape
+from .lattice_nodes import Field, LatticeNodes, Strips, find_least, node_shape
 
 
 @dataclass(frozen=True)
@@ -202,18 +202,4 @@ def _compare(windows: Values, model: CellModel, size: int) -> tuple[Field, Value
         for spectrum, factor in zip(spectra, (powers, -2 * products), strict=True)
     )
     costs = scipy.fft.irfft2(total, s=samples, axes=(2, 3)) + (weights * model.mean**2).sum()
-    best = costs.reshape(*costs.shape[:2], -1).argmin(-1)
-    i, j = np.unravel_index(best, samples)
-    rows, columns = np.indices(best.shape)
-
-    def at(di: int, dj: int) -> Values:
-        return np.asarray(costs[rows, columns, (i + di) % samples[0], (j + dj) % samples[1]])
-
-    def refine(before: Values, after: Values) -> Values:
-        bend = before - 2 * at(0, 0) + after
-        return np.where(bend > 1e-9, np.clip((before - after) / (2 * np.maximum(bend, 1e-9)), -0.5, 0.5), 0)
-
-    place = np.stack(
-        [(i + refine(at(-1, 0), at(1, 0))) / samples[0], (j + refine(at(0, -1), at(0, 1))) / samples[1]], -1
-    )
-    return np.asarray(place - np.rint(place), np.float64), costs
+    return find_least(costs), costs

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.signal
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.lattice.geometry import Points
+from nrbench.plugins.forms import Shape
 
 from ..perception import limits
+from . import net_kernels
 from .lattice_net import LatticeNet, Mask, Values
-from .net_kernels import measure_lengths
 
 Field = NDArray[np.float64]
 """``(R, C, 2)``: displacements of windows, in cell coordinates."""
@@ -45,10 +46,22 @@ class Strips:
     axis: int
     edges: Points
 
+    @classmethod
+    def across(cls, shape: Shape, count: int) -> Strips:
+        """Cut a picture of ``shape`` into ``count`` strips of equal width, across its longer side."""
+        axis = int(shape[0] > shape[1])
+        return cls(axis, np.linspace(0, shape[1 - axis], count + 1))
+
     def number(self, points: Points) -> NDArray[np.intp]:
         """Return the number of the strip in which each point lies."""
         found = np.searchsorted(self.edges, points[..., self.axis]) - 1
         return np.clip(found, 0, len(self.edges) - 2)
+
+    def share_out(self, bad: NDArray[np.float64], nodes: LatticeNodes) -> NDArray[np.float64]:
+        """Return the mean of ``bad``, a number of each node, over the nodes of each strip."""
+        number = self.number(nodes.centers)
+        parts = [bad[nodes.valid & (number == k)] for k in range(len(self.edges) - 1)]
+        return np.array([part.mean() for part in parts if part.size])
 
 
 @dataclass(frozen=True)
@@ -100,7 +113,7 @@ class LatticeNodes:
     @cached_property
     def away(self) -> Values:
         """Distance in s of each node from where it is expected."""
-        return np.asarray(_length(self.displacement - self.expected, self.net.vectors) / self.net.s)
+        return np.asarray(find_lengths(self.displacement - self.expected, self.net.vectors) / self.net.s)
 
     @cached_property
     def slip(self) -> NDArray[np.float64]:
@@ -133,7 +146,7 @@ class LatticeNodes:
         moved = (self.expected @ self.net.vectors)[self.in_place] - self.centers[self.in_place] @ self.drift
         return float(np.sqrt(((moved - moved.mean(0)) ** 2).sum(1).mean()) / self.net.s)
 
-    def misplacement(self, slip_limit: float) -> Values:
+    def misplacement(self, slip_limit: float) -> NDArray[np.float64]:
         """Return how far each node is out of place, ``(R, C)``: 0 in place, 1 wholly out of place.
 
         It rises from 0 at the limit to 1 at a quarter of s. All nodes beyond a slip, a line whose sides differ by more
@@ -195,9 +208,34 @@ def node_shape(net: LatticeNet, size: int) -> tuple[int, int]:
     return int(rows), int(columns)
 
 
-def _length(difference: Field, vectors: Points) -> Values:
+def find_least(costs: NDArray[Any]) -> Field:
+    """Return the displacement of the least cost of each window, from costs ``(R, C, n1, n2)`` at displacements i / n.
+
+    It lies between the samples by a parabola, in cell coordinates modulo the lattice.
+    """
+    samples = costs.shape[2:]
+    best = costs.reshape(*costs.shape[:2], -1).argmin(-1)
+    i, j = np.unravel_index(best, samples)
+    rows, columns = np.indices(best.shape)
+
+    def at(di: int, dj: int) -> Values:
+        return np.asarray(costs[rows, columns, (i + di) % samples[0], (j + dj) % samples[1]])
+
+    def refine(before: Values, after: Values) -> Values:
+        bend = before - 2 * at(0, 0) + after
+        return np.where(bend > 1e-9, np.clip((before - after) / (2 * np.maximum(bend, 1e-9)), -0.5, 0.5), 0)
+
+    place = np.stack(
+        [(i + refine(at(-1, 0), at(1, 0))) / samples[0], (j + refine(at(0, -1), at(0, 1))) / samples[1]], -1
+    )
+    return np.asarray(place - np.rint(place), np.float64)
+
+
+def find_lengths(difference: Field, vectors: Points) -> Values:
     """Return the length px of displacements in cell coordinates, modulo the lattice of reduced vectors."""
-    lengths = measure_lengths(np.ascontiguousarray(difference).reshape(-1, 2), np.ascontiguousarray(vectors))
+    lengths = net_kernels.measure_lengths(
+        np.ascontiguousarray(difference).reshape(-1, 2), np.ascontiguousarray(vectors)
+    )
     return np.asarray(lengths.reshape(difference.shape[:-1]))
 
 
@@ -223,7 +261,7 @@ def _grow(displacement: Field, valid: Mask, vectors: Points, limit: float) -> tu
             mean = box(unwrapped * grown[..., np.newaxis]) / np.maximum(count, 1)[..., np.newaxis]
             near = displacement - mean
             unwrapped = np.where(count[..., np.newaxis] > 0, mean + near - np.rint(near), unwrapped)
-            wider = valid & (count >= (1 if turn < 2 else 3)) & (_length(near, vectors) <= limit)
+            wider = valid & (count >= (1 if turn < 2 else 3)) & (find_lengths(near, vectors) <= limit)
             if turn > 2 and (wider == grown).all():
                 break
             grown = wider
@@ -242,7 +280,7 @@ def _count_agreeing(displacement: Field, valid: Mask, vectors: Points, limit: fl
     total = np.zeros(valid.shape, np.intp)
     for i, j in np.ndindex(2 * reach + 1, 2 * reach + 1):
         part = np.s_[i : i + rows, j : j + columns]
-        total += known[part] & (_length(displacement - wide[part], vectors) < limit)
+        total += known[part] & (find_lengths(displacement - wide[part], vectors) < limit)
     return total
 
 
