@@ -57,6 +57,10 @@ class Regularity:
     the mean cell of the other three. Without a model the given lattice is used, reduced to the smallest one by which
     the sample repeats. If none is given, the detector ``dominance`` finds the lattice of the sample; no method uses it
     by default. The record ``lattice_from`` names the source: model, given, or dominance.
+
+    Beside one sample the phase coherence of matches is a second judge
+    (:class:`~nrbench.metrics.registration.coherence.SampleMatches`). The smaller score counts, and the record
+    ``decided_by`` names which of both it is. Where the sample is too small or too uneven for one, the other decides.
     """
 
     version: ClassVar[str] = "12"
