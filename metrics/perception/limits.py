@@ -140,6 +140,10 @@ LEAST_DISTANCE = _limit("LEAST_DISTANCE", 0.03, "", "convention: share of the en
 DISTANCE_SLOPE = _limit("DISTANCE_SLOPE", 4.0, "", "convention: the score reaches 0 at a quarter of what is possible")
 ODD = _limit("ODD", 4.5, "", "median absolute deviations of the logarithm of the misfit: one normal value in 400")
 OF_DISTANCE = _limit("OF_DISTANCE", 1.1, "", "margin over the largest distance of 24 parts of the references")
+DECISIVE = _limit("DECISIVE", 10.0, "", "Kass and Raftery (1995): a gain of the BIC that is very strong evidence")
+CLASS_GAP = _limit(
+    "CLASS_GAP", 6.0, "sd", "theory: classes of colors do not overlap; with the floor at least three JND apart"
+)
 AMPLITUDE = _limit(
     "AMPLITUDE", 0.06, "s", "the references' geometry does not vary below it; methods take samples for bent from 0.04 s"
 )
