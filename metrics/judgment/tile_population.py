@@ -289,7 +289,7 @@ def _mean_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 def gather_tiles(reference: TextureReference) -> Population:
     """Return the population of the tiles of a reference."""
     net = reference.net
-    tiles = [Tiles(CoarsePlane(fine, known, net.samples)) for fine, known in reference.departures]
+    tiles = [Tiles(CoarsePlane(fine, known, net.samples)) for fine, known in reference.shown]
     box = np.abs(net.vectors).sum(0)[::-1]
     sources = float(np.maximum(reference.sample_shape - box, 1).prod()) / abs(float(np.linalg.det(net.vectors)))
     side = min(a / b for a, b in zip(net.shape, reference.sample_shape, strict=True))
