@@ -121,21 +121,21 @@ def weigh_sample(reference: TextureReference, tests: Sequence[JointTest], rng: n
                 own = replace(picture, fine=picture.fine - mean)
                 for k, test in enumerate(learned):
                     evidence[k, m][strips == strip] = test.weigh(own)[strips == strip]
-        for own, (whole, *joined) in zip(found, evidence, strict=True):
-            own.whole.append([whole[strips == k] for k in range(STRIPS)])
-            own.joined += joined
+        for weighed, (whole, *joined) in zip(found, evidence, strict=True):
+            weighed.whole.append([whole[strips == k] for k in range(STRIPS)])
+            weighed.joined += joined
     return found
 
 
 def _number_strips(shown: Mask, tests: Sequence[JointTest]) -> list[NDArray[np.intp]]:
     """Return the number of the strip of each cell, ``(N1, N2)``, along two vectors: of about as many cells."""
-    i, j = np.indices(shown.shape)
+    i, j = (np.asarray(number) for number in np.indices(shown.shape))
     tones = next(test for test in tests if isinstance(test, UnlikeTones))
     p = limits.PLACES
     related = {pair.lag: float(pair.constant.mean()) for pair in tones.pairs}
     straight = max(related[p, 0], related[0, p]) >= max(related[p, p], related[p, -p])
     lines = (i, j) if straight else (i - j, i + j)
-    found = []
+    found: list[NDArray[np.intp]] = []
     for line in lines:
         edges = np.quantile(line[shown], np.arange(1, STRIPS) / STRIPS) if shown.any() else np.zeros(1)
         found.append(np.searchsorted(edges, line, side="left"))
@@ -286,8 +286,8 @@ def _score(observation: Observation) -> Score:
     if judged.size < _LEAST_CELLS or shown < limits.FEWEST_SHOWN:
         return Score.missing(Integrity.columns, "undecided: too few whole tiles in place")
     if power < limits.LEAST_POWER:
-        reason = _LOOK_WHOLE if best.unlike < limits.SEEN_STEP else _NO_POWER
-        missing = Score.missing(Integrity.columns, reason)
+        silence = _LOOK_WHOLE if best.unlike < limits.SEEN_STEP else _NO_POWER
+        missing = Score.missing(Integrity.columns, silence)
         return Score({**missing.values, "detection_power": power}, missing.reasons)
     share = float((judged > best.limit).mean())
     excess = max(share - best.chance, 0.0)
