@@ -74,6 +74,11 @@ BLANK = _limit("BLANK", 0.05, "", "a contrast to other places that nobody sees; 
 SLIP = _limit("SLIP", 0.1, "s", "smallest difference between the two sides of a line that counts as a slip")
 OF_SLIP = _limit("OF_SLIP", 1.2, "", "margin over the largest difference between two sides in the references")
 
+APART = _limit("APART", 0.75, "s", "convention: a place of a sample is matched to others, not to its own element")
+GOOD_MATCH = _limit("GOOD_MATCH", 0.15, "s", "a match at its own phase; votes are spread by two thirds of it")
+COHERENT = _limit("COHERENT", 0.1, "", "share of matches in a sample, beyond chance, that lie at their phase at least")
+FEWEST_CELLS = _limit("FEWEST_CELLS", 3.5, "cells", "convention: four, to within the uncertainty of their lattice")
+
 SAME_CELL = _limit(
     "SAME_CELL", 10.0, "", "theory: 99 % of squared normal values are below 6.6; half more for few cells"
 )
