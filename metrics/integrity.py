@@ -24,7 +24,7 @@ from .perception import limits
 from .perception.visible import tint_places
 from .registration.coarse_plane import CoarsePlane
 from .registration.followed import FollowedPicture
-from .registration.lattice_net import LatticeNet, Mask, Values, fold_cells, split_cells
+from .registration.lattice_net import LatticeNet, Mask, Values, average_blocks, fold_cells, split_cells
 
 _COLOR = np.array((0.7, 0.1, 0.8), np.float32)
 _SHUFFLES = 4
@@ -50,8 +50,8 @@ class LimitedTest:
         Evidence above which a cell counts as broken.
     power
         Share of cells above the limit where the cells of the references are shuffled.
-    least
-        That share where the cells are cut at the place that shows it least.
+    usual
+        The same where the cells are cut at a place that shows it as the median of all cuts does.
     chance
         Largest share of cells above the limit that chance explains in whole elements.
     unlike
@@ -62,7 +62,7 @@ class LimitedTest:
     test: JointTest
     limit: float = 0.0
     power: float = 0.0
-    least: float = 0.0
+    usual: float = 0.0
     chance: float = 1.0
     unlike: float = 0.0
 
@@ -144,8 +144,9 @@ def _number_strips(shown: Mask, tests: Sequence[JointTest]) -> list[NDArray[np.i
 
 def _unseen_noise(plane: CoarsePlane, rng: np.random.Generator) -> Values:
     """Return smooth noise that has the amplitude that is not seen on the places of the cells."""
-    places = rng.normal(0, limits.UNSEEN_NOISE, plane.values.shape)
-    return np.asarray(ndimage.zoom(places, (*(plane.samples // limits.PLACES), 1), order=1), np.float32)
+    steps = plane.samples // limits.PLACES
+    noise = ndimage.zoom(rng.normal(0, 1, plane.values.shape), (*steps, 1), order=1)
+    return np.asarray(noise * (limits.UNSEEN_NOISE / average_blocks(noise, steps).std()), np.float32)
 
 
 @lru_cache(maxsize=2)
@@ -189,9 +190,9 @@ def _set_limit(test: LimitedTest, weighed: Weighed, share: float, pooled: bool) 
     ]
     spread = math.sqrt(float(np.mean(variances)))
     chance = float((whole > limit).mean()) + limits.DEVIATIONS * spread + limits.OVERLOOKED
-    least = min(float((part > limit).mean()) for part in joined)
+    usual = float(np.median([(part > limit).mean() for part in joined]))
     power = float((np.concatenate(joined) > limit).mean())
-    return replace(test, limit=limit, power=power, least=least, chance=chance)
+    return replace(test, limit=limit, power=power, usual=usual, chance=chance)
 
 
 def _drop_unknown(parts: Sequence[Evidence]) -> list[Evidence]:
@@ -237,9 +238,9 @@ class Integrity:
     element at the same place (``NovelParts``); and no step runs along a line on which no element has one
     (:class:`Steps`). The test is used by which the smallest share of joined elements shows.
 
-    Let p be the share of the shuffled cells of the references above the limit of the evidence, r that share where the
-    cells are cut at the place that shows it least, q the largest share of whole ones that chance explains, and c the
-    share of the output's cells. The score is 1 - (c - q) / (r - q), in [0, 1]: the share of whole elements, corrected
+    Let p be the share of the shuffled cells of the references above the limit of the evidence, r that share for the
+    median of the places where they are cut, q the largest share of whole ones that chance explains, and c the share of
+    the output's cells. The score is 1 - (c - q) / (r - q), in [0, 1]: the share of whole elements, corrected
     for those that the test misses and for those that it counts wrongly. The limit is the one with the smallest q / p;
     p - q is ``detection_power``.
 
@@ -292,7 +293,7 @@ def _score(observation: Observation) -> Score:
     share = float((judged > best.limit).mean())
     excess = max(share - best.chance, 0.0)
     values = {
-        "score": float(np.clip(1 - excess / max(best.least - best.chance, limits.LEAST_POWER), 0, 1)),
+        "score": float(np.clip(1 - excess / max(best.usual - best.chance, limits.LEAST_POWER), 0, 1)),
         "broken_share": share,
         "broken_tiles": float(np.rint(excess * judged.size)),
         "detection_power": power,
