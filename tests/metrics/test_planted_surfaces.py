@@ -3,7 +3,6 @@
 from functools import cache
 
 import pytest
-from conftest import Case
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.cans import Cans
@@ -11,6 +10,8 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.metrics.quality import Quality
+
+from .conftest import Case
 
 MODELS: dict[str, Model] = {
     "clay": Brick(color=0.2, material="clay"),
@@ -21,10 +22,12 @@ MODELS: dict[str, Model] = {
 }
 
 
-@cache
+case = cache(lambda name: Case.of(MODELS[name], 3))
+
+
 def judged(name: str, kind: str, size: float) -> dict[str, float]:
     """Return quality and perils of a fresh draw with a defect."""
-    own = Case.of(MODELS[name], 3)
+    own = case(name)
     return Quality().score(own.observe(own.planted(kind, size, 1)[0])).values
 
 
