@@ -273,7 +273,8 @@ class Population:
         mean = found.mean(0)
         known = np.isfinite(mean).all(1)
         if len(found) == 1 or not known.any():
-            both = [shift_plane(self.tiles[0].grid[0], self.tiles[0].grid[1], lag)[1].sum() for lag in _LAGS]
+            whole = self.tiles[0].grid[1]
+            both = [shift_plane(whole.astype(np.float32), whole, lag)[1].sum() for lag in _LAGS]
             pairs = np.maximum(1 / np.maximum(both, 1), chance)[:, np.newaxis]
             return mean, np.broadcast_to(pairs + chance, mean.shape)
         spread = found[:, known].var(0, ddof=1).mean(0)
