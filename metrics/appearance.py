@@ -19,7 +19,7 @@ from .judgment.examination import examine
 from .judgment.texture_reference import FIRST_DRAW, STRIPS, CannotTell, perceive_draws
 from .perception import limits
 from .perception.visible import Lab, measure_detail, measure_looks, perceive
-from .registration.lattice_net import LatticeNet, sample_planes, sum_boxes
+from .registration.lattice_net import LatticeNet, sample_planes, split_cells, sum_boxes
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 
 Looks = NDArray[np.float64]
@@ -174,6 +174,8 @@ def _learn_looks(
         wholes = _wholes_of_draws(looks, details, mean, detail, side)
     kinds = _learn_windows(windows, mean, margin, unseen) | wholes
     least, lacked = _learn_lack(windows["local"])
+    if from_sample:
+        least = np.minimum(least, _find_quietest(planes[0], net))
     return LooksModel(mean, detail, kinds, least, margin * max(limits.LACK, lacked), net)
 
 
@@ -195,10 +197,21 @@ def _learn_lack(sets: list[list[Looks]]) -> tuple[Looks, float]:
     """Return the least levels of octaves of windows, and how far those of one group lie below those of the others."""
     least, lacked = [], [0.0]
     for groups in (groups for groups in sets if len(groups) > 1):
+        lacked.append(float(np.concatenate(groups)[:, _OCTAVES].std(0).max()))
         for k, group in enumerate(groups):
             least.append(np.concatenate([*groups[:k], *groups[k + 1 :]])[:, _OCTAVES].min(0))
             lacked.append(_lack(group, least[-1]))
     return np.min(least, 0) if least else np.full(2, -np.inf), max(lacked)
+
+
+def _find_quietest(plane: NDArray[np.float32], net: LatticeNet) -> Looks:
+    """Return the levels of octaves of a cell whose places are each as quiet as the quietest one of a sample.
+
+    Prints have inks, so that some windows have equal elements, without the edges that others have. A sample shows few
+    of them, but at each place of the cell some neighbors that are equal.
+    """
+    cells, known = split_cells(plane[..., _OCTAVES], net.samples), split_cells(net.inside, net.samples)
+    return np.asarray(np.where(known[..., np.newaxis], cells, np.inf).min((0, 1)).mean((0, 1)))
 
 
 def _wholes_of_draws(
@@ -241,10 +254,9 @@ def _strip_covariance(planes: NDArray[np.float32]) -> NDArray[np.float64]:
 def _learn_kind(scale: _Scale, groups: Sequence[Looks], least: float, margin: float, unseen: float = 1.0) -> _Kind:
     """Return the covariance of departures, and the largest distance of a group by that of all others.
 
-    The standard deviation of colors is multiplied by ``unseen``: a sample shows few of the tones of a texture.
+    The standard deviations are multiplied by ``unseen``: a sample shows few of the tones of a texture.
     """
-    widths = np.array([unseen] * 3 + [1.0] * (len(scale.floors) - 3))
-    wider, far = np.outer(widths, widths), [least]
+    wider, far = unseen**2, [least]
     for k, group in enumerate(groups):
         rest = np.concatenate([*groups[:k], *groups[k + 1 :]])
         far.append(float(scale.measure(group, scale.invert(wider * (rest.T @ rest) / len(rest))).max()))
