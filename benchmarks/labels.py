@@ -5,8 +5,8 @@
 ``labels/outputs.csv``, which is read by default, holds sets of labels. Each row has the answers of two labelers, who
 saw nothing but pictures, about one output: is the lattice kept (1 or 0), are the elements whole (1 or 0), does it look
 like more of the same texture (1 or 0), and a grade of this likeness (1 to 5). ``labeled_by`` says what they are. The
-textures of the suites ``models`` and ``photographs`` stand beside it. Photographs are files in the FOLDER that
-``--photographs`` names. Another file is a table ``labels.csv`` that ``nrbench report RUN --labels ...`` wrote.
+suites of the textures stand beside it. Photographs are files in the FOLDER that ``--photographs`` names;
+``prints.py`` draws the prints. Another file is a table ``labels.csv`` that ``nrbench report RUN --labels ...`` wrote.
 
 Each output is made again, compared with the hash of its pixels, and scored. Outputs that differ are counted, and so are
 outputs of pictures that are not there and of changed suites, which cannot be made again. Outputs in the FOLDER that
@@ -24,15 +24,17 @@ from __future__ import annotations
 import argparse
 import contextlib
 import itertools
+import tempfile
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import numpy as np
 import pandas as pd
+from prints import SUITE, draw_prints
 
 from nrbench import plugins
 from nrbench.calling.method_calls import checked_synthesis
@@ -48,7 +50,7 @@ from nrbench.reports.statistics.labelers import JUDGE, compare_orders, compare_r
 from nrbench.running.phases import score_observation
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.plan import Sample, draw_samples
-from nrbench.suites.suite import load_suite
+from nrbench.suites.suite import Suite, load_suite
 
 FOLDER = Path(__file__).parent / "labels"
 LABELS = FOLDER / "outputs.csv"
@@ -67,7 +69,9 @@ MATERIALS_THEN = {
     "stone": Material(soft=(0.02, 0.025, 0.035), relief=(0.05, 0.05, 0.05), stains=(0.03, 0.02, 0.0), light=0.06),
     "cloth": Material(grain=(0.04, 0.03, 0.03), streaks=(0.04, 0.04, 0.05), speckles=(0.03, 0.03, 0.02), light=0.05),
 }
-"""The materials as they were when the labels were given, before edges wore."""
+"""The materials as they were when the labels of ``SUITES_THEN`` were given, before edges wore."""
+SUITES_THEN = ("models", "frontier")
+"""The suites of these labels."""
 _STORED_QUESTIONS = {"lattice": LATTICE.name, "whole": ELEMENTS.name, "more": MORE.name, "grade": GRADE}
 _VALUES = dict(zip(ANSWERS, (1.0, 0.0, np.nan), strict=True))
 
@@ -144,6 +148,17 @@ def score_output(sample: Sample, again: Again, output: Image) -> dict[str, Any]:
     return {f"{name}.{column}": value for name, score in scores.items() for column, value in score.values.items()}
 
 
+@contextlib.contextmanager
+def pictures_of(suite: Suite, photographs: Path) -> Iterator[Path]:
+    """Yield the folder of the pictures of a suite: of prints, which are drawn, or of photographs."""
+    if suite.name != load_suite(str(SUITE)).name:
+        yield photographs
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        draw_prints(Path(folder))
+        yield Path(folder)
+
+
 def score_outputs(
     outputs: pd.DataFrame, photographs: Path = FOLDER, kept: Path | None = None
 ) -> tuple[pd.DataFrame, list[str]]:
@@ -162,8 +177,8 @@ def score_outputs(
     for name, part in outputs.groupby("suite"):
         own = FOLDER / f"{name}.toml"
         try:
-            suite = load_suite(str(own if own.exists() else name))
-            with contextlib.chdir(photographs), mock.patch.dict(MATERIALS, MATERIALS_THEN):
+            suite, then = load_suite(str(own if own.exists() else name)), MATERIALS_THEN if name in SUITES_THEN else {}
+            with pictures_of(suite, photographs) as folder, contextlib.chdir(folder), mock.patch.dict(MATERIALS, then):
                 samples = {
                     (sample.row.name, sample.recipe.replicate): sample
                     for sample in draw_samples(suite, sorted(set(part["texture"])))

@@ -38,7 +38,7 @@ class Quality:
     randomness are not measured. The quality is None if the score of regularity is, and on textures without a lattice.
     """
 
-    version: ClassVar[str] = "6"
+    version: ClassVar[str] = "7"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     limits: ClassVar[tuple[Limit, ...]] = tuple(TABLE)
     columns: ClassVar[Mapping[str, Column]] = {

@@ -22,7 +22,18 @@ from nrbench.plugins.forms import Kind, Shape
 
 from .materials import Material
 from .pattern import Displacement, Field, Layer, Pattern
-from .random_fields import WAVES, factor_variance, factors, grain, role_seed, uniform, unit, waves
+from .random_fields import (
+    WAVES,
+    factor_variance,
+    factors,
+    grain,
+    ink_shares,
+    palette,
+    role_seed,
+    uniform,
+    unit,
+    waves,
+)
 from .recomposition import Draw, Reader
 
 _INDEPENDENT = 0.27
@@ -48,6 +59,8 @@ class Departures:
         fraction of it.
     material, rotation
         What the surface shows beside the tints, None if nothing; the direction of its streaks in degrees.
+    inks
+        Number of colors of each kind of element; 0 if colors are continuous.
     """
 
     color: float
@@ -62,6 +75,7 @@ class Departures:
     element_size: float
     material: Material | None = None
     rotation: float = 0.0
+    inks: int = 0
 
     @property
     def kind(self) -> Kind:
@@ -207,8 +221,8 @@ class Departures:
         for number, layer in enumerate(pattern.layers):
             census = layer.census()
             visible, source = census.visible(layer.coverage), numbers.elements(number, census.index)
-            table = factors(numbers.seed, layer.name, source, self.color, self.intensity)
-            truth = {"index": census.index.astype(np.float64), "factor": table}
+            truth = {"index": census.index.astype(np.float64), **self._tints(layer.name, source, numbers.seed)}
+            table = truth["factor"]
             if self.damage or self.missing:
                 truth["damage"] = self._losses(layer.name, source, numbers.seed)
                 loss = truth["damage"].take(census.row)
@@ -220,6 +234,17 @@ class Departures:
                 truth["displacement"] += census.means(shared)
             named = {f"{layer.name}.{part}": rows[visible] for part, rows in truth.items()}
             yield layer, table.astype(np.float32).take(census.row, 0), named
+
+    def _tints(self, name: str, index: NDArray[np.int64], seed: int) -> Elements:
+        """Return the factor of each element and, where colors are inks, the number of its ink."""
+        if not self.inks:
+            return {"factor": factors(seed, name, index, self.color, self.intensity)}
+        number = unit(role_seed(seed, f"{name}.ink"), *index.T)
+        ink = np.searchsorted(ink_shares(self.inks).cumsum()[:-1], number, side="right")
+        return {
+            "factor": palette(name, self.inks, self.color, self.intensity)[ink],
+            "ink": ink.astype(np.float64),
+        }
 
     def _losses(self, name: str, index: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
         """Return the share that each element has lost: 0, 0.5 (holes in it) or 1 (missing)."""

@@ -42,10 +42,10 @@ class Model(ABC):
     changes the mean color of a point, before clipping. The ideal image has no damage and no displacement.
 
     ``Texture.elements`` holds, for each kind of element and the n of them in the picture, ``NAME.index`` ``(n, k)``,
-    whole numbers, ``NAME.factor`` ``(n, 3)``, and where there are such departures ``NAME.damage`` ``(n,)``, the share
-    lost (0, 0.5 or 1), and ``NAME.displacement`` ``(n, 2)`` px. The regular share is the variance of the mean over
-    draws, damage and displacements included, over mean total variance; under jitter it is measured, to about 0.05, on
-    draws of fixed seeds.
+    whole numbers, ``NAME.factor`` ``(n, 3)``, and where there are such departures ``NAME.ink`` ``(n,)``, the number of
+    the ink from 0, ``NAME.damage`` ``(n,)``, the share lost (0, 0.5 or 1), and ``NAME.displacement`` ``(n, 2)`` px. The
+    regular share is the variance of the mean over draws, damage and displacements included, over mean total variance;
+    under jitter it is measured, to about 0.05, on draws of fixed seeds.
 
     Parameters
     ----------
@@ -60,6 +60,11 @@ class Model(ABC):
         standard deviation ``color / 2``.
     intensity
         Strength in [0, 1]: the same with one factor for all channels of an element.
+    inks
+        Number of colors that the elements of one kind have, from 2 to 6, as in prints; 0: colors are continuous. Each
+        element, and each thread as a whole, takes one ink, independently. The shares of the inks are as k to k - 1 to
+        ... to 1. All draws have the same inks. By their shares, they have the mean, and in each channel the variance,
+        that ``color`` and ``intensity`` say.
     noise
         Strength in [0, 1]: standard deviation of the grain added to every pixel, all channels alike. Up to 0.05 it
         clips less than 0.1 % of the pixels; above, visibly more.
@@ -91,6 +96,7 @@ class Model(ABC):
     hue: float = 0.0
     color: float = 0.2
     intensity: float = 0.1
+    inks: int = 0
     noise: float = 0.03
     light: float = 0.0
     damage: float = 0.0
@@ -119,6 +125,7 @@ class Model(ABC):
         for name in _STRENGTHS:
             require(0 <= getattr(self, name) <= 1, f"{name} is {getattr(self, name)}; give a strength from 0 to 1")
         check_degrees(self, "rotation", "hue")
+        require(self.inks in (0, *range(2, 7)), f"inks is {self.inks}; give a number of colors from 2 to 6, or 0")
         fixed = () if self.phase is None else self.phase
         require(bool(np.isfinite(fixed).all()), f"phase is {self.phase}; give two fractions of the generating vectors")
         check_choices(self)
@@ -190,6 +197,7 @@ class Model(ABC):
             element_size=self.element_size,
             material=MATERIALS.get(self.material),
             rotation=self.rotation,
+            inks=self.inks,
         )
 
     @cached_property

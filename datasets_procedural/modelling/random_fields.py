@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ Words = NDArray[np.uint64]
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 WAVES = 12
 """Number of plane waves that make a smooth random field."""
+_PALETTES = 64
+"""Number of palettes of which the one with the most distinct inks is taken."""
 _GRAIN = 0.7
 """Standard deviation in px of the Gaussian that smooths the grain."""
 
@@ -76,8 +79,41 @@ def factors(seed: int, name: str, index: NDArray[np.int64], color: float, intens
     return np.asarray((1 + 0.5 * color * own) * (1 + 0.5 * intensity * common))
 
 
+def ink_shares(count: int) -> NDArray[np.float64]:
+    """Return the probabilities of ``count`` inks, in proportion to ``count``, ``count - 1``, ..., 1."""
+    return np.asarray(np.arange(count, 0, -1) * (2 / (count * (count + 1))), np.float64)
+
+
+@cache
+def palette(name: str, count: int, color: float, intensity: float) -> NDArray[np.float64]:
+    """Return the factor of each ink of a kind of element, ``(count, 3)``: the same in all draws.
+
+    Of some random palettes, scaled to the mean 1 and, in each channel, to the variance of :func:`factors`, it is the
+    one whose two most similar inks differ most.
+
+    Parameters
+    ----------
+    name
+        The kind of element.
+    count
+        Number of inks, at least 2.
+    color, intensity
+        Strengths, as in :func:`factors`.
+    """
+    seed, shares = role_seed(count, f"{name}.palette"), ink_shares(count)
+    index = np.indices((_PALETTES, count)).reshape(2, -1).T
+    tables = factors(seed, name, index, color, intensity).reshape(_PALETTES, count, 3)
+    tables = tables - (shares[:, np.newaxis] * tables).sum(1, keepdims=True)
+    spread = np.sqrt((shares[:, np.newaxis] * tables**2).sum(1, keepdims=True))
+    tables *= math.sqrt(factor_variance(color, intensity)) / np.maximum(spread, 1e-9)
+    first, second = np.triu_indices(count, 1)
+    nearest = np.linalg.norm(tables[:, first] - tables[:, second], axis=-1).min(-1)
+    # Palettes of two inks differ by rounding errors alone. The first one is taken, whatever the processor.
+    return np.asarray(1 + tables[nearest.round(6).argmax()])
+
+
 def factor_variance(color: float, intensity: float) -> float:
-    """Return the variance of :func:`factors`."""
+    """Return the variance of :func:`factors` and, by their shares, of the inks of :func:`palette`."""
     return (1 + color**2 / 4) * (1 + intensity**2 / 4) - 1
 
 

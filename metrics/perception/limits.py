@@ -153,6 +153,10 @@ TURN_FLOOR = _limit(
     "TURN_FLOOR", 0.8, "20 ln", "measured: half a pixel, interpolated, turns slopes by up to 1.0 on 15 textures"
 )
 CLUSTER_FLOOR = _limit("CLUSTER_FLOOR", 0.35, "20 ln", "measured: a blur of .6 px changes it by up to 0.4")
+SPREAD_FLOOR = _limit(
+    "SPREAD_FLOOR", 0.15, "", "convention: a standard deviation or a correlation that differs by 15 % is not seen"
+)
+LEVEL_OFFSET = _limit("LEVEL_OFFSET", 2.0, "20 ln", "convention: levels that vary by a tenth are even")
 LACK = _limit("LACK", 6.0, "20 ln", "convention: a window may lack a fourth of the amplitude of the least one")
 WHOLE_WINDOW = _limit("WHOLE_WINDOW", 0.97, "", "convention: share of a window that lies inside the picture")
 LOSS = _limit("LOSS", 0.6, "", "lost fine detail counts less: a blur of .6 px is not seen, noise of as much energy is")
@@ -168,6 +172,5 @@ UNEVEN_QUARTERS = _limit(
 UNSEEN_TONES = _limit("UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones")
 OF_LOOKS = _limit("OF_LOOKS", 1.15, "", "margin over the largest distance of the references")
 OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters, of which there are few")
-OF_WHOLE = _limit("OF_WHOLE", 1.5, "", "the same for the whole: a copier draws from a sample")
 OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.25, "", "the same for parts of one sample")
 LOOKS_SLOPE = _limit("LOOKS_SLOPE", 2.0, "", "the score reaches 0 at 1.5 times the limit")

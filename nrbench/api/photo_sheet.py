@@ -11,6 +11,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.pictures.files import read_image
 from nrbench.pictures.overlays import contact_sheet, draw_lattice
+from nrbench.plugins.forms import describe_silence
 from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.runs.records import CellRecord
 from nrbench.suites.suite import Suite, validated_suite
@@ -46,14 +47,20 @@ def _runs_alone(name: str) -> bool:
 
 
 def rate_outputs(records: Sequence[CellRecord]) -> list[tuple[CellRecord, dict[str, Any]]]:
-    """Return each cell and its row of the sheet's table: the best first, then those without an output."""
-    rated = [(one, _rate(one)) for one in records]
-    return sorted(rated, key=lambda pair: (pair[0].status != "ok", -(pair[1]["quality"] or 0)))
+    """Return each cell and its row of the sheet's table, by quality, then those without a quality, without an output.
+
+    Outputs of equal quality have the order of the alphabet.
+    """
+    rows = [_rate(one) for one in records]
+    measured = [row for row in rows if row["quality"] is not None]
+    rated = [(one, row | _rank(row, measured)) for one, row in zip(records, rows, strict=True)]
+    return sorted(rated, key=lambda pair: (pair[0].status != "ok", -_shown(pair[1]), pair[1]["method"]))
 
 
 def _rate(one: CellRecord) -> dict[str, Any]:
     perils = {name: one.values.get(f"quality.{name}") for name in _PERILS}
     scores = {name: float(score) for name, score in perils.items() if score is not None}
+    silent = {name: describe_silence(one.reasons.get(f"quality.{name}", "")) for name in perils if name not in scores}
     bound = one.values.get("quality.complete") is False
     return {
         "method": one.method,
@@ -61,19 +68,54 @@ def _rate(one: CellRecord) -> dict[str, Any]:
         "quality": one.values.get("quality.score"),
         "upper_bound": bound,
         "worst": [name for name, score in scores.items() if score == min(scores.values()) < 1],
-        "not_measured": [name for name in perils if name not in scores] if bound else [],
+        "not_measured": [name for name, word in silent.items() if word == "cannot tell"] if bound else [],
+        "no_peril": [name for name, word in silent.items() if word == "no peril"] if scores else [],
         "seconds": one.seconds,
         "message": one.message,
     }
 
 
+def _shown(row: Mapping[str, Any]) -> float:
+    """Return the quality to the two decimals that are shown; -1 without one."""
+    return -1.0 if row["quality"] is None else round(float(row["quality"]), 2)
+
+
+def _is_above(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Return whether a quality is higher than another one, as far as both were measured.
+
+    An upper bound is compared with those in which the same perils were not measured. It is above no measured quality
+    but 0, than which nothing is lower.
+    """
+    alike = other["upper_bound"] and row["not_measured"] == other["not_measured"]
+    return _shown(row) > _shown(other) and (not row["upper_bound"] or alike or _shown(other) == 0)
+
+
+def _rank(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the ranks that a row can have among rows with a quality, with which it is tied, and why."""
+    if row["quality"] is None:
+        return {"rank": "", "tied": [], "why": ""}
+    first = 1 + sum(_is_above(other, row) for other in rows)
+    last = len(rows) - sum(_is_above(row, other) for other in rows)
+    tied = [one for one in rows if one is not row and not _is_above(one, row) and not _is_above(row, one)]
+    unknown = [name for name in _PERILS if any(name in one["not_measured"] for one in (row, *tied))]
+    why = f"{' and '.join(unknown)} cannot be told" if unknown else "equal quality"
+    return {
+        "rank": f"{first}" if first == last else f"{first}-{last}",
+        "tied": sorted(one["method"] for one in tied),
+        "why": why if tied else "",
+    }
+
+
 def describe_row(row: Mapping[str, Any]) -> str:
-    """Return the method, its quality and its seconds, and what limits the quality, in three lines."""
+    """Return method, quality with rank and seconds, what limits the quality, and why it is tied, in four lines."""
     value, bound = row["quality"], "at most " if row["upper_bound"] else ""
-    quality = "quality not measured" if value is None else f"quality {bound}{value:.2f}"
-    words = (("worst: ", row["worst"]), ("not measured: ", row["not_measured"]))
-    why = "; ".join(title + ", ".join(names) for title, names in words if names)
-    return f"{row['method']}\n{quality}, {row['seconds'] or 0:.1f} s\n{why}"
+    quality = "quality not measured" if value is None else f"quality {bound}{value:.2f}, rank {row['rank']}"
+    unknown = [] if row["tied"] else row["not_measured"]  # else the reason of the tie names them
+    words = (("worst: ", row["worst"]), ("cannot tell: ", unknown))
+    limits = [title + ", ".join(names) for title, names in words if names]
+    tied = [f"tied: {row['why']}"] if row["tied"] else []
+    absent = f"no peril: {', '.join(row['no_peril'])}" if row["no_peril"] else ""
+    return "\n".join([row["method"], f"{quality}, {row['seconds'] or 0:.1f} s", "; ".join([*tied, *limits]), absent])
 
 
 def draw_sheet(made: Sequence[tuple[CellRecord, Mapping[str, Any]]]) -> Image:

@@ -122,8 +122,8 @@ def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
     )
 
 
-_PARTS = ("score", "regularity", "integrity", "randomness", "appearance")
-HEADLINES = ("regularity.preserved", *(f"quality.{part}" for part in _PARTS))
+_PERILS = tuple(f"quality.{peril}" for peril in ("regularity", "integrity", "randomness", "appearance"))
+HEADLINES = ("regularity.preserved", "quality.score", *_PERILS)
 """The scores that `score` prints by default, and by whose metrics the lattice is judged."""
 
 
@@ -140,7 +140,8 @@ def score_command(
     """Score any tool's OUTPUT against its SAMPLE.
 
     Print whether the lattice is preserved, the quality, and its four parts: regularity, integrity, randomness and
-    appearance. "≤" marks a quality that is an upper bound, because a part could not be measured. --all prints all
+    appearance. "≤" marks a quality that is an upper bound, because a fault of one part may be there and "cannot tell"
+    stands in its place. "no peril" means that a fault of this part could not be seen in this texture. --all prints all
     scores.
 
     Parameters
@@ -183,8 +184,13 @@ def _verdict_line(scores: Scores) -> str:
 
 
 def _score_line(scores: Scores, name: str) -> str:
+    from nrbench.plugins.forms import describe_silence
+
     value = scores.values[name]
-    text = "-" if value is None else str(value) if isinstance(value, bool) else f"{value:.4g}"
+    if value is None:
+        text = describe_silence(scores.reasons[name]) if name in _PERILS else "-"
+    else:
+        text = str(value) if isinstance(value, bool) else f"{value:.4g}"
     bound = "≤ " if name == "quality.score" and scores.values.get("quality.complete") is False else ""
     return f"{name:<36} {bound}{text}"
 

@@ -209,11 +209,16 @@ def site_command(call: Callable[..., list[Path]]) -> None:
 
 
 @verb(runs.sheet, without=SCHEDULING)
-def sheet_command(call: Callable[..., Any], options: Options, output: Path) -> int:
+def sheet_command(call: Callable[..., Any], options: Options, output: Path, as_json: Json = False) -> int:
     """Show what all methods make of PHOTO on one sheet, the best first, with the quality and the seconds of each.
 
     The lattice is detected once and given to all methods that use one. Methods without an output are printed with the
-    reason.
+    reason. "Rank 1-3" means that the output is tied with others, and the line says why.
+
+    Parameters
+    ----------
+    as_json
+        Print JSON on standard output.
     """
     from nrbench.api.photo_sheet import describe_row
 
@@ -222,8 +227,11 @@ def sheet_command(call: Callable[..., Any], options: Options, output: Path) -> i
         table = call(options=options, progress=progress)
     rows = table.astype(object).where(table.notna(), None).to_dict("records")
     made = [row for row in rows if row["status"] == "ok"]
+    if as_json:
+        print(json.dumps(rows, indent=1))
+        return int(not made)
     for row in made:
-        print(describe_row(row).rstrip().replace("\n", "  "))
+        print("  ".join(filter(None, describe_row(row).split("\n"))))
     for row in rows[len(made) :]:
         print(f"{row['method']}  {row['status']}: {row['message']}")
     print(output if made else "no method has an output: no sheet is written")

@@ -675,6 +675,15 @@ class Column:
     better: Better = "none"
 
 
+def describe_silence(reason: str) -> str:
+    """Return what it means that a peril has no score, by the reason.
+
+    ``no peril``: a fault of this kind could not be seen in this texture, and the quality is no upper bound.
+    ``cannot tell``: a fault may be there.
+    """
+    return "no peril" if reason.startswith("not applicable") else "cannot tell"
+
+
 @dataclass(frozen=True)
 class Score:
     """The output of a metric.

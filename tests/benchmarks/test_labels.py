@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import sys
 from collections.abc import Iterator
@@ -30,7 +31,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 
 
 def test_stored_labels_are_read(script: ModuleType) -> None:
-    """The stored file holds three sets of outputs, each with the answers of two labelers to all questions."""
+    """The stored file holds six sets of outputs, each with the answers of two labelers to all questions."""
     labels = script.read_labels(script.LABELS)
     counts = labels.groupby(["set", "labeler", "question"]).size()
     assert set(counts.index.get_level_values("question")) == {*QUESTIONS, script.GRADE}
@@ -39,6 +40,9 @@ def test_stored_labels_are_read(script: ModuleType) -> None:
         "models-1": {334},
         "models-2": {118},
         "photographs": {62},
+        "photographs-2": {113},
+        "models-3": {36},
+        "prints": {24},
     }
     assert set(labels["labeled_by"]) == {"vision-language model"}
     assert set(labels[labels["question"] == script.GRADE]["answer"]) == {1.0, 2.0, 3.0, 4.0, 5.0}
@@ -55,6 +59,19 @@ def test_labeled_textures_stay_as_they_were(script: ModuleType) -> None:
         (sample,) = draw_samples(suite, ["brick-middle-rotated"])
         output = script.make_output(sample, sample.recipe.again(sample.texture), suite.seed, row)
     assert pixels_hash(output).startswith(row["pixels"])
+
+
+@pytest.mark.parametrize("method", ["oracle", "precomputed:directory=invented"])
+def test_labeled_prints_are_drawn_again(script: ModuleType, tmp_path: Path, method: str) -> None:
+    """A fresh draw of a print, and one of invented colors, are made again to the byte."""
+    labels = script.read_labels(script.LABELS)
+    rows = labels[labels["texture"].eq("checks-candy") & labels["method"].eq(method)][script.OUTPUT].drop_duplicates()
+    suite = load_suite(str(script.FOLDER / "prints.toml"))
+    with script.pictures_of(suite, tmp_path) as folder, contextlib.chdir(folder):
+        (sample,) = draw_samples(suite, ["checks-candy"])
+        again = sample.recipe.again(sample.texture)
+        (output,) = (script.make_output(sample, again, suite.seed, row) for row in rows.to_dict("records"))
+    assert pixels_hash(output).startswith(rows["pixels"].item())
 
 
 def test_labels_of_a_report_are_read(script: ModuleType, tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from commands import call
 import nrbench
 from nrbench import run
 from nrbench.api.run_reports import parse_formats
+from nrbench.api.textures import Scores
+from nrbench.cli.picture_commands import _score_line
 from nrbench.cli.progress import waiting
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
@@ -120,6 +122,18 @@ def test_score_is_brief(brick: Lattice, capsys: pytest.CaptureFixture[str]) -> N
     assert all(reasons[name] for name, value in shown.items() if value is None)
     assert call("score brick.png out.png --metrics appearanc") == 2
     assert call("score brick.png out.png --metrics appearance --all") == 2
+
+
+def test_score_tells_which_silence_it_is(brick: Lattice, capsys: pytest.CaptureFixture[str]) -> None:
+    """A peril without a score is no peril, or cannot be told, by its reason."""
+    reasons = {"quality.integrity": "not applicable: joined ones look whole", "quality.randomness": "too few tiles"}
+    values = {"quality.score": 0.9, "quality.complete": False, **dict.fromkeys(reasons), "source.entropy": None}
+    scores = Scores(values, {**reasons, "source.entropy": "not applicable: one pixel"}, {})
+    lines = [_score_line(scores, name).split(maxsplit=1) for name in values]
+    assert dict(lines) == {
+        **{"quality.score": "≤ 0.9", "quality.complete": "False", "source.entropy": "-"},
+        **{"quality.integrity": "no peril", "quality.randomness": "cannot tell"},
+    }
 
 
 def test_formats_take_parameters() -> None:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from commands import call
 
 import nrbench
+from nrbench.api.photo_sheet import describe_row, rate_outputs
+from nrbench.runs.records import CellRecord
 
 
 @pytest.fixture
@@ -37,6 +42,68 @@ def test_a_sheet_shows_each_method_and_tells_why_one_is_missing(
     table = nrbench.sheet(wall, "own.png", methods="scatter", size=(64, 64), lattice=lattice, options=options)
     assert table["method"].tolist() == ["scatter"] and f"quality {table['quality'][0]:.2f}" in printed[0]
     np.testing.assert_array_equal(nrbench.read_image(Path("own.png"))[-60:], sheet[-60:])
+
+
+def _record(method: str, **perils: float | str) -> CellRecord:
+    """Return a cell with a quality: perils that are left out are 1, and those with a reason are None."""
+    known = {"regularity": 1.0, "integrity": 1.0, "randomness": 1.0, "appearance": 1.0, **perils}
+    reasons = {f"quality.{name}": value for name, value in known.items() if isinstance(value, str)}
+    scores = [value for value in known.values() if not isinstance(value, str)]
+    values: dict[str, float | bool | None] = {
+        f"quality.{name}": None if isinstance(value, str) else value for name, value in known.items()
+    }
+    told = all(reason.startswith("not applicable") for reason in reasons.values())
+    values |= {"quality.score": min(scores), "quality.complete": told or min(scores) == 0}
+    fields = {"method": method, "status": "ok", "seconds": 1.0, "message": "", "values": values, "reasons": reasons}
+    return cast(CellRecord, SimpleNamespace(**fields))
+
+
+def _ranks(*records: CellRecord) -> dict[str, str]:
+    return {row["method"]: row["rank"] for _, row in rate_outputs(records)}
+
+
+UNKNOWN, ABSENT = "too few cells", "not applicable: joined elements look whole"
+
+
+def test_measured_qualities_have_ranks() -> None:
+    """Qualities have the order of the two decimals that are shown; equal ones are tied, in alphabetical order."""
+    records = [_record("d", regularity=0.2), _record("b", appearance=0.702), _record("c", regularity=0.698)]
+    assert _ranks(*records, _record("a")) == {"a": "1", "b": "2-3", "c": "2-3", "d": "4"}
+    tied = rate_outputs(records)[0][1]
+    assert tied["tied"] == ["c"] and tied["why"] == "equal quality"
+
+
+def test_equal_upper_bounds_are_tied_with_the_reason() -> None:
+    """Outputs of which one peril cannot be told are compared by the others; 0 stands below them."""
+    bounds = [_record(name, integrity=UNKNOWN) for name in "ab"]
+    rated = rate_outputs([_record("d", regularity=0.0, integrity=UNKNOWN), *bounds])
+    assert [row["rank"] for _, row in rated] == ["1-2", "1-2", "3"]
+    assert [row["why"] for _, row in rated] == ["integrity cannot be told"] * 2 + [""]
+    text = describe_row(rated[0][1])
+    assert text == "a\nquality at most 1.00, rank 1-2, 1.0 s\ntied: integrity cannot be told\n"
+    assert _ranks(*bounds, _record("c", integrity=UNKNOWN, randomness=0.4))["c"] == "3"
+
+
+def test_an_upper_bound_is_above_no_measured_quality() -> None:
+    """An upper bound is below a higher measured quality, and tied with a lower one and with bounds of another kind."""
+    records = [_record("bound", integrity=UNKNOWN, randomness=0.6), _record("low", regularity=0.3), _record("high")]
+    assert _ranks(*records) == {"high": "1", "bound": "2-3", "low": "2-3"}
+    assert rate_outputs(records)[2][1]["why"] == "integrity cannot be told"
+    assert _ranks(records[0], _record("other", randomness=UNKNOWN)) == {"bound": "1-2", "other": "1-2"}
+
+
+def test_no_peril_is_no_upper_bound() -> None:
+    """A peril that does not exist on the photograph leaves the quality measured, and is named."""
+    row = rate_outputs([_record("a", integrity=ABSENT)])[0][1]
+    assert not row["upper_bound"] and row["not_measured"] == [] and row["no_peril"] == ["integrity"]
+    assert describe_row(row) == "a\nquality 1.00, rank 1, 1.0 s\n\nno peril: integrity"
+
+
+def test_the_sheet_prints_json(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:
+    """With --json the rows are printed, with rank, ties and reason."""
+    assert call("sheet wall.png -o sheet.png -m scatter --lattice 32,0,16,16 --size 64x64 --jobs 0 --json") == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["method"] == "scatter" and {"rank", "tied", "why", "no_peril", "upper_bound"} <= row.keys()
 
 
 def test_a_tileable_output_tells_its_strain(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:

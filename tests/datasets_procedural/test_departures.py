@@ -14,6 +14,7 @@ from nrbench.datasets_procedural.mat import Mat
 from nrbench.datasets_procedural.modelling.departures import Elements
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.modelling.pattern import Displacement, Field, Frame, Pattern
+from nrbench.datasets_procedural.modelling.random_fields import palette
 from nrbench.datasets_procedural.modelling.recomposition import Draw
 from nrbench.datasets_procedural.mosaic import Mosaic
 from nrbench.datasets_procedural.plaid import Plaid
@@ -165,6 +166,38 @@ def test_light_is_a_slow_wave() -> None:
     whole = ratios.max(-1) - ratios.min(-1) < 1e-4
     assert whole.mean() > 0.9
     assert ratios[whole].mean() == pytest.approx(1, abs=0.06) and ratios[..., 0].std() == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_inks_are_shared_by_all_draws(model: type[Model]) -> None:
+    """The elements of a kind have k factors, by their ink, in each draw the same ones; a copy keeps its ink."""
+    made = model(inks=2, color=0.4, intensity=0.1, noise=0.0)
+    sample = _render(made)
+    draws = [sample, made.again(sample, (64, 64), np.random.default_rng(1)), _render(made, 2)]
+    draws.append(made.recompose(sample, (64, 64), np.random.default_rng(3)))
+    kinds = {name.removesuffix(".ink") for name in sample.elements if name.endswith(".ink")}
+    assert kinds == {name.removesuffix(".factor") for name in sample.elements if name.endswith(".factor")}
+    for kind in kinds:
+        inks = palette(kind, 2, 0.4, 0.1)
+        for draw in draws:
+            if f"{kind}.ink" in draw.elements:
+                ink = draw.elements[f"{kind}.ink"].astype(int)
+                np.testing.assert_array_equal(draw.elements[f"{kind}.factor"], inks[ink])
+
+
+def test_inks_have_their_shares() -> None:
+    """The elements take inks independently, with shares as 3 to 2 to 1, and the regular share is that of a draw."""
+    made = Hexagon(period=12.3, joint=1.5, inks=3, color=0.4, intensity=0.1, noise=0.0)
+    textures = [_render(made, seed, 200) for seed in range(6)]
+    ink = np.concatenate([texture.elements["tile.ink"] for texture in textures])
+    np.testing.assert_allclose(np.bincount(ink.astype(int)) / len(ink), (1 / 2, 1 / 3, 1 / 6), atol=0.04)
+    index = textures[0].elements["tile.index"]
+    ink_of = dict(zip(map(tuple, index), textures[0].elements["tile.ink"], strict=True))
+    pairs = np.array([(one, ink_of[i + 1, j]) for (i, j), one in ink_of.items() if (i + 1, j) in ink_of])
+    assert abs(np.corrcoef(pairs.T)[0, 1]) < 3 / np.sqrt(len(pairs))
+    regular = np.mean([one.ideal.var((0, 1)).mean() for one in textures if one.ideal is not None])
+    departed = np.mean([((one.image - one.ideal) ** 2).mean() for one in textures if one.ideal is not None])
+    assert made.regular_share == pytest.approx(regular / (regular + departed), abs=0.03)
 
 
 STRENGTHS = [{"damage": 0.4, "missing": 0.1}, {"light": 0.8}, {"bend": 0.6}, {"jitter": 0.5}]

@@ -36,6 +36,8 @@ from nrbench.datasets_procedural.modelling.random_fields import (
     factors,
     grain,
     hash_bits,
+    ink_shares,
+    palette,
     smooth_inside,
     uniform,
     waves,
@@ -229,6 +231,19 @@ def test_factor_variance_is_that_of_factors() -> None:
     table = factors(2, "tile", index, 0.6, 0.4)
     assert table.var() == pytest.approx(factor_variance(0.6, 0.4), rel=0.03)
     assert table.mean() == pytest.approx(1, abs=0.005)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 6])
+def test_inks_have_the_moments_of_continuous_colors(count: int) -> None:
+    """By their shares, inks have mean 1 and the variance of the factors in each channel; no two inks are alike."""
+    shares = ink_shares(count)
+    inks = palette("tile", count, 0.4, 0.2)
+    assert shares.sum() == pytest.approx(1) and (np.diff(shares) < 0).all()
+    np.testing.assert_allclose(shares @ inks, 1)
+    np.testing.assert_allclose(shares @ (inks - 1) ** 2, factor_variance(0.4, 0.2))
+    distances = np.linalg.norm(inks[:, np.newaxis] - inks, axis=-1)[np.triu_indices(count, 1)]
+    assert distances.min() > 0.25
+    np.testing.assert_array_equal(palette("tile", count, 0.0, 0.0), 1)
 
 
 def test_grain_is_stationary_and_correlated() -> None:

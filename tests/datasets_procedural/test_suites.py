@@ -20,7 +20,7 @@ from nrbench.suites.plan import Sample, draw_samples
 from nrbench.suites.suite import Suite, TextureRow, load_suite
 
 SPECTRA = ("white", "pink", "brown", "blobs", "grass")
-SHARES = {"mild": (0.9, 1.0), "middle": (0.6, 0.9), "strong": (0.3, 0.6)}
+SHARES = {"mild": (0.9, 1.0), "middle": (0.6, 0.9), "strong": (0.3, 0.6), "inks": (0.5, 0.7)}
 FROZEN_SUITES = ("core", "default", "integer", "spectrum", "report2004")
 FROZEN = Path(__file__).with_name("frozen_samples.json")
 ROWS = [pytest.param(row, id=row.name) for row in load_suite("core").texture]
@@ -33,12 +33,17 @@ def _model(row: TextureRow) -> Model:
 
 
 def test_families_by_shares() -> None:
-    """In core each family comes at each regular share, once axis-aligned and once rotated."""
+    """In core each family comes at each regular share, once axis-aligned and once rotated, and once in few inks."""
     rows = load_suite("core").texture
     cells = Counter((row.family, row.name.split("-")[1]) for row in rows)
-    assert set(cells) == set(itertools.product(("brick", "weave", "hexagon"), SHARES)) and len(rows) == 18
-    assert set(cells.values()) == {2}
+    assert set(cells) == set(itertools.product(("brick", "weave", "hexagon"), SHARES)) and len(rows) == 21
+    assert all(count == (1 if strength == "inks" else 2) for (_, strength), count in cells.items())
     assert sum("rotation" in row.parameters for row in rows) == 9
+    assert {row.family: row.parameters["inks"] for row in rows if "inks" in row.parameters} == {
+        "brick": 3,
+        "weave": 2,
+        "hexagon": 4,
+    }
 
 
 def test_default_is_balanced() -> None:
