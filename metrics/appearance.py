@@ -299,7 +299,6 @@ def _learn_lack(sets: list[list[Looks]]) -> tuple[Looks, float]:
     """Return the least levels of octaves of windows, and how far those of one group lie below those of the others."""
     least, lacked = [], [0.0]
     for groups in (groups for groups in sets if len(groups) > 1):
-        lacked.append(float(np.concatenate(groups)[:, _OCTAVES].std(0).max()))
         for k, group in enumerate(groups):
             least.append(np.concatenate([*groups[:k], *groups[k + 1 :]])[:, _OCTAVES].min(0))
             lacked.append(_lack(group, least[-1]))
@@ -352,9 +351,10 @@ def _wholes_of_sample(maps: _Maps, net: LatticeNet) -> dict[str, _Kind]:
 def _learn_kind(scale: _Scale, groups: Sequence[Looks], least: float, margin: float, unseen: float = 1.0) -> _Kind:
     """Return the covariance of departures, and the largest distance of a group by that of all others.
 
-    The standard deviations are multiplied by ``unseen``: a sample shows few of the tones of a texture.
+    The standard deviation of colors is multiplied by ``unseen``: a sample shows few of the tones of a texture.
     """
-    wider, far = unseen**2, [least]
+    widths = np.array([unseen] * 3 + [1.0] * (len(scale.floors) - 3))
+    wider, far = np.outer(widths, widths), [least]
     for k, group in enumerate(groups):
         rest = np.concatenate([*groups[:k], *groups[k + 1 :]])
         far.append(float(scale.measure(group, scale.invert(wider * (rest.T @ rest) / len(rest))).max()))
