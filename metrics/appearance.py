@@ -15,10 +15,12 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Value
 
+from .judgment.color_classes import measure_new_colors
 from .judgment.examination import examine
 from .judgment.texture_reference import FIRST_DRAW, STRIPS, CannotTell, perceive_draws
 from .perception import limits
 from .perception.visible import Lab, measure_detail, measure_levels, measure_looks, perceive
+from .registration.coarse_plane import CoarsePlane
 from .registration.lattice_net import LatticeNet, Mask, find_inside, sample_planes, split_cells, sum_boxes
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 
@@ -433,7 +435,9 @@ class Appearance:
     from the references (:class:`LooksModel`) is divided by the largest one that these show: ``local``, ``local_wide``,
     ``quarters``, ``whole`` and ``detail``. ``lack`` is how far the levels of two octaves, in a window of one cell, lie
     below the least ones of all windows of the references, over what is allowed: it sees a hole where the distances are
-    wide. A ratio up to 1 has the score 1, a ratio of 1.5 has 0, and the worst of the six counts. Fresh draws are the
+    wide. Where the colors of the elements come in classes, ``colors`` is the share of elements whose color belongs to
+    none, over what chance explains (:mod:`~nrbench.metrics.judgment.color_classes`). A ratio up to 1 has the score 1, a
+    ratio of 1.5 has 0, and the worst of the seven counts. Fresh draws are the
     references; for a photograph they are four strips of the sample, each compared with the others.
 
     Seams are searched on every straight line of at least half the image's side, in every direction, because the places
@@ -461,6 +465,7 @@ class Appearance:
             "The same for the contrasts of L*, a* and b* and their correlations, over the cell and from cell to cell."
         ),
         "lack": _column("What the window with the least detail lacks, over what windows of the references lack."),
+        "colors": _column("Share of elements whose color belongs to no class of the references, over what is allowed."),
         "seam": _column(
             "Visibility (size, and contrast to its parallels) of the worst line over that of fresh draws' worst line."
         ),
@@ -480,16 +485,20 @@ def _score(observation: Observation) -> Score:
     values: dict[str, Value] = dict.fromkeys(Appearance.columns)
     reasons: dict[str, str] = {}
     try:
-        ratios = _compare_looks(observation)
+        ratios, colors = _compare_looks(observation), _find_new_colors(observation)
+        if colors and observation.again is None:  # a sample shows few of the ways in which inks meet
+            ratios = {name: ratio / limits.UNSEEN_TONES for name, ratio in ratios.items()}
+        ratios |= colors
         values |= ratios | {"score": float(np.clip(1 - limits.LOOKS_SLOPE * (max(ratios.values()) - 1), 0, 1))}
         few = "undecided: the references show too few windows of this size"
         reasons |= {name: few for name in (*_SIZES, "surface") if values[name] is None}
         if values["contrast"] is None:
             reasons["contrast"] = "undecided: a sample alone does not show how much its contrasts vary"
+        if values["colors"] is None:
+            reasons["colors"] = "not applicable: the colors of the elements form no classes"
     except CannotTell as reason:
-        reasons |= dict.fromkeys(
-            ("score", *_SIZES, "quarters", "whole", "detail", "surface", "contrast", "lack"), str(reason)
-        )
+        looks = [name for name in Appearance.columns if not name.startswith(("seam", "tile"))]
+        reasons |= dict.fromkeys(looks, str(reason))
     values["seam"], values["seam_step"], line = _seam(observation)
     if line is None:
         small = f"undecided: the images are smaller than {_LEAST_SEAM_SIDE} px, too small to compare lines"
@@ -502,6 +511,18 @@ def _score(observation: Observation) -> Score:
     pictures = {} if line is None else {"seam": draw_line(observation.output, line)}
     records = {"reference": "sample" if observation.again is None else "fresh draws"}
     return Score(values, reasons, pictures, records)
+
+
+def _find_new_colors(observation: Observation) -> dict[str, float]:
+    """Return the share of elements with a color of no class, over that which is allowed, where there are classes."""
+    examination = examine(observation)
+    try:
+        followed = examination.followed
+        plane = CoarsePlane(*followed.residual, followed.net.samples)
+        ratio = measure_new_colors(examination.reference, plane)
+    except CannotTell:
+        return {}
+    return {} if ratio is None else {"colors": ratio}
 
 
 # Seams, and the border of a tile that claims to be seamless.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -21,6 +22,7 @@ from .perception import limits
 from .perception.visible import tint_places
 from .registration.followed import FollowedPicture
 from .registration.lattice_net import Mask
+from .registration.lattice_nodes import LatticeNodes
 
 COLORS = ((1.0, 0.6, 0.0), (0.9, 0.1, 0.1))
 """Colors of a cell that is a little out of place, and of one that is wholly out of place."""
@@ -55,9 +57,13 @@ class Regularity:
     the mean cell of the other three. Without a model the given lattice is used, reduced to the smallest one by which
     the sample repeats. If none is given, the detector ``dominance`` finds the lattice of the sample; no method uses it
     by default. The record ``lattice_from`` names the source: model, given, or dominance.
+
+    Beside one sample the phase coherence of matches is a second judge
+    (:class:`~nrbench.metrics.registration.coherence.SampleMatches`). The smaller score counts, and the record
+    ``decided_by`` names which of both it is. Where the sample is too small or too uneven for one, the other decides.
     """
 
-    version: ClassVar[str] = "11"
+    version: ClassVar[str] = "12"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
@@ -90,14 +96,77 @@ class Regularity:
         return observation.shared(_score)
 
 
-def _score(observation: Observation) -> Score:
-    examination = examine(observation)
-    try:
+@dataclass(frozen=True)
+class _Finding:
+    """What registration, or coherence, says of an output."""
+
+    by: str
+    nodes: LatticeNodes
+    bad: NDArray[np.float64]
+    usual: float
+    usual_drift: float
+
+    @property
+    def share(self) -> float:
+        """Share out of place, beyond what chance explains."""
+        return float(max(0.0, self.bad[self.nodes.valid].mean() - self.usual) / (1 - self.usual))
+
+    @property
+    def score(self) -> float:
+        """1 if all is in place and does not drift more than the references."""
+        wider = max(1.0, min(limits.OF_NOISE * self.usual_drift, limits.MOST_DRIFT) / limits.DRIFT)
+        most, drift = limits.MOST_DRIFT, float(np.linalg.norm(self.nodes.drift, 2))
+        kept = np.clip((most * wider - drift) / ((most - limits.DRIFT) * wider), 0, 1)
+        return float(np.clip(1 - limits.SLOPE * self.share, 0, 1) * kept)
+
+
+def _find(examination: Examination) -> list[_Finding]:
+    """Return what can be told by registration and by coherence."""
+    found = []
+    with suppress(CannotTell):
         followed, reference = examination.followed, examination.reference
+        if reference.most_misplaced <= limits.MOST_OWN:
+            usual = max(float(np.linalg.norm(picture.drift, 2)) for picture in reference.pictures)
+            bad = reference.misplacement(followed)
+            found.append(_Finding("registration", followed, bad, reference.most_misplaced, usual))
+    matched, own = examination.matched, examination.coherence
+    if matched and own and own.most_misplaced <= limits.MOST_OWN:
+        usual = float(np.linalg.norm(own.picture.drift, 2))
+        bad = matched.misplacement(own.slip_limit)
+        found.append(_Finding("coherence", matched, bad, own.most_misplaced, usual))
+    return found
+
+
+def _score(observation: Observation) -> Score:
+    examination, values, reasons = examine(observation), dict[str, Value](), dict[str, str]()
+    records: dict[str, Any] = {"lattice_from": examination.known_lattice.origin}
+    found = _find(examination)
+    try:
+        _measure(examination, values, reasons, records)
     except CannotTell as reason:
-        return Score.missing(Regularity.columns, str(reason))
-    bad = reference.misplacement(followed)
-    values, reasons = _rate(examination), {}
+        reasons = dict.fromkeys(Regularity.columns, str(reason))
+        values = dict.fromkeys(Regularity.columns)
+    if not found:
+        return Score({name: values.get(name) for name in Regularity.columns}, reasons, records=records)
+    worst = min(found, key=lambda finding: (finding.score, -finding.share))
+    values |= {"misplaced_share": worst.share, "score": worst.score, "preserved": worst.score >= limits.PRESERVED}
+    reasons = {name: reason for name, reason in reasons.items() if values.get(name) is None}
+    records |= {
+        "decided_by": worst.by,
+        "window_cells": worst.nodes.size,
+        "misplacement_limit": worst.nodes.limit,
+        "expected_share": worst.usual,
+        "misplaced_shares": {finding.by: finding.share for finding in found},
+    }
+    pictures = {"defects": draw_misplaced(observation.output, [(finding.nodes, finding.bad) for finding in found])}
+    return Score({name: values[name] for name in Regularity.columns}, reasons, pictures, records)
+
+
+def _measure(
+    examination: Examination, values: dict[str, Value], reasons: dict[str, str], records: dict[str, Any]
+) -> None:
+    """Enter all but the share, the score and the verdict, measured by registration."""
+    followed, reference = examination.followed, examination.reference
     distances = followed.away[followed.valid]
     for name, level in (("misplacement_median", 0.5), ("misplacement_p95", 0.95)):
         values[name] = float(np.quantile(distances, level))
@@ -110,34 +179,17 @@ def _score(observation: Observation) -> Score:
     values["misplacement_ratio"] = followed.bending / usual if usual >= limits.AMPLITUDE else None
     if values["misplacement_ratio"] is None:
         reasons["misplacement_ratio"] = "not applicable: the geometry of the texture does not vary"
-    if values["preserved"] is None:
+    if reference.most_misplaced > limits.MOST_OWN:
         share = f"up to {reference.most_misplaced:.0%} of the reference itself is out of place by chance"
         reasons |= dict.fromkeys(("misplaced_share", "preserved", "score"), f"undecided: {share}")
     values |= _compare_lattice(followed, followed.in_place & ~blank, reasons)
-    records: dict[str, Any] = {
+    records |= {
         "reference": "sample" if reference.from_sample else "model",
-        "lattice_from": examination.known_lattice.origin,
-        "window_cells": followed.size,
-        "misplacement_limit": followed.limit,
         "slip_limit": reference.slip_limit,
         "expected_share": reference.most_misplaced,
         "misfit": [median, torn],
         "lattice": None if values["drift"] is None else _own_lattice(followed).as_dict(),
     }
-    pictures = {"defects": draw_misplaced(observation.output, followed, bad)}
-    return Score({name: values[name] for name in Regularity.columns}, reasons, pictures, records)
-
-
-def _rate(examination: Examination) -> dict[str, Value]:
-    """Return the share out of place, the score and the verdict."""
-    share, drift = examination.misplaced, np.linalg.norm(examination.followed.drift, 2)
-    if examination.reference.most_misplaced > limits.MOST_OWN:
-        return {"misplaced_share": None, "score": None, "preserved": None}
-    usual = max(float(np.linalg.norm(picture.drift, 2)) for picture in examination.reference.pictures)
-    wider = max(1.0, min(limits.OF_NOISE * usual, limits.MOST_DRIFT) / limits.DRIFT)
-    kept = np.clip((limits.MOST_DRIFT * wider - drift) / ((limits.MOST_DRIFT - limits.DRIFT) * wider), 0, 1)
-    score = float(np.clip(1 - limits.SLOPE * share, 0, 1) * kept)
-    return {"misplaced_share": share, "score": score, "preserved": score >= limits.PRESERVED}
 
 
 def _compare_lattice(followed: FollowedPicture, in_place: Mask, reasons: dict[str, str]) -> dict[str, Value]:
@@ -164,12 +216,15 @@ def _own_lattice(followed: FollowedPicture) -> Lattice:
     return Lattice.from_basis(net.vectors @ turned, (float(x), float(y)))
 
 
-def draw_misplaced(output: Image, followed: FollowedPicture, bad: NDArray[np.float64]) -> Image:
+def draw_misplaced(output: Image, found: Sequence[tuple[LatticeNodes, NDArray[np.float64]]]) -> Image:
     """Return the output in faint gray, with the cells around the nodes that are out of place in :data:`COLORS`."""
-    shape = (output.shape[0], output.shape[1])
-    y, x = np.indices(shape)
-    cell = (np.stack([x, y], -1) - followed.net.origin) @ np.linalg.inv(followed.net.vectors) - followed.net.first
-    node = np.clip(np.rint(2 * cell - followed.size).astype(int), 0, np.array(bad.shape) - 1)
-    amount = np.where(followed.valid, bad, 0)[node[..., 0], node[..., 1]][..., np.newaxis]
+    y, x = np.indices((output.shape[0], output.shape[1]))
+    amount = np.zeros((*y.shape, 1))
+    for nodes, bad in found:
+        net = nodes.net
+        cell = (np.stack([x, y], -1) - net.origin) @ np.linalg.inv(net.vectors) - net.first
+        node = np.clip(np.rint(2 * cell - nodes.size).astype(int), 0, np.array(bad.shape) - 1)
+        own = np.where(nodes.valid, bad, 0)[node[..., 0], node[..., 1]]
+        amount = np.maximum(amount, own[..., np.newaxis])
     tint = np.where(amount < 0.5, COLORS[0], COLORS[1])
     return tint_places(output, amount > 0.05, tint)

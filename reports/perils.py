@@ -27,8 +27,8 @@ class PerilsPlane(ComparisonOptions):
     Gray lines are contours of equal quality. Reference methods have diamonds and no rank.
 
     Randomness is not scored where the lattice is lost. A method that loses every lattice has an open sign below the
-    plane. ``[k of n]`` behind a name says that the height rests on k of n textures. A double dagger marks a baseline
-    that is valid on some of the textures.
+    plane, and one whose quality is an upper bound an open sign in its color. ``[k of n]`` behind a name says that the
+    height rests on k of n textures. A double dagger marks a baseline that is valid on some of the textures.
 
     ``levels.svg`` and ``levels.pdf`` show the quality of each method by the level of a difficulty, with one panel for
     each difficulty. They are written if the suite has textures at two levels or more of one departure.
@@ -45,7 +45,7 @@ class PerilsPlane(ComparisonOptions):
 
     width: float = 5.5
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     folder: ClassVar[str] = "report"
 
     def __post_init__(self) -> None:

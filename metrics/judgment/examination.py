@@ -7,8 +7,11 @@ from functools import cached_property
 
 from nrbench.plugins.forms import Observation
 
+from ..perception import limits
 from ..perception.visible import Lab, perceive
+from ..registration.coherence import MatchedPicture
 from ..registration.followed import FollowedPicture
+from .coherence_reference import CoherenceReference, match_sample
 from .known_lattice import KnownLattice, find_known_lattice
 from .texture_reference import CannotTell, TextureReference, reference_from_draws, reference_from_sample
 
@@ -49,8 +52,30 @@ class Examination:
 
     @cached_property
     def followed(self) -> FollowedPicture:
-        """The output followed by the lattice; raises :class:`CannotTell` if it is too small."""
+        """The output followed by the lattice; raises :class:`CannotTell` if it or a sample is too small or too bent."""
+        own = self.reference.most_misplaced
+        if self.reference.from_sample and own > limits.MOST_OWN:
+            raise CannotTell(f"undecided: up to {own:.0%} of the reference itself is out of place by chance")
         return self.reference.follow(self.lab)
+
+    @cached_property
+    def coherence(self) -> CoherenceReference | None:
+        """The sample matched to itself, if it is the only reference; None if its matches say nothing."""
+        known = self.known_lattice
+        if known.lattice is None or known.origin == "model":
+            return None
+        try:
+            return match_sample(self.observation.sample, known.lattice)
+        except CannotTell:
+            return None
+
+    @cached_property
+    def matched(self) -> MatchedPicture | None:
+        """The output followed by matches, if the sample is the only reference."""
+        try:
+            return self.coherence.follow(self.lab) if self.coherence else None
+        except CannotTell:
+            return None
 
     @cached_property
     def misplaced(self) -> float:

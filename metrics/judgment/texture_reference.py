@@ -8,7 +8,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice, Vector
@@ -16,8 +15,9 @@ from nrbench.plugins.forms import Again, Observation, Shape, Texture
 
 from ..perception import limits
 from ..perception.visible import Lab, perceive
-from ..registration.followed import CellModel, FollowedPicture, Strips
+from ..registration.followed import CellModel, FollowedPicture
 from ..registration.lattice_net import LatticeNet, Mask, Values, fold_cells, sample_planes
+from ..registration.lattice_nodes import WIDEST, Strips, choose_windows, explain_share
 from .known_lattice import canonical_lattice
 
 FIRST_DRAW = 1 << 16
@@ -30,8 +30,6 @@ _SIDES = (128, 384)
 """Smallest and largest side of a fresh draw, px."""
 _LEAST_TILES = 8
 """Least number of tiles along each side of a fresh draw."""
-_WIDEST = 3
-"""Largest side of the windows that are followed, in cells."""
 _FEWEST_CELLS = 3
 """Least number of cells along each vector, the incomplete ones included."""
 
@@ -109,16 +107,12 @@ class TextureReference:
         if self.strips is None:
             return np.array([self.misplacement(picture)[picture.valid].mean() for picture in self.pictures])
         (picture,) = self.pictures
-        number, bad = self.strips.number(picture.centers), self.misplacement(picture)
-        parts = [bad[picture.valid & (number == k)] for k in range(STRIPS)]
-        return np.array([part.mean() for part in parts if part.size])
+        return self.strips.share_out(self.misplacement(picture), picture)
 
     @cached_property
     def most_misplaced(self) -> float:
         """Share out of place that chance explains."""
-        spread = float(self.misplaced.std(ddof=1)) if len(self.misplaced) > 1 else 0.0
-        spread /= np.sqrt(len(self.misplaced)) if self.from_sample else 1.0
-        return float(self.misplaced.mean()) + limits.DEVIATIONS * spread + limits.SURE_SHARE
+        return explain_share(self.misplaced, self.from_sample)
 
     @cached_property
     def residuals(self) -> list[tuple[Values, Mask]]:
@@ -138,7 +132,7 @@ class TextureReference:
         if (net.cells <= picture.size).any():
             raise CannotTell("undecided: the output shows fewer than three cells along a lattice vector")
         offset = np.asarray(self.color - lab[..., :3].mean((0, 1)), np.float32)
-        followed = FollowedPicture(lab, net, (self.model,), picture.limit, picture.size, offset=offset)
+        followed = FollowedPicture(net, picture.limit, picture.size, lab, (self.model,), offset=offset)
         if not followed.valid.any():
             raise CannotTell("undecided: no window of whole cells lies inside the output")
         return followed
@@ -146,19 +140,11 @@ class TextureReference:
     def misplacement(self, picture: FollowedPicture) -> NDArray[np.float64]:
         """Return how far each node is out of place, ``(R, C)``: 0 in place, 1 wholly out of place.
 
-        It rises from 0 at the limit of the references to 1 at a quarter of s. All nodes beyond a slip, on the smaller
-        side, are out of place by the slip. A cell that shows the pattern nowhere (misfit) is out of place, too; misfits
-        are relative to those of the output, because a change of color or contrast is no fault of the lattice. So is a
-        window without any contrast.
+        To what lies apart from its surroundings (:meth:`~.registration.lattice_nodes.LatticeNodes.misplacement`) it
+        adds the cells that show the pattern nowhere (misfit); misfits are relative to those of the output, because a
+        change of color or contrast is no fault of the lattice. So is a window without any contrast.
         """
-        bad = np.clip((picture.away - picture.limit) / max(limits.MOST_STEP - picture.limit, 0.05), 0, 1)
-        slipped = picture.slip > self.slip_limit
-        label, count = ndimage.label(picture.valid & ~slipped, np.ones((3, 3)))
-        if slipped.any() and count > 1:
-            main = 1 + np.bincount(label.ravel())[1:].argmax()
-            rows, columns = ndimage.distance_transform_edt(label == 0, return_distances=False, return_indices=True)
-            amount = min(float(np.median(picture.slip[slipped])) / limits.MOST_STEP, 1)
-            bad = np.where(label[rows, columns] != main, np.maximum(bad, amount), bad)
+        bad = picture.misplacement(self.slip_limit)
         median, torn = self.usual_misfit
         own = float(np.median(picture.misfit[picture.in_place])) if picture.in_place.any() else median
         return np.where((picture.misfit > torn * max(1.0, own / median)) | self.find_blank(picture), 1.0, bad)
@@ -237,9 +223,7 @@ def _reference_of(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> Te
     """Learn a texture from the pixels of its sample; cached, because many outputs have one sample."""
     sample = np.frombuffer(pixels, np.float32).reshape(shape)
     height, width = shape[:2]
-    axis = int(height > width)
-    strips = Strips(axis, np.linspace(0, (width, height)[axis], STRIPS + 1))
-    return _learn([perceive(sample)], lattice, None, strips, (height, width))
+    return _learn([perceive(sample)], lattice, None, Strips.across((height, width), STRIPS), (height, width))
 
 
 def _learn(
@@ -251,13 +235,13 @@ def _learn(
     models = (_first_model(labs if ideal is None else [ideal], net),) * (STRIPS if strips else 1)
     size = 2 if net.cells.min() > _FEWEST_CELLS else 1
     for _ in range(3 if strips else 2):
-        followed = [FollowedPicture(lab, net, models, _ROUGHLY, size, strips) for lab in labs]
+        followed = [FollowedPicture(net, _ROUGHLY, size, lab, models, strips) for lab in labs]
         planes, known = zip(*(picture.straightened for picture in followed), strict=True)
         if not all(k.any() for k in known):
             raise CannotTell("undecided: the lattice cannot be followed through the sample")
         model = CellModel.fold(planes, known, net, strips is not None)
         models = _strip_models(planes[0], known[0], net, strips) if strips else (model,)
-    pictures = _choose_windows(labs, net, models, strips)
+    pictures = _follow_closely(labs, net, models, strips)
     if not any((picture.valid & picture.in_place).any() for picture in pictures):
         raise CannotTell("undecided: the lattice cannot be followed through the sample")
     return TextureReference(pictures, model, sample_shape)
@@ -283,22 +267,16 @@ def _strip_models(plane: Values, known: Mask, net: LatticeNet, strips: Strips) -
     return tuple(CellModel.fold([plane], [known & (number != k)], net, True) for k in range(STRIPS))
 
 
-def _choose_windows(
+def _follow_closely(
     labs: Sequence[Lab], net: LatticeNet, models: tuple[CellModel, ...], strips: Strips | None
 ) -> list[FollowedPicture]:
     """Follow the pictures with the smallest windows that lie in their places, to within ``SURE``."""
-    chosen: list[FollowedPicture] = []
-    noise = 0.0
-    for size in range(1, min(_WIDEST, int(net.cells.min()) - 1) + 1):
-        followed = [FollowedPicture(lab, net, models, _ROUGHLY, size, strips) for lab in labs]
-        if not all(picture.valid.any() for picture in followed):
-            break
-        away = np.concatenate([picture.away[picture.valid] for picture in followed])
-        chosen, noise = followed, float(np.quantile(away, limits.TOP_OF_SAMPLE if strips else limits.TOP))
-        if noise < limits.SURE:
-            break
+    sides = range(1, min(WIDEST, int(net.cells.min()) - 1) + 1)
+
+    def follow(size: int) -> list[FollowedPicture]:
+        return [FollowedPicture(net, _ROUGHLY, size, lab, models, strips) for lab in labs]
+
+    chosen = choose_windows(follow, sides, strips is not None)
     if not chosen:
         raise CannotTell("undecided: no window of whole cells lies inside the sample")
-    least = limits.LEAST_STEP * (limits.LOOSE if strips else 1)
-    limit = float(np.clip(limits.OF_NOISE * noise, least, limits.MOST_STEP))
-    return [replace(picture, limit=limit) for picture in chosen]
+    return chosen

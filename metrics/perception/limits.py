@@ -74,6 +74,11 @@ BLANK = _limit("BLANK", 0.05, "", "a contrast to other places that nobody sees; 
 SLIP = _limit("SLIP", 0.1, "s", "smallest difference between the two sides of a line that counts as a slip")
 OF_SLIP = _limit("OF_SLIP", 1.2, "", "margin over the largest difference between two sides in the references")
 
+APART = _limit("APART", 0.75, "s", "convention: a place of a sample is matched to others, not to its own element")
+GOOD_MATCH = _limit("GOOD_MATCH", 0.15, "s", "a match at its own phase; votes are spread by two thirds of it")
+COHERENT = _limit("COHERENT", 0.1, "", "share of matches in a sample, beyond chance, that lie at their phase at least")
+FEWEST_CELLS = _limit("FEWEST_CELLS", 3.5, "cells", "convention: four, to within the uncertainty of their lattice")
+
 SAME_CELL = _limit(
     "SAME_CELL", 10.0, "", "theory: 99 % of squared normal values are below 6.6; half more for few cells"
 )
@@ -135,6 +140,10 @@ LEAST_DISTANCE = _limit("LEAST_DISTANCE", 0.03, "", "convention: share of the en
 DISTANCE_SLOPE = _limit("DISTANCE_SLOPE", 4.0, "", "convention: the score reaches 0 at a quarter of what is possible")
 ODD = _limit("ODD", 4.5, "", "median absolute deviations of the logarithm of the misfit: one normal value in 400")
 OF_DISTANCE = _limit("OF_DISTANCE", 1.1, "", "margin over the largest distance of 24 parts of the references")
+DECISIVE = _limit("DECISIVE", 10.0, "", "Kass and Raftery (1995): a gain of the BIC that is very strong evidence")
+CLASS_GAP = _limit(
+    "CLASS_GAP", 6.0, "sd", "theory: classes of colors do not overlap; with the floor at least three JND apart"
+)
 AMPLITUDE = _limit(
     "AMPLITUDE", 0.06, "s", "the references' geometry does not vary below it; methods take samples for bent from 0.04 s"
 )
@@ -169,7 +178,9 @@ UNEVEN_WHOLE = _limit("UNEVEN_WHOLE", 3.0, "", "two pictures differ by both vari
 UNEVEN_QUARTERS = _limit(
     "UNEVEN_QUARTERS", 8.0, "", "the same for quarters: a quarter of the sample varies four times more"
 )
-UNSEEN_TONES = _limit("UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones")
+UNSEEN_TONES = _limit(
+    "UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones, nor how inks meet"
+)
 OF_LOOKS = _limit("OF_LOOKS", 1.15, "", "margin over the largest distance of the references")
 OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters, of which there are few")
 OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.25, "", "the same for parts of one sample")

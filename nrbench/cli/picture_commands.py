@@ -188,7 +188,8 @@ def _score_line(scores: Scores, name: str) -> str:
 
     value = scores.values[name]
     if value is None:
-        text = describe_silence(scores.reasons[name]) if name in _PERILS else "-"
+        silent = name in _PERILS and scores.values.get("quality.score") is not None
+        text = describe_silence(scores.reasons[name]) if silent else "-"
     else:
         text = str(value) if isinstance(value, bool) else f"{value:.4g}"
     bound = "≤ " if name == "quality.score" and scores.values.get("quality.complete") is False else ""

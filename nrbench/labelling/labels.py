@@ -24,7 +24,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from nrbench.errors import BadInput
 from nrbench.pictures.files import read_image
-from nrbench.plugins.forms import Value
+from nrbench.plugins.forms import describe_silence
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RunDirectory
 from nrbench.storage import read_json, write_json, write_text
@@ -36,7 +36,6 @@ PRESERVED = "regularity.preserved"
 WHOLE_SCORE = 0.95
 """``integrity.score`` below which elements are called broken: more than one in twenty is, beyond chance."""
 
-Scores = Mapping[str, Value]
 COLUMNS = ("item", "question", "answer", "seconds", "order", "labeled_by")
 """The columns of a file of answers. It has one row for each item and question; ``labeled_by`` is the same in all."""
 _LETTERS = "bcdfghjkmnpqrstvwxz"
@@ -67,7 +66,7 @@ class Question:
     text: str
     meanings: tuple[str, str]
     column: str
-    rule: Callable[[Scores], bool | None] | None = None
+    rule: Callable[[CellRecord], bool | None] | None = None
 
     @property
     def metric(self) -> str:
@@ -78,19 +77,22 @@ class Question:
         """Return the answer that the scores of a cell give, one of :data:`ANSWERS`; None without a rule."""
         if self.rule is None:
             return None
-        answer = self.rule(record.values)
+        answer = self.rule(record)
         return ANSWERS[2] if answer is None else ANSWERS[0] if answer else ANSWERS[1]
 
 
-def _is_preserved(values: Scores) -> bool | None:
-    preserved = values.get(PRESERVED)
+def _is_preserved(record: CellRecord) -> bool | None:
+    preserved = record.values.get(PRESERVED)
     return None if preserved is None else bool(preserved)
 
 
-def _has_whole_elements(values: Scores) -> bool | None:
-    """Return whether nearly all elements are whole."""
-    score = values.get("integrity.score")
-    return None if score is None else score >= WHOLE_SCORE
+def _has_whole_elements(record: CellRecord) -> bool | None:
+    """Return whether nearly all elements are whole, or joined ones would look whole in this texture."""
+    score = record.values.get("integrity.score")
+    if score is not None:
+        return score >= WHOLE_SCORE
+    silence = describe_silence(record.reasons.get("integrity.score", ""))
+    return True if record.values.get(PRESERVED) and silence == "no peril" else None
 
 
 LATTICE = Question(
@@ -108,7 +110,8 @@ ELEMENTS = Question(
     "elements",
     "Are the elements whole?",
     (
-        "each element looks like one piece, as in the sample.",
+        "each element looks like one piece, as in the sample. If all elements are so much alike that a joint could not "
+        "be seen, they look whole.",
         "an element is cut, or joined of parts that do not belong together, such as a brick of two colors; one element "
         "is enough.",
     ),

@@ -15,7 +15,7 @@ from nrbench.runs.records import CellRecord, Run
 from ..statistics.format import describe_column, format_number
 from ..statistics.method_comparison import Comparison
 from ..statistics.summaries import COSTS, Method, sort_headlines_first
-from ..statistics.verdicts import QUALITY, verdict
+from ..statistics.verdicts import QUALITY, name_silence, verdict
 from .pictures import DEFECTS, PagePicture, PictureStore
 
 MAX_LINES = 400
@@ -69,7 +69,8 @@ def score_lines(run: Run, record: CellRecord, names: Iterable[str]) -> list[Scor
             value, column = record.values[name], run.columns[name]
             unit = f" {column.unit}" if column.unit and value is not None else ""
             meaning, reason = describe_column(column), record.reasons.get(name, "")
-            lines.append(ScoreLine(name, format_number(value) + unit, meaning, reason))
+            text = name_silence(record, name) or format_number(value) + unit
+            lines.append(ScoreLine(name, text, meaning, reason))
     return lines
 
 

@@ -24,7 +24,7 @@ from ..statistics.expectations import BROKEN, ClaimResult, LevelPanel
 from ..statistics.format import format_value
 from ..statistics.method_comparison import Comparison, ComparisonRow
 from ..statistics.summaries import Method, MethodSummary, PerilsPoint
-from ..statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, RANKING, SHARES_LEGEND
+from ..statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, BOUND_SIGN, RANKING, SHARES_LEGEND
 
 P = ParamSpec("P")
 
@@ -150,9 +150,14 @@ def _draw_frame(axes: Axes, lowest: float, narrow: bool) -> None:
 
 
 def _sign(point: PerilsPoint, style: dict[str, Any]) -> dict[str, Any]:
-    """Return the marker of a point: in the color of its method, or open if its randomness is not scored."""
-    color = style["color"] if point.has_height else "white"
-    return {"marker": style["marker"], "ms": _SIZE, "mfc": color, "mec": INK, "mew": 0.6, "ls": "", "zorder": 3}
+    """Return the marker of a point: in the color of its method, or open, with that color around it for an upper bound.
+
+    A point whose randomness is not scored is open, too.
+    """
+    bound = point.at_most and point.has_height
+    fill = style["color"] if point.has_height and not point.at_most else "white"
+    edge = {"mec": style["color"], "mew": 1.5} if bound else {"mec": INK, "mew": 0.6}
+    return {"marker": style["marker"], "ms": _SIZE, "mfc": fill, **edge, "ls": "", "zorder": 3}
 
 
 def _draw_point(axes: Axes, point: PerilsPoint, x: float, y: float, style: dict[str, Any]) -> None:
@@ -191,11 +196,14 @@ def _draw_key(figure: Figure, axes: Axes, points: Sequence[PerilsPoint], notes: 
         signs.append(("o", "white", "not scored"))
     style: dict[str, Any] = {"ls": "", "ms": _SIZE - 1, "mec": INK, "mew": 0.8}
     handles = [Line2D([], [], marker=sign, mfc=fill, label=words, **style) for sign, fill, words in signs]
+    if any(point.at_most and point.has_height for point in points):
+        bound = {**style, "mec": GRAY, "mew": 1.5}
+        handles.append(Line2D([], [], marker="o", mfc="white", label=f"{BOUND_SIGN} upper bound", **bound))
     handles.append(Line2D([], [], color=INK, lw=0.9, label=f"95 %, at most {most} textures"))
     handles.append(Line2D([], [], color=FAINT, lw=0.8, label="equal quality"))
     figure.legend(
         handles=handles,
-        ncols=2 if narrow else 4,
+        ncols=2 if narrow else min(5, len(handles)),
         loc="lower center",
         bbox_to_anchor=(0.5, (bottom + 9 * len(notes)) / height),
         frameon=False,

@@ -158,12 +158,13 @@ def columns_table(run: Run) -> pd.DataFrame:
 
 
 def perils_table(comparison: Comparison) -> pd.DataFrame:
-    """Return one row a point, with intervals and the number of textures that each coordinate rests on."""
+    """Return one row a point: intervals, the number of textures of each coordinate, and the perils without a score."""
     return pd.DataFrame(
         {
             **_name_method(point.method),
             **point.structure.columns("structure_value", "structure_"),
             **point.randomness.columns("randomness_value", "randomness_"),
+            **{"upper_bound": point.at_most, "silences": point.silences},
         }
         for point in perils_points(comparison.summaries)
     )

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import pandas as pd
 
 from nrbench import plugins
 from nrbench.plugins.forms import Column
-from nrbench.runs.records import Run
+from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
 from .estimates import NO_ESTIMATE, Estimate, estimate_means, estimate_proportion, stack_draws, success_rate
@@ -36,6 +36,7 @@ from .verdicts import (
     SCORE,
     STRUCTURE,
     BaselineValidity,
+    count_silences,
     count_valid_textures,
     has_quality,
     method_label,
@@ -118,6 +119,8 @@ class MethodSummary:
         On how many textures a baseline is valid: of all, and of those with a quality.
     lattices
         For each of :data:`LATTICES` the median error over outputs in px and in s, and the share that are exact.
+    silences
+        On how many outputs a peril has no score, by the peril, and by ``no peril`` or ``cannot tell``.
     rank
         Position by mean quality, 1 the best; None for a reference, without a quality, and if the method has a quality
         on fewer than half as many textures as the method with the most.
@@ -133,6 +136,7 @@ class MethodSummary:
     validity: BaselineValidity
     validity_scored: BaselineValidity
     lattices: Mapping[str, Estimate]
+    silences: Mapping[tuple[str, str], int] = field(default_factory=dict)
     rank: int | None = None
     leading: bool = False
 
@@ -147,6 +151,16 @@ class MethodSummary:
     def at_most(self) -> bool:
         """Whether the mean quality is an upper bound."""
         return RANKING in self.means and self.means[RANKING].at_most
+
+    @property
+    def silence_words(self) -> str:
+        """On how many outputs a peril has no score; empty if on none."""
+        counts = ((name.rpartition(".")[2], word, n) for (name, word), n in self.silences.items())
+        return "; ".join(f"{peril}: {word} on {n} output{'s' * (n > 1)}" for peril, word, n in counts)
+
+    def blank(self, name: str) -> str:
+        """Return the text in the place of a mean that counts no texture."""
+        return "no peril" if (name, "no peril") in self.silences else "–"
 
     @property
     def all_means(self) -> dict[str, Estimate]:
@@ -261,12 +275,16 @@ class PerilsPoint:
         randomness is scored. It is not scored where the lattice is lost.
     validity
         On how many of the textures with a quality a baseline is valid.
+    at_most, silences
+        Whether the mean quality is an upper bound, and on how many outputs a peril is no peril or cannot be told.
     """
 
     method: Method
     structure: Estimate
     randomness: Estimate
     validity: BaselineValidity
+    at_most: bool = False
+    silences: str = ""
 
     @property
     def has_height(self) -> bool:
@@ -286,13 +304,17 @@ class PerilsPoint:
         height = f"{randomness} (on {self.randomness.n} of {self.structure.n})" if self.has_height else "not scored"
         across = f"{format_number(self.structure.value)} {format_interval(self.structure)}"
         valid = f"; {self.validity.words}" if self.validity.n else ""
-        return f"{self.method.label}: in place, whole and alike {across}, randomness {height}{valid}"
+        silences = f"; {self.silences}" if self.silences else ""
+        bound = "; the quality is an upper bound" if self.at_most else ""
+        return f"{self.method.label}: in place, whole and alike {across}, randomness {height}{valid}{silences}{bound}"
 
 
 def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
     """Return the point of every method that has a quality, in the order of the summaries."""
     points = [
-        PerilsPoint(one.method, one.means[STRUCTURE], one.means[RANDOMNESS], one.validity_scored)
+        PerilsPoint(
+            one.method, one.means[STRUCTURE], one.means[RANDOMNESS], one.validity_scored, one.at_most, one.silence_words
+        )
         for one in summaries
         if STRUCTURE in one.means
     ]
@@ -312,6 +334,9 @@ def summarize_methods(run: Run, cells: pd.DataFrame, population: bool = False) -
     """Return each method of a run in numbers, from the rows of its cells, in the order of the suite."""
     columns, methods = describe_scores(run), list_methods(run)
     by_label = dict(iter(cells.groupby("label", sort=False)))
+    by_method: dict[str, list[CellRecord]] = {}
+    for record in run.cells:
+        by_method.setdefault(method_label(record.method, record.lattice_source), []).append(record)
     summaries = []
     for method in methods:
         rows = by_label[method.label]
@@ -331,6 +356,7 @@ def summarize_methods(run: Run, cells: pd.DataFrame, population: bool = False) -
                 validity=count_valid_textures(rows),
                 validity_scored=count_valid_textures(scored),
                 lattices=compare_lattices(rows),
+                silences=count_silences(by_method[method.label]),
             )
         )
     return summaries
@@ -422,7 +448,7 @@ def _row(
     for one in summaries:
         estimate = one.all_means.get(name, NO_ESTIMATE)
         refused = with_refusals and one.counts["refused"] == one.counts["cells"]
-        blank = MARKS["refused"] if refused else "–"
+        blank = MARKS["refused"] if refused else one.blank(name)
         numbers[one.label] = Number(estimate if estimate.n else None, rate, column.range == (0.0, 1.0), blank)
     return SummaryRow(name, column, note, numbers, rate)
 

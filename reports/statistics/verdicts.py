@@ -7,7 +7,7 @@ is valid on its texture.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ import pandas as pd
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.plugins.forms import Column
+from nrbench.plugins.forms import Column, describe_silence
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import FAILED
 
@@ -82,6 +82,23 @@ def verdict(record: CellRecord) -> str:
 def bound_sign(record: CellRecord) -> str:
     """Return the sign of an upper bound if the quality of a cell is one, else nothing."""
     return BOUND_SIGN if record.values.get(COMPLETE) is False else ""
+
+
+def name_silence(record: CellRecord, peril: str) -> str:
+    """Return ``no peril`` or ``cannot tell`` if a cell has a quality but no score of a peril; else nothing.
+
+    A quality of 0 is no upper bound. What it hides is not looked for, and neither is told.
+    """
+    if peril not in PERILS or record.values.get(QUALITY) is None or record.values.get(peril) is not None:
+        return ""
+    word = describe_silence(record.reasons.get(peril, ""))
+    return word if word == "no peril" or record.values.get(COMPLETE) is False else ""
+
+
+def count_silences(records: Sequence[CellRecord]) -> dict[tuple[str, str], int]:
+    """Return on how many outputs each peril is ``no peril``, and on how many one ``cannot tell``: those that occur."""
+    counts = Counter((peril, name_silence(record, peril)) for peril in PERILS for record in records)
+    return {(peril, word): count for (peril, word), count in counts.items() if word}
 
 
 def explain_verdict(record: CellRecord, column: str = PRESERVED) -> str:

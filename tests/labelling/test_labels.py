@@ -120,6 +120,14 @@ def test_automatic_answer_about_the_elements(run: Run, score: float | None, answ
     assert ELEMENTS.automatic_answer(_with_scores(run.cells[0], integrity__score=score)) == answer
 
 
+def test_elements_of_which_a_joint_cannot_be_seen_are_whole(run: Run) -> None:
+    """No peril is yes where the lattice is preserved; a score that cannot be told is "cannot say"."""
+    reason, silent = "not applicable: joined ones look whole", {"integrity__score": None}
+    for why, preserved, answer in ((reason, True, "yes"), (reason, False, "cannot say"), ("few", True, "cannot say")):
+        record = _with_scores(run.cells[0], **silent, regularity__preserved=preserved)
+        assert ELEMENTS.automatic_answer(replace(record, reasons={"integrity.score": why})) == answer
+
+
 def test_more_of_the_same_has_no_automatic_answer(run: Run) -> None:
     """No value of the quality is called yes or no."""
     assert {MORE.automatic_answer(_with_scores(run.cells[0], quality__score=value)) for value in (0.0, 1.0, None)} == (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 
 from nrbench.errors import BadInput
 from nrbench.reports.figure import PictureGrid, plot_pictures
+from nrbench.reports.page.gallery import score_lines
 from nrbench.reports.page.pictures import PictureStore, find_marks, worst_place
 from nrbench.reports.page.plots import (
     caption_text,
@@ -171,6 +173,32 @@ def test_a_lost_lattice_has_no_height(comparison: Comparison) -> None:
     assert not lost.has_height and lost.structure.n == 3 and "not scored" in lost.words
     assert shaky.has_height and (shaky.randomness.n, shaky.structure.n) == (2, 3)
     assert caption_text(shaky) == "shaky (own) [2 of 3]"
+
+
+def test_a_point_says_which_silence_it_is(make_cell: Make, make_run: Make) -> None:
+    """An upper bound is named with the peril that cannot be told; no peril is no upper bound; 0 hides nothing."""
+    measured = dict.fromkeys(("regularity", "randomness", "appearance"), 0.8)
+    absent = {"quality.integrity": "not applicable: joined ones look whole"}
+    told = {"quality.score": 0.8, "quality.complete": True, **{f"quality.{name}": 0.8 for name in measured}}
+    cells = [
+        make_cell("a", "silent", perils={**measured, "integrity": None}),
+        make_cell("a", "alike", perils=measured, values={**told, "quality.integrity": None}, reasons=absent),
+        make_cell("a", "lost", preserved=False, perils={"regularity": 0.0, "integrity": None, "randomness": None}),
+    ]
+    cells[1] = replace(cells[1], values={**cells[1].values, "quality.integrity": None, "quality.complete": True})
+    run = make_run(cells)
+    comparison = compare_methods(run)
+    words = {name: _point(comparison, name).words for name in ("silent", "alike", "lost")}
+    assert words["silent"].endswith("; integrity: cannot tell on 1 output; the quality is an upper bound")
+    assert words["alike"].endswith("; integrity: no peril on 1 output")
+    assert "cannot tell" not in words["lost"] and "no peril" not in words["lost"]
+    assert _point(comparison, "silent").at_most and not _point(comparison, "alike").at_most
+    (row,) = (row for row in comparison.summary_rows if row.name == "quality.integrity")
+    assert [row.numbers[f"{name} (own)"].text for name in ("silent", "alike", "lost")] == ["–", "no peril", "–"]
+    lines = {line.name: line.text for line in score_lines(run, run.cells[1], ["quality.integrity", "quality.score"])}
+    assert lines == {"quality.integrity": "no peril", "quality.score": "0.80"}
+    files = [plot_perils_plane("svg", [_point(comparison, name)]) for name in ("silent", "alike")]
+    assert files[0] != files[1]
 
 
 def test_files_are_vector_graphics_and_the_same_again(ranked: Run, comparison: Comparison, tmp_path: Path) -> None:

@@ -1,0 +1,226 @@
+"""Phase coherence: whether the places of a picture match places of the sample that lie at one phase of the lattice.
+
+Registration compares windows with the mean cell, which is vague where elements differ or few of them are shown. Here
+each place of a picture is matched to the most similar place of the sample. Where the lattice is whole, its own phase
+less that of the match is constant or changes smoothly; where the lattice breaks, it jumps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.lattice.geometry import Points
+from nrbench.plugins.forms import Shape
+
+from ..perception import limits
+from ..perception.visible import Lab
+from .lattice_net import LatticeNet, Mask, Values, sum_boxes
+from .lattice_nodes import Field, LatticeNodes, find_least, find_lengths
+
+_SCALES = (1, 2, 4, 8)
+"""Standard deviations, px, of the Gaussians whose derivatives are features."""
+_MOST_POINTS = 4096, 12544
+"""Most points of the sample and of an output: every fourth pixel of 256 and of 448 px."""
+_ROWS = 128
+"""Number of points that are matched at once."""
+_BINS = 16
+"""Number of displacements along each vector that are told apart before interpolation."""
+_ROUGHLY = 0.2
+"""Largest departure in s of a node in its place before the limit is set."""
+
+
+@dataclass(frozen=True)
+class PointGrid:
+    """Points of a picture at even steps.
+
+    Parameters
+    ----------
+    shape
+        Shape of the picture.
+    step
+        Distance of neighboring points, px.
+    """
+
+    shape: Shape
+    step: int
+
+    @classmethod
+    def over(cls, lab: Lab, most: int) -> PointGrid:
+        """Return the densest grid with at most about ``most`` points."""
+        height, width = lab.shape[:2]
+        return cls((height, width), max(1, int(np.ceil(np.sqrt(height * width / most)))))
+
+    @cached_property
+    def points(self) -> Points:
+        """``(H, W, 2)``: (x, y) px."""
+        y, x = (np.arange(self.step // 2, side, self.step, dtype=float) for side in self.shape)
+        return np.stack(np.meshgrid(x, y), -1)
+
+    def measure_features(self, lab: Lab) -> Values:
+        """Return the local features of each point, ``(H W, C)``, less their mean.
+
+        They are the first and second differences of L* at four scales, its mean at the coarsest one, and a* and b* at
+        the three coarser ones.
+        """
+        (height, width), at = self.shape, np.s_[self.step // 2 :: self.step, self.step // 2 :: self.step]
+        smooth, planes, done = list(np.moveaxis(lab[..., :3], -1, 0)), [], 0.0
+        for scale in _SCALES:
+            sigma, done = float(np.sqrt(scale**2 - done**2)), float(scale)
+            smooth = [ndimage.gaussian_filter(plane, sigma, mode="reflect", truncate=3) for plane in smooth]
+            wide = np.pad(smooth[0], scale, mode="reflect")
+            (a, b, c), (d, e, f), (g, h, i) = (
+                [wide[y : y + height, x : x + width][at] for x in (0, scale, 2 * scale)] for y in (0, scale, 2 * scale)
+            )
+            planes += [(f - d) / 2, (h - b) / 2, f + d - 2 * e, h + b - 2 * e, (a + i - c - g) / 4]
+            planes += [plane[at] for plane in smooth[1:] if scale > 1]
+        features = np.stack([*planes, e], -1).reshape(-1, len(planes) + 1)
+        return np.asarray(features - features.mean(0))
+
+
+@dataclass(frozen=True)
+class MatchedPicture(LatticeNodes):
+    """A picture through which the lattice is followed by matches.
+
+    The displacement of a window is the one for which most of its points vote, each vote being spread by a Gaussian. The
+    mean votes of the windows around it decide where its own are undecided.
+
+    Parameters
+    ----------
+    grid
+        The points of the picture.
+    moved
+        ``(n, 2)``: phase of each point less that of its match, in cells.
+    weight
+        ``(n,)``: weight of its vote.
+    """
+
+    grid: PointGrid
+    moved: Field
+    weight: NDArray[np.float64]
+
+    @cached_property
+    def _fit(self) -> tuple[Field, Mask]:
+        net, shape = self.net, 2 * self.net.cells
+        half = 2 * ((self.grid.points.reshape(-1, 2) - net.origin) @ np.linalg.inv(net.vectors) - net.first)
+        row, column = np.moveaxis(np.clip(np.floor(half).astype(np.intp), 0, shape - 1), -1, 0)
+        i, j = np.moveaxis(np.rint(self.moved * _BINS).astype(np.intp) % _BINS, -1, 0)
+        block, blocks = row * shape[1] + column, int(shape.prod())
+        votes = np.bincount((block * _BINS + i) * _BINS + j, self.weight, blocks * _BINS**2).astype(float)
+        sums = sum_boxes(votes.reshape(*shape, _BINS**2), 2 * self.size)
+        sums += ndimage.uniform_filter(sums, (3, 3, 1), mode="nearest")
+        sigma = 2 / 3 * limits.GOOD_MATCH * net.s / np.linalg.norm(net.vectors, axis=1) * _BINS
+        spread = ndimage.gaussian_filter(sums.reshape(*sums.shape[:2], _BINS, _BINS), (0, 0, *sigma), mode="wrap")
+        count = sum_boxes(np.bincount(block, minlength=blocks).reshape(shape).astype(float), 2 * self.size)
+        whole = self.size**2 * abs(float(np.linalg.det(net.vectors))) / self.grid.step**2
+        return find_least(-spread), count > 0.9 * whole
+
+    @property
+    def displacement(self) -> Field:
+        """Displacement of each node, modulo the lattice."""
+        return self._fit[0]
+
+    @property
+    def valid(self) -> Mask:
+        """``(R, C)``: the nodes whose windows lie inside the picture."""
+        return self._fit[1]
+
+
+@dataclass(frozen=True, eq=False)
+class SampleMatches:
+    """The points of a sample, to which those of other pictures are matched.
+
+    A match is the point with the smallest squared distance of features, which are decorrelated and divided by the roots
+    of their variances plus JND^2.
+
+    Parameters
+    ----------
+    lab
+        The sample as it is seen.
+    net
+        Its net.
+    """
+
+    lab: Lab
+    net: LatticeNet
+
+    @cached_property
+    def grid(self) -> PointGrid:
+        """The points."""
+        return PointGrid.over(self.lab, _MOST_POINTS[0])
+
+    @cached_property
+    def _features(self) -> tuple[Values, Values]:
+        """The decorrelated features, and the matrix that makes them."""
+        features = self.grid.measure_features(self.lab)
+        power, axes = np.linalg.eigh(np.cov(features.T))
+        matrix = np.asarray(axes / np.sqrt(np.maximum(power, 0) + limits.JND**2), np.float32)
+        return np.asarray(features @ matrix), matrix
+
+    @cached_property
+    def _own(self) -> NDArray[np.intp]:
+        """The match of each point of the sample that lies at least ``APART`` s away."""
+        height, width = self.grid.points.shape[:2]
+        y, x = np.mgrid[1 - height : height, 1 - width : width] * self.grid.step
+        near = sliding_window_view(np.hypot(x, y) < limits.APART * self.net.s, (height, width))[::-1, ::-1]
+        return _find_nearest(self._features[0], self._features[0], near)
+
+    @cached_property
+    def right(self) -> NDArray[np.bool_]:
+        """``(n,)``: whether the match of each point in the sample lies at its own phase, to within ``GOOD_MATCH`` s."""
+        away = find_lengths(self._displace(self.grid, self._own), self.net.vectors)
+        return np.asarray(away < limits.GOOD_MATCH * self.net.s)
+
+    @property
+    def chance(self) -> float:
+        """Share of matches that are right by chance."""
+        return float(np.pi * (limits.GOOD_MATCH * self.net.s) ** 2 / abs(np.linalg.det(self.net.vectors)))
+
+    @cached_property
+    def trust(self) -> NDArray[np.float64]:
+        """``(n,)``: weight of a match with each point: the share of right ones around it, beyond chance."""
+        sigma = limits.GOOD_MATCH / 2 * self.net.s / self.grid.step
+        share = ndimage.gaussian_filter(self.right.reshape(self.grid.points.shape[:2]).astype(float), sigma)
+        return np.maximum(share - self.chance, 0).ravel()
+
+    @cached_property
+    def own(self) -> MatchedPicture:
+        """The sample itself, each point matched to another part of it."""
+        return self._place(self.grid, self._own)
+
+    def match(self, lab: Lab) -> MatchedPicture:
+        """Match a picture, and follow it with windows of one cell."""
+        rows, matrix = self._features
+        grid = PointGrid.over(lab, _MOST_POINTS[1])
+        return self._place(grid, _find_nearest(grid.measure_features(lab) @ matrix, rows))
+
+    def _displace(self, grid: PointGrid, match: NDArray[np.intp]) -> Field:
+        """Return the phase of each point less that of its match, in cells."""
+        own, matched = (points.reshape(-1, 2) for points in (grid.points, self.grid.points))
+        return np.asarray((own - matched[match]) @ np.linalg.inv(self.net.vectors))
+
+    def _place(self, grid: PointGrid, match: NDArray[np.intp]) -> MatchedPicture:
+        net = replace(self.net, shape=grid.shape)
+        return MatchedPicture(net, _ROUGHLY, 1, grid, self._displace(grid, match), self.trust[match])
+
+
+def _find_nearest(rows: Values, others: Values, excluded: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:
+    """Return the index of the nearest of ``others`` to each of ``rows``.
+
+    ``excluded``, ``(H, W, H, W)`` for rows ``(H W, C)``, holds the pairs that do not count.
+    """
+    # The largest product less half the power of the other is the smallest squared distance, in one multiplication.
+    table = np.vstack([others.T, -(others**2).sum(1) / 2])
+    rows = np.column_stack([rows, np.ones(len(rows), np.float32)])
+    found, count = np.empty(len(rows), np.intp), excluded.shape[1] if excluded is not None else _ROWS
+    for k, start in enumerate(range(0, len(rows), count)):
+        likeness = rows[start : start + count] @ table
+        if excluded is not None:
+            np.copyto(likeness.reshape(excluded.shape[1:]), -np.inf, where=excluded[k])
+        found[start : start + count] = likeness.argmax(1)
+    return found

@@ -1,0 +1,312 @@
+"""Where the windows of a picture lie on its lattice: which of them are in place, and which have slipped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+import scipy.signal
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from nrbench.lattice.geometry import Points
+from nrbench.plugins.forms import Shape
+
+from ..perception import limits
+from . import net_kernels
+from .lattice_net import LatticeNet, Mask, Values
+
+Field = NDArray[np.float64]
+"""``(R, C, 2)``: displacements of windows, in cell coordinates."""
+_REACH = 2
+"""Half width, in nodes (half cells), of the surroundings that predict the displacement of a node."""
+_SIDE, _ALONG = 4, 2
+"""Depth and half length, in nodes, of the two sides of a line whose displacements are compared."""
+_MOST_ROUNDS = 300
+WIDEST = 3
+"""Largest side of the windows that are followed, in cells."""
+Nodes = TypeVar("Nodes", bound="LatticeNodes")
+
+
+@dataclass(frozen=True)
+class Strips:
+    """Parallel strips of a picture, each with a model of its own.
+
+    Parameters
+    ----------
+    axis
+        0: the strips divide x, 1: they divide y.
+    edges
+        ``(k + 1,)`` px.
+    """
+
+    axis: int
+    edges: Points
+
+    @classmethod
+    def across(cls, shape: Shape, count: int) -> Strips:
+        """Cut a picture of ``shape`` into ``count`` strips of equal width, across its longer side."""
+        axis = int(shape[0] > shape[1])
+        return cls(axis, np.linspace(0, shape[1 - axis], count + 1))
+
+    def number(self, points: Points) -> NDArray[np.intp]:
+        """Return the number of the strip in which each point lies."""
+        found = np.searchsorted(self.edges, points[..., self.axis]) - 1
+        return np.clip(found, 0, len(self.edges) - 2)
+
+    def share_out(self, bad: NDArray[np.float64], nodes: LatticeNodes) -> NDArray[np.float64]:
+        """Return the mean of ``bad``, a number of each node, over the nodes of each strip."""
+        number = self.number(nodes.centers)
+        parts = [bad[nodes.valid & (number == k)] for k in range(len(self.edges) - 1)]
+        return np.array([part.mean() for part in parts if part.size])
+
+
+@dataclass(frozen=True)
+class LatticeNodes:
+    """The windows of a picture, of ``size`` x ``size`` cells at every half cell, and where they lie on the lattice.
+
+    How the displacement of a window (a node) is measured is left to the subclasses. Nodes are *in place* if they lie
+    where the nodes around them that are in place put them, to within ``limit``. The set grows from the place where most
+    neighbors agree, so smooth bending and drift leave all nodes in place, while what is beyond a slip is not reached.
+
+    Parameters
+    ----------
+    net
+        The net of the picture.
+    limit
+        Largest departure of a node in its place, in s.
+    size
+        Side of the windows in cells.
+    """
+
+    net: LatticeNet
+    limit: float
+    size: int
+
+    @property
+    def displacement(self) -> Field:
+        """Displacement of each node, modulo the lattice."""
+        raise NotImplementedError
+
+    @property
+    def valid(self) -> Mask:
+        """``(R, C)``: the nodes whose windows lie inside the picture."""
+        raise NotImplementedError
+
+    @cached_property
+    def _growth(self) -> tuple[Mask, Field]:
+        return _grow(self.displacement, self.valid, self.net.vectors, self.limit * self.net.s)
+
+    @property
+    def in_place(self) -> Mask:
+        """The nodes in their places."""
+        return self._growth[0]
+
+    @property
+    def expected(self) -> Field:
+        """Displacement that the nodes in place predict for each node; continuous, not modulo the lattice."""
+        return self._growth[1]
+
+    @cached_property
+    def away(self) -> Values:
+        """Distance in s of each node from where it is expected."""
+        return np.asarray(find_lengths(self.displacement - self.expected, self.net.vectors) / self.net.s)
+
+    @cached_property
+    def slip(self) -> NDArray[np.float64]:
+        """Largest difference in s of the mean displacements on both sides of each node, over four directions."""
+        return _compare_sides(self) / self.net.s
+
+    @cached_property
+    def centers(self) -> Points:
+        """``(R, C, 2)``: (x, y) px of the middles of the nodes' windows."""
+        return self._centers(self.size)
+
+    def _centers(self, size: int) -> Points:
+        numbers = np.moveaxis(np.indices(node_shape(self.net, size)), 0, -1) / 2 + size / 2 + self.net.first
+        return np.asarray(numbers @ self.net.vectors + self.net.origin)
+
+    @cached_property
+    def drift(self) -> Points:
+        """2 x 2 matrix: the affine part of the displacement of the nodes in place, px a px."""
+        points, moved = self.centers[self.in_place], (self.expected @ self.net.vectors)[self.in_place]
+        if len(points) < 4:
+            return np.zeros((2, 2))
+        design = np.column_stack([points - points.mean(0), np.ones(len(points))])
+        return np.asarray(np.linalg.lstsq(design, moved, rcond=None)[0][:2])
+
+    @cached_property
+    def bending(self) -> float:
+        """Root mean square displacement in s of the nodes in place, less its affine part."""
+        if self.in_place.sum() < 4:
+            return 0.0
+        moved = (self.expected @ self.net.vectors)[self.in_place] - self.centers[self.in_place] @ self.drift
+        return float(np.sqrt(((moved - moved.mean(0)) ** 2).sum(1).mean()) / self.net.s)
+
+    def misplacement(self, slip_limit: float) -> NDArray[np.float64]:
+        """Return how far each node is out of place, ``(R, C)``: 0 in place, 1 wholly out of place.
+
+        It rises from 0 at the limit to 1 at a quarter of s. All nodes beyond a slip, a line whose sides differ by more
+        than ``slip_limit`` s, on the smaller side, are out of place by the slip.
+        """
+        bad = np.clip((self.away - self.limit) / max(limits.MOST_STEP - self.limit, 0.05), 0, 1)
+        slipped = self.slip > slip_limit
+        label, count = ndimage.label(self.valid & ~slipped, np.ones((3, 3)))
+        if slipped.any() and count > 1:
+            main = 1 + np.bincount(label.ravel())[1:].argmax()
+            rows, columns = ndimage.distance_transform_edt(label == 0, return_distances=False, return_indices=True)
+            amount = min(float(np.median(self.slip[slipped])) / limits.MOST_STEP, 1)
+            bad = np.where(label[rows, columns] != main, np.maximum(bad, amount), bad)
+        return np.asarray(bad)
+
+
+def choose_windows(follow: Callable[[int], Sequence[Nodes]], sides: Sequence[int], by_sample: bool) -> list[Nodes]:
+    """Follow references with the smallest windows that lie in their places to within ``SURE``, and set their limit.
+
+    Parameters
+    ----------
+    follow
+        Returns the references, followed with windows of the given side.
+    sides
+        Sides of the windows that are tried, in cells.
+    by_sample
+        Whether the reference is one sample, whose windows show less.
+
+    Returns
+    -------
+    list
+        The references; empty if no window lies inside them.
+    """
+    chosen: list[Nodes] = []
+    noise = 0.0
+    for size in sides:
+        followed = follow(size)
+        if not all(picture.valid.any() for picture in followed):
+            break
+        away = np.concatenate([picture.away[picture.valid] for picture in followed])
+        chosen, noise = list(followed), float(np.quantile(away, limits.TOP_OF_SAMPLE if by_sample else limits.TOP))
+        if noise < limits.SURE:
+            break
+    least = limits.LEAST_STEP * (limits.LOOSE if by_sample else 1)
+    limit = float(np.clip(limits.OF_NOISE * noise, least, limits.MOST_STEP))
+    return [replace(picture, limit=limit) for picture in chosen]
+
+
+def explain_share(shares: NDArray[np.float64], by_sample: bool) -> float:
+    """Return the share out of place that chance explains, from the shares of pictures or of strips of a sample."""
+    spread = float(shares.std(ddof=1)) if len(shares) > 1 else 0.0
+    spread /= np.sqrt(len(shares)) if by_sample else 1.0
+    return float(shares.mean()) + limits.DEVIATIONS * spread + limits.SURE_SHARE
+
+
+def node_shape(net: LatticeNet, size: int) -> tuple[int, int]:
+    """Return the number of windows along each vector."""
+    rows, columns = 2 * (net.cells - size) + 1
+    return int(rows), int(columns)
+
+
+def find_least(costs: NDArray[Any]) -> Field:
+    """Return the displacement of the least cost of each window, from costs ``(R, C, n1, n2)`` at displacements i / n.
+
+    It lies between the samples by a parabola, in cell coordinates modulo the lattice.
+    """
+    samples = costs.shape[2:]
+    best = costs.reshape(*costs.shape[:2], -1).argmin(-1)
+    i, j = np.unravel_index(best, samples)
+    rows, columns = np.indices(best.shape)
+
+    def at(di: int, dj: int) -> Values:
+        return np.asarray(costs[rows, columns, (i + di) % samples[0], (j + dj) % samples[1]])
+
+    def refine(before: Values, after: Values) -> Values:
+        bend = before - 2 * at(0, 0) + after
+        return np.where(bend > 1e-9, np.clip((before - after) / (2 * np.maximum(bend, 1e-9)), -0.5, 0.5), 0)
+
+    place = np.stack(
+        [(i + refine(at(-1, 0), at(1, 0))) / samples[0], (j + refine(at(0, -1), at(0, 1))) / samples[1]], -1
+    )
+    return np.asarray(place - np.rint(place), np.float64)
+
+
+def find_lengths(difference: Field, vectors: Points) -> Values:
+    """Return the length px of displacements in cell coordinates, modulo the lattice of reduced vectors."""
+    lengths = net_kernels.measure_lengths(
+        np.ascontiguousarray(difference).reshape(-1, 2), np.ascontiguousarray(vectors)
+    )
+    return np.asarray(lengths.reshape(difference.shape[:-1]))
+
+
+def _grow(displacement: Field, valid: Mask, vectors: Points, limit: float) -> tuple[Mask, Field]:
+    """Return the nodes in place and the displacement that they predict everywhere."""
+    width = 2 * _REACH + 1
+
+    def box(a: NDArray[np.float64]) -> NDArray[np.float64]:
+        size = (width, width) + (1,) * (a.ndim - 2)
+        return np.asarray(ndimage.uniform_filter(a, size, mode="constant") * width**2)
+
+    largest, expected = np.zeros_like(valid), np.zeros_like(displacement)
+    rating = np.where(valid, _count_agreeing(displacement, valid, vectors, limit), -1)
+    for _ in range(3):
+        if rating.max() < 3:
+            break
+        grown = np.zeros_like(valid)
+        grown[np.unravel_index(rating.argmax(), rating.shape)] = True
+        rating[grown] = -1
+        unwrapped = displacement
+        for turn in range(_MOST_ROUNDS):
+            count = np.rint(box(grown.astype(np.float64)))
+            mean = box(unwrapped * grown[..., np.newaxis]) / np.maximum(count, 1)[..., np.newaxis]
+            near = displacement - mean
+            unwrapped = np.where(count[..., np.newaxis] > 0, mean + near - np.rint(near), unwrapped)
+            wider = valid & (count >= (1 if turn < 2 else 3)) & (find_lengths(near, vectors) <= limit)
+            if turn > 2 and (wider == grown).all():
+                break
+            grown = wider
+        rating[grown] = -1
+        if grown.sum() > largest.sum():
+            largest, expected = grown, _fill(mean, count < 3)
+        if 2 * largest.sum() > valid.sum():
+            break
+    return largest, expected
+
+
+def _count_agreeing(displacement: Field, valid: Mask, vectors: Points, limit: float) -> NDArray[np.intp]:
+    """Return how many nodes around each node have its displacement, to within the limit px."""
+    reach, (rows, columns) = _REACH, valid.shape
+    wide, known = np.pad(displacement, ((reach, reach), (reach, reach), (0, 0))), np.pad(valid, reach)
+    total = np.zeros(valid.shape, np.intp)
+    for i, j in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        part = np.s_[i : i + rows, j : j + columns]
+        total += known[part] & (find_lengths(displacement - wide[part], vectors) < limit)
+    return total
+
+
+def _fill(field: Field, unknown: Mask) -> Field:
+    """Return a field with unknown nodes replaced by the nearest known one."""
+    if unknown.all() or not unknown.any():
+        return field
+    rows, columns = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    return np.asarray(field[rows, columns])
+
+
+def _compare_sides(picture: LatticeNodes) -> NDArray[np.float64]:
+    """Return the largest difference px between the mean displacements of the two sides of each node."""
+    near = picture.displacement - picture.expected
+    known = picture.valid & (picture.away < 0.3)
+    moved = np.where(known[..., np.newaxis], (picture.expected + near - np.rint(near)) @ picture.net.vectors, 0)
+    y, x = np.mgrid[-_SIDE : _SIDE + 1, -_SIDE : _SIDE + 1]
+    planes = np.stack([known.astype(float), *np.moveaxis(moved, -1, 0)])
+    planes = np.broadcast_to(planes, (2, *planes.shape))
+    largest = np.zeros(known.shape)
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        across, along = (y * down + x * right) / np.hypot(down, right), (y * right - x * down) / np.hypot(down, right)
+        side = ((across > 0.6) & (across <= _SIDE) & (np.abs(along) <= _ALONG)).astype(np.float64)
+        kernels = np.stack([side, side[::-1, ::-1]])[:, np.newaxis]
+        sums = scipy.signal.fftconvolve(planes, kernels, mode="same", axes=(2, 3))
+        means = sums[:, 1:] / np.maximum(sums[:, :1], 1)
+        enough = (sums[:, 0] > 0.45 * side.sum()).all(0)
+        largest = np.maximum(largest, np.where(enough, np.linalg.norm(means[0] - means[1], axis=0), 0))
+    return largest
