@@ -487,7 +487,7 @@ def _score(observation: Observation) -> Score:
     try:
         ratios, colors = _compare_looks(observation), _find_new_colors(observation)
         if colors and observation.again is None:  # a sample shows few of the ways in which inks meet
-            ratios = {name: ratio / limits.UNSEEN_TONES for name, ratio in ratios.items()}
+            ratios = {name: ratio / (1 if name == "lack" else limits.UNSEEN_TONES) for name, ratio in ratios.items()}
         ratios |= colors
         values |= ratios | {"score": float(np.clip(1 - limits.LOOKS_SLOPE * (max(ratios.values()) - 1), 0, 1))}
         few = "undecided: the references show too few windows of this size"

@@ -27,13 +27,14 @@ PERIOD, RADIUS = 21.4, 7.5
 LATTICE = Lattice((PERIOD, 0), (0, PERIOD), (3.0, 5.0))
 
 
-def print_dots(colors: NDArray[np.float64]) -> Image:
-    """Return a picture of dots of given colors, ``(n, n, 3)``, on a light ground."""
+def print_dots(colors: NDArray[np.float64], moved: NDArray[np.float64] | None = None) -> Image:
+    """Return a picture of dots of given colors, ``(n, n, 3)``, moved by (x, y) px, ``(2, n, n)``, on a light ground."""
     side = int((len(colors) - 1) * PERIOD)
     y, x = (np.indices((4 * side, 4 * side)) + 0.5) / 4 - 0.5
     u, v = (x - 3) / PERIOD, (y - 5) / PERIOD
     i, j = np.rint(u).astype(int), np.rint(v).astype(int)
-    dots = (np.hypot(u - i, v - j) * PERIOD < RADIUS)[..., np.newaxis]
+    right, down = np.zeros((2, *i.shape)) if moved is None else moved[:, j % len(colors), i % len(colors)]
+    dots = (np.hypot((u - i) * PERIOD - right, (v - j) * PERIOD - down) < RADIUS)[..., np.newaxis]
     picture = np.where(dots, colors[j % len(colors), i % len(colors)], (0.93, 0.92, 0.88))
     return quantize(picture.reshape(side, 4, side, 4, 3).mean((1, 3)).astype(np.float32))
 
@@ -69,6 +70,14 @@ def test_invented_colors_are_no_appearance(inks: int) -> None:
     colors = rng.multivariate_normal(palette.mean(0), np.cov(palette.T, ddof=0), (11, 11)).clip(0.02, 0.98)
     values = appearance(observe(inks, print_dots(colors))).values
     assert values["colors"] > 3 and values["score"] == 0
+
+
+@pytest.mark.parametrize("inks", [2, 3])
+def test_dots_half_a_pixel_off_have_no_new_color(inks: int) -> None:
+    """Dots up to half a pixel beside their places, as copies on whole pixels are, have the same inks."""
+    rng = np.random.default_rng(2)
+    colors, moved = INKS[inks][rng.integers(inks, size=(11, 11))], rng.uniform(-0.5, 0.5, (2, 11, 11))
+    assert appearance(observe(inks, print_dots(colors, moved))).values["colors"] < 1
 
 
 def test_one_strange_dot_is_allowed_and_many_are_not() -> None:
