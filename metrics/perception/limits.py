@@ -115,6 +115,10 @@ OVERLOOKED = _limit("OVERLOOKED", 0.005, "", "convention: share of broken elemen
 FEWEST_SHOWN = _limit(
     "FEWEST_SHOWN", 12.0, "cells", "measured: fresh plaids are called joined beside a sample that shows nine cells"
 )
+LEAST_LEVEL = _limit("LEAST_LEVEL", 0.2, "", "convention: a change of squared differences by a fifth is not seen")
+SEEN_STEP = _limit(
+    "SEEN_STEP", 2.5, "", "squared step across a joint over that in whole elements, below which labelers see no joint"
+)
 FEW_CELLS = _limit("FEW_CELLS", 100.0, "cells", "with fewer cells, covariances of neighboring places are pooled")
 
 # Randomness
