@@ -19,9 +19,17 @@ from .judgment.color_classes import measure_new_colors
 from .judgment.examination import examine
 from .judgment.texture_reference import FIRST_DRAW, STRIPS, CannotTell, perceive_draws
 from .perception import limits
-from .perception.visible import Lab, measure_detail, measure_levels, measure_looks, perceive
+from .perception.visible import Lab, measure_detail, measure_levels, measure_looks, measure_plateaus, perceive
 from .registration.coarse_plane import CoarsePlane
-from .registration.lattice_net import LatticeNet, Mask, find_inside, sample_planes, split_cells, sum_boxes
+from .registration.lattice_net import (
+    LatticeNet,
+    Mask,
+    find_inside,
+    fold_cells,
+    sample_planes,
+    split_cells,
+    sum_boxes,
+)
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 
 Looks = NDArray[np.float64]
@@ -96,7 +104,8 @@ def _scales() -> dict[str, _Scale]:
     """Return the scale of each kind of features of a whole picture."""
     spreads = {"surface": 24, "contrast": 12}
     equal = {name: _Scale(np.full(count, limits.SPREAD_FLOOR), np.ones(count)) for name, count in spreads.items()}
-    return {"whole": _looks_scale(), "detail": _detail_scale(), **equal}
+    tones = _Scale(np.array([limits.SPREAD_FLOOR]), np.zeros(1))
+    return {"whole": _looks_scale(), "detail": _detail_scale(), "tones": tones, **equal}
 
 
 class _Kind(NamedTuple):
@@ -112,19 +121,20 @@ class _Kind(NamedTuple):
 
 
 class _Maps(NamedTuple):
-    """The local features of one picture: looks, detail and levels of oriented detail."""
+    """The local features of one picture: looks, detail, levels of oriented detail, and plateaus."""
 
     looks: NDArray[np.float32]
     detail: NDArray[np.float32]
     levels: NDArray[np.float32]
+    plateaus: NDArray[np.float32]
 
     @classmethod
     def of(cls, lab: Lab) -> _Maps:
         """Measure a picture."""
-        return cls(measure_looks(lab), measure_detail(lab), measure_levels(lab))
+        return cls(measure_looks(lab), measure_detail(lab), measure_levels(lab), measure_plateaus(lab))
 
     def wholes(self, net: LatticeNet, rows: int = 1, columns: int = 1) -> dict[str, Looks]:
-        """Return the features of ``rows`` x ``columns`` parts of the picture: whole, detail, surface and contrast."""
+        """Return the features of ``rows`` x ``columns`` parts of the picture, of each kind in :func:`_scales`."""
         found = {"whole": _cut_means(self.looks, rows, columns), "detail": _cut_means(self.detail, rows, columns)}
         thin = net.points[::2, ::2]
         planes = np.concatenate([sample_planes(self.levels, thin / 2), sample_planes(self.looks, thin)[..., :3]], -1)
@@ -133,7 +143,26 @@ class _Maps(NamedTuple):
         inside = find_inside(net.points - border, (net.shape[0] - 2 * border, net.shape[1] - 2 * border))
         spreads = [_measure_spread(planes, (inside & part)[::2, ::2], net.samples // 2) for part in parts]
         surface, contrast = (np.array(features) for features in zip(*spreads, strict=True))
-        return found | {"surface": surface, "contrast": contrast}
+        tones = np.log(_cut_means(self.plateaus, rows, columns) + limits.PLATEAUS) / 2
+        return found | {"surface": surface, "contrast": contrast, "tones": tones}
+
+
+def _measure_light(planes: NDArray[np.float32], net: LatticeNet) -> Looks:
+    """Return by how much L* is lighter than its mean cell in 3 x 3 parts of a picture, ``(9, 1)``.
+
+    Each place of the cell is weighed by the inverse of its variance: joints and gaps, which have no tints, show the
+    light best.
+
+    Parameters
+    ----------
+    planes
+        Looks, in the order of the net.
+    """
+    plane, known = planes[..., :1], net.inside[..., np.newaxis]
+    rest = np.where(known, plane - net.tile(fold_cells(plane, net.inside, net.samples)), 0)
+    weight = known / net.tile(fold_cells(rest**2, net.inside, net.samples) + np.float32(limits.JND**2))
+    parts = [row & column for row in net.cut_strips(1, 3) for column in net.cut_strips(0, 3)]
+    return np.array([(weight * rest)[part].sum(0) / np.maximum(weight[part].sum(0), 1e-9) for part in parts])
 
 
 def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[np.intp]) -> tuple[Looks, Looks]:
@@ -219,7 +248,7 @@ class LooksModel:
         planes = sample_planes(maps.looks, net.points)
         wholes = maps.wholes(net)
         found = {name: _window_means(planes, net, size) - self.means["whole"] for name, size in _SIZES.items()}
-        found["quarters"] = _cut_means(maps.looks, 2, 2) - wholes["whole"]
+        found |= {"quarters": _cut_means(maps.looks, 2, 2) - wholes["whole"], "light": _measure_light(planes, net)}
         return found | {name: whole - self.means[name] for name, whole in wholes.items()}
 
     def measure(self, lab: Lab, own: Mapping[str, Looks]) -> dict[str, float]:
@@ -234,7 +263,7 @@ class LooksModel:
         """
         found = self.depart(lab)
         ratios = {
-            name: kind.compare(found[name], None if name == "quarters" else own.get(name))
+            name: kind.compare(found[name], None if name in ("quarters", "light") else own.get(name))
             for name, kind in self.kinds.items()
         }
         return ratios | {"lack": _lack(found["local"] + self.means["whole"], self.least) / self.most_lacked}
@@ -320,10 +349,15 @@ def _find_quietest(plane: NDArray[np.float32], net: LatticeNet) -> Looks:
 def _wholes_of_draws(maps: Sequence[_Maps], net: LatticeNet, means: Mapping[str, Looks], side: int) -> dict[str, _Kind]:
     """Return the kinds of quarters and wholes: each draw against the others, cut into ``side`` x ``side``."""
     quarters = [_cut_means(each.looks, 2, 2) - _cut_means(each.looks, 1, 1) for each in maps]
-    kinds = {"quarters": _learn_kind(_looks_scale(), quarters, limits.LEAST_WHOLE, limits.OF_MEANS)}
+    light = [_measure_light(sample_planes(each.looks, net.points), net) for each in maps]
+    step = _Scale(np.array([limits.JND / 2]), np.ones(1))
+    kinds = {
+        "quarters": _learn_kind(_looks_scale(), quarters, limits.LEAST_WHOLE, limits.OF_MEANS),
+        "light": _learn_kind(step, light, limits.LEAST_WHOLE, limits.OF_MEANS),
+    }
     cut = {count: [each.wholes(net, count, count) for each in maps] for count in {side, max(side, 2)}}
     for name, scale in _scales().items():
-        spread = name in ("surface", "contrast")
+        spread = name in ("surface", "contrast", "tones")
         groups = [part[name] - means[name] for part in cut[max(side, 2) if spread else side]]
         kinds[name] = _learn_kind(scale, groups, limits.LEAST_WHOLE, 1.0 if spread else limits.OF_LOOKS)
     return kinds
@@ -337,10 +371,11 @@ def _wholes_of_sample(maps: _Maps, net: LatticeNet) -> dict[str, _Kind]:
     for name, scale in _scales().items():
         if name == "contrast" or (few and name == "surface"):
             continue
-        spread = np.asarray(sum(np.cov(cut[name].T) / _PARTS for cut in strips))
+        spread = np.atleast_2d(sum(np.cov(cut[name].T) / _PARTS for cut in strips))
         least = {
             "whole": limits.LEAST_OF_SAMPLE * limits.OF_MEANS,
             "detail": limits.LEAST_WHOLE * limits.OF_LOOKS,
+            "tones": limits.LEAST_WHOLE * limits.OF_SAMPLE_LOOKS,
             "surface": limits.LEAST_WHOLE * limits.OF_SAMPLE_LOOKS * math.sqrt(3),
         }[name]
         kinds[name] = _Kind(scale, scale.invert(limits.UNEVEN_WHOLE * spread), least)
@@ -355,7 +390,7 @@ def _learn_kind(scale: _Scale, groups: Sequence[Looks], least: float, margin: fl
 
     The standard deviation of colors is multiplied by ``unseen``: a sample shows few of the tones of a texture.
     """
-    widths = np.array([unseen] * 3 + [1.0] * (len(scale.floors) - 3))
+    widths = np.where(np.arange(len(scale.floors)) < 3, unseen, 1.0)
     wider, far = np.outer(widths, widths), [least]
     for k, group in enumerate(groups):
         rest = np.concatenate([*groups[:k], *groups[k + 1 :]])
@@ -464,6 +499,10 @@ class Appearance:
         "contrast": _column(
             "The same for the contrasts of L*, a* and b* and their correlations, over the cell and from cell to cell."
         ),
+        "light": _column(
+            "The same for the light in 3 x 3 parts, as the places show it that vary least from cell to cell."
+        ),
+        "tones": _column("The same for the share of neighboring pixels that are alike: plateaus of few tones."),
         "lack": _column("What the window with the least detail lacks, over what windows of the references lack."),
         "colors": _column("Share of elements whose color belongs to no class of the references, over what is allowed."),
         "seam": _column(
@@ -492,8 +531,8 @@ def _score(observation: Observation) -> Score:
         values |= ratios | {"score": float(np.clip(1 - limits.LOOKS_SLOPE * (max(ratios.values()) - 1), 0, 1))}
         few = "undecided: the references show too few windows of this size"
         reasons |= {name: few for name in (*_SIZES, "surface") if values[name] is None}
-        if values["contrast"] is None:
-            reasons["contrast"] = "undecided: a sample alone does not show how much its contrasts vary"
+        single = "undecided: a sample alone does not show how much its contrast and light vary"
+        reasons |= {name: single for name in ("contrast", "light") if values[name] is None}
         if values["colors"] is None:
             reasons["colors"] = "not applicable: the colors of the elements form no classes"
     except CannotTell as reason:

@@ -170,6 +170,7 @@ SPREAD_FLOOR = _limit(
     "SPREAD_FLOOR", 0.15, "", "convention: a standard deviation or a correlation that differs by 15 % is not seen"
 )
 LEVEL_OFFSET = _limit("LEVEL_OFFSET", 2.0, "20 ln", "convention: levels that vary by a tenth are even")
+PLATEAUS = _limit("PLATEAUS", 0.05, "", "convention: share of neighbors that are alike, of which nobody sees plateaus")
 LACK = _limit("LACK", 6.0, "20 ln", "convention: a window may lack a fourth of the amplitude of the least one")
 WHOLE_WINDOW = _limit("WHOLE_WINDOW", 0.97, "", "convention: share of a window that lies inside the picture")
 LOSS = _limit("LOSS", 0.6, "", "lost fine detail counts less: a blur of .6 px is not seen, noise of as much energy is")

@@ -124,3 +124,13 @@ def measure_levels(lab: Lab) -> NDArray[np.float32]:
             planes.append(level.repeat(2, 0).repeat(2, 1)[:height, :width] if number == 2 else level[:height, :width])
         octave = low[::2, ::2]
     return np.asarray(np.stack(planes, -1), np.float32)
+
+
+def measure_plateaus(lab: Lab) -> NDArray[np.float32]:
+    """Return whether a pixel has the L* of the next one, within a quarter of a JND, ``(H, W, 1)``: 0, 1/2 or 1.
+
+    The mean of the next one along x and of that along y; pictures of few tones have plateaus even where there is grain.
+    """
+    raw = lab[..., 3]
+    alike = [np.abs(np.diff(raw, axis=axis, append=np.take(raw, [-2], axis))) < limits.JND / 4 for axis in (0, 1)]
+    return np.asarray((alike[0] * np.float32(0.5) + alike[1] * np.float32(0.5))[..., np.newaxis])

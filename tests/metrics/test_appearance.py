@@ -31,7 +31,18 @@ def test_a_fresh_draw_looks_like_one(own: Case, model: bool) -> None:
     """Fresh draws have ratios of at most about 1, and a score near 1."""
     found = [appearance(own.observe(own.fresh(k=k), model)).values for k in range(4)]
     assert np.mean([values["score"] for values in found]) >= 0.95
-    for column in ("local", "local_wide", "quarters", "whole", "detail", "surface", "contrast", "lack"):
+    for column in (
+        "local",
+        "local_wide",
+        "quarters",
+        "whole",
+        "detail",
+        "surface",
+        "contrast",
+        "light",
+        "tones",
+        "lack",
+    ):
         assert max(values[column] or 0 for values in found) < 1.15
     assert not model or np.mean([values["seam"] for values in found]) == pytest.approx(1, abs=0.35)
 
@@ -91,6 +102,23 @@ def test_other_colors_of_the_same_mean_are_a_contrast(own: Case, edit: Any) -> N
         for image in (own.fresh(), mean + edit(own.fresh() - mean))
     )
     assert before["contrast"] < 1 and after["contrast"] > 1.3
+
+
+@pytest.mark.parametrize(
+    ("column", "edit"),
+    [
+        ("light", lambda image, ramp: image + 0.24 * ramp),
+        ("light", lambda image, ramp: image * (1 - 0.45 * (ramp**2 + ramp.transpose(1, 0, 2) ** 2) * 2)),
+        ("tones", lambda image, ramp: np.round(image * 4) / 4),
+    ],
+    ids=["ramp", "corners", "five tones"],
+)
+def test_uneven_light_and_few_tones_are_seen(own: Case, column: str, edit: Any) -> None:
+    """A ramp of 60 levels and dark corners change the light, and five tones leave plateaus."""
+    ramp = np.linspace(-0.5, 0.5, 192, dtype=np.float32)[np.newaxis, :, np.newaxis] * np.ones((192, 1, 1), np.float32)
+    edited = quantize(np.clip(edit(own.fresh(), ramp), 0, 1).astype(np.float32))
+    before, after = (appearance(own.observe(image)).values for image in (own.fresh(), edited))
+    assert before[column] < 0.9 and after[column] > 1.15 and after["score"] < 0.65
 
 
 def test_the_segment_forgives_what_the_sample_shows_and_nothing_else(own: Case) -> None:
@@ -247,7 +275,19 @@ def test_basis_and_origin_of_the_truth_do_not_matter() -> None:
     )
     moved = appearance(replace(observation, truth=replace(case("hexagon").texture, lattice=other))).values
     own = appearance(observation).values
-    for column in ("score", "local", "local_wide", "quarters", "whole", "detail", "surface", "contrast", "lack"):
+    for column in (
+        "score",
+        "local",
+        "local_wide",
+        "quarters",
+        "whole",
+        "detail",
+        "surface",
+        "contrast",
+        "light",
+        "tones",
+        "lack",
+    ):
         assert moved[column] == pytest.approx(own[column], abs=0.05), column
 
 
