@@ -335,7 +335,7 @@ def _score(observation: Observation) -> Score:
     silence = _explain_silence(model, varies, known >= _LEAST_CELLS and shown >= limits.FEWEST_SHOWN)
     found = [_count_broken(test, own) for test, own in zip(tests, evidence, strict=True)]
     worst = min(range(len(found)), key=lambda k: float(found[k]["score"] or 0), default=0)
-    if silence and (not found or found[worst]["score"] == 1 or silence == _FEW):
+    if silence and (not found or found[worst]["score"] == 1 or known < _LEAST_CELLS or silence == _FEW):
         missing = Score.missing(Integrity.columns, silence)
         return Score({**missing.values, "detection_power": model.joint.power - model.joint.chance}, missing.reasons)
     test = tests[worst]
