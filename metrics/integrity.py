@@ -50,8 +50,6 @@ class LimitedTest:
         Evidence above which a cell counts as broken.
     power
         Share of cells above the limit where the cells of the references are shuffled.
-    usual
-        The same where the cells are cut at a place that shows it as the median of all cuts does.
     chance
         Largest share of cells above the limit that chance explains in whole elements.
     """
@@ -60,7 +58,6 @@ class LimitedTest:
     test: JointTest
     limit: float = 0.0
     power: float = 0.0
-    usual: float = 0.0
     chance: float = 1.0
 
     @property
@@ -220,9 +217,8 @@ def _set_limit(test: LimitedTest, weighed: Weighed, share: float, pooled: bool, 
     ]
     spread = math.sqrt(float(np.mean(variances)))
     chance = float((whole > limit).mean()) + limits.DEVIATIONS * spread + limits.OVERLOOKED
-    usual = float(np.median([(part > limit).mean() for part in joined]))
     power = float((np.concatenate(joined) > limit).mean())
-    return replace(test, limit=limit, power=power, usual=usual, chance=chance)
+    return replace(test, limit=limit, power=power, chance=chance)
 
 
 def _drop_unknown(parts: Sequence[Evidence]) -> list[Evidence]:
@@ -282,9 +278,8 @@ class Integrity:
     element at the same place (``NovelParts``); and no step runs along a line on which no element has one
     (:class:`Steps`). The test is used by which the smallest share of joined elements shows.
 
-    Let p be the share of the shuffled cells of the references above the limit of the evidence, r that share for the
-    median of the places where they are cut, q the largest share of whole ones that chance explains, and c the share of
-    the output's cells. The score is 1 - (c - q) / (r - q), in [0, 1]: the share of whole elements, corrected
+    Let p be the share of the shuffled cells of the references above the limit of the evidence, q the largest share of
+    whole ones that chance explains, and c the share of the output's cells. The score is 1 - (c - q) / (p - q), in [0, 1]: the share of whole elements, corrected
     for those that the test misses and for those that it counts wrongly. The limit is the one with the smallest q / p;
     p - q is ``detection_power``.
 
@@ -351,7 +346,7 @@ def _count_broken(test: LimitedTest, evidence: Evidence) -> dict[str, Value]:
     share = float((judged > test.limit).mean()) if judged.size else 0.0
     excess = max(share - test.chance, 0.0)
     return {
-        "score": float(np.clip(1 - excess / max(test.usual - test.chance, limits.LEAST_POWER), 0, 1)),
+        "score": float(np.clip(1 - excess / max(test.power - test.chance, limits.LEAST_POWER), 0, 1)),
         "broken_share": share,
         "broken_tiles": float(np.rint(excess * judged.size)),
         "detection_power": test.power - test.chance,
