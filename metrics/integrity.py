@@ -279,9 +279,9 @@ class Integrity:
     (:class:`Steps`). The test is used by which the smallest share of joined elements shows.
 
     Let p be the share of the shuffled cells of the references above the limit of the evidence, q the largest share of
-    whole ones that chance explains, and c the share of the output's cells. The score is 1 - (c - q) / (p - q), in [0, 1]: the share of whole elements, corrected
-    for those that the test misses and for those that it counts wrongly. The limit is the one with the smallest q / p;
-    p - q is ``detection_power``.
+    whole ones that chance explains, and c the share of the output's cells. The score is 1 - (c - q) / (p - q), in
+    [0, 1]: the share of whole elements, corrected for those that the test misses and for those that it counts wrongly.
+    The limit is the one with the smallest q / p; p - q is ``detection_power``.
 
     Parts that lie elsewhere in their cells, but so near or so small that no window is out of place, tear an element,
     too. They are sought by novelty, with a limit halfway to the evidence where cells of the references show what lies a
