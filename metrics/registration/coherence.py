@@ -176,6 +176,17 @@ class SampleMatches:
         away = find_lengths(self._displace(self.grid, self._own), self.net.vectors)
         return np.asarray(away < limits.GOOD_MATCH * self.net.s)
 
+    def prefers(self, basis: Points) -> bool:
+        """Return whether matches lie at the points of the sample's lattice rather than at those of a denser one.
+
+        If one of n points of the denser lattice is one of the sample's, a share of 1 / n of the matches beyond chance
+        is expected there where the cell repeats, and all of them where it does not. The limit is the geometric mean.
+        """
+        moved = self._displace(self.grid, self._own) @ self.net.vectors @ np.linalg.inv(basis)
+        denser = abs(float(np.linalg.det(self.net.vectors) / np.linalg.det(basis)))
+        near = float((find_lengths(moved, basis) < limits.GOOD_MATCH * self.net.s).mean()) - denser * self.chance
+        return bool((self.right.mean() - self.chance) ** 2 * denser > max(near, 0.0) ** 2)
+
     @property
     def chance(self) -> float:
         """Share of matches that are right by chance."""
