@@ -129,10 +129,9 @@ def _find(examination: Examination) -> list[_Finding]:
             usual = max(float(np.linalg.norm(picture.drift, 2)) for picture in reference.pictures)
             bad = reference.misplacement(followed)
             found.append(_Finding("registration", followed, bad, reference.most_misplaced, usual))
-    matched, own = examination.matched, examination.coherence
-    if matched and own and own.most_misplaced <= limits.MOST_OWN:
-        usual = float(np.linalg.norm(own.picture.drift, 2))
-        bad = matched.misplacement(own.slip_limit)
+    matched, own = examination.matched, examination.matches
+    if matched and own and own.picture:
+        bad, usual = matched.misplacement(own.slip_limit), float(np.linalg.norm(own.picture.drift, 2))
         found.append(_Finding("coherence", matched, bad, own.most_misplaced, usual))
     return found
 

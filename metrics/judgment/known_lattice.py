@@ -83,8 +83,8 @@ def split_supercell(sample: Image, lattice: Lattice) -> Lattice:
 
     A half or a third of a cell is a lattice vector if the mean cell m, folded again from there as m', is the same. The
     departures r = m' - m are divided by the variances of both means and (JND / 2)^2. At 99 % of the places r^2 is then
-    at most ``SAME_CELL``, and in all at most ``SAME_SHARE`` of the variance of m and m' over the cell. The mean cell of a
-    wall whose courses wander is smeared along them, and seems to repeat by thirds. So thirds must be matched, too
+    at most ``SAME_CELL``, and in all at most ``SAME_SHARE`` of the variance of m and m' over the cell. The mean cell of
+    a wall whose courses wander is smeared along them, and seems to repeat by thirds. So thirds must be matched, too
     (:meth:`~.registration.coherence.SampleMatches.prefers`).
     """
     return _split(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, lattice)
