@@ -5,7 +5,8 @@
 
 ``python benchmarks/doses.py plot PICTURE.svg`` judges the same edited draws, prints one table, and draws the mean
 quality by dose, with the range over the textures. A dashed line stands at the dose at which labelers begin to see the
-edit: the smallest dose from which on at least half of the answers call it wrong.
+edit: the smallest dose from which on at least half of the answers call it wrong. Three defects that are planted in
+other textures (``validation.py``) have panels as well; no labeler saw them.
 
 ``labels/doses.csv`` holds the answers of two vision-language models, who saw the sheets alone. They answered for
 each pair: could the right picture be another photograph of what the left one shows (0), or is something wrong (1)?
@@ -28,9 +29,10 @@ import pandas as pd
 from edits import EDITS, Scene
 from PIL import Image as Pillow
 from PIL import ImageDraw
-from validation import SIZE, Subject, print_table, show, subjects
+from validation import SIZE, Subject, plant, planted_subject, print_table, show, subjects
 
 from nrbench.imaging.convert import Image, quantize
+from nrbench.streams import stream
 
 LABELS = Path(__file__).parent / "labels" / "doses.csv"
 TEXTURES = ("brick-rotated", "weave-rotated", "hexagon-weathered")
@@ -48,6 +50,14 @@ DOSES = {
     "half slipped along rows, s": (0.05, 0.1, 0.15, 0.2, 0.3),
 }
 """The doses of each edit, from what nobody sees to what everybody sees."""
+DEFECTS = {
+    "new color, share of tiles": ("new-color", "tints", (0.01, 0.03, 0.1, 0.3, 1)),
+    "torn, share of tiles": ("torn", "equal", (0.01, 0.03, 0.1, 0.3, 1)),
+    "wrong surface, share of variance": ("wrong-surface", "material", (0.1, 0.3, 0.5, 0.7, 1)),
+}
+"""The kind of each defect, the textures in which it is one, and its sizes."""
+SEEDS = (200_003, 200_009, 200_011)
+"""One texture of each family, of regular shares 0.55, 0.4 and 0.8."""
 UNEDITED = "unedited"
 CONTROLS = 5
 """Unedited pairs of each texture."""
@@ -66,6 +76,17 @@ def edited_draws(subject: Subject) -> Iterator[tuple[str, float, Image]]:
             rng = np.random.default_rng(zlib.crc32(f"{subject.name} {edit} {dose}".encode()))
             edited = EDITS[edit][0](Scene(picture, subject.vectors, rng), dose)
             yield edit, dose, quantize(np.ascontiguousarray(np.clip(edited, 0, 1), np.float32))
+
+
+def planted_draws() -> Iterator[tuple[str, float, Subject, Image]]:
+    """Yield defect, size, texture and picture."""
+    for name, (kind, textures, sizes) in DEFECTS.items():
+        for seed in SEEDS:
+            subject = planted_subject(seed, textures)[1]
+            for size in sizes:
+                picture = plant(subject, kind, size, stream("synthesis", "doses", seed, kind))
+                if picture is not None:
+                    yield name, size, subject, picture
 
 
 def write_sheets(folder: Path) -> None:
@@ -105,14 +126,16 @@ def plot_doses(path: Path) -> None:
         rows += [
             {"edit": edit, "dose": dose, **subject.judge(picture)} for edit, dose, picture in edited_draws(subject)
         ]
+    rows += [{"edit": name, "dose": size, **subject.judge(picture)} for name, size, subject, picture in planted_draws()]
     scores = pd.DataFrame(rows).astype({"score": float}).groupby(["edit", "dose"])["score"].agg(["mean", "min", "max"])
     labels = pd.read_csv(LABELS)
     wrong = labels.loc[labels["edit"] == UNEDITED, ["first_wrong", "second_wrong"]].mean()
     print(f"unedited draws: quality {show(scores.loc[UNEDITED, 'mean'].item())}, called wrong {wrong.mean():.2f}")
     tell = print_table("edit", "dose: mean quality", "labelers see it from")
-    figure, axes = plt.subplots(3, 4, figsize=(12, 7.5), layout="constrained", sharey=True)
-    for axis, (edit, doses) in zip(axes.flat, DOSES.items(), strict=False):
-        own, threshold = scores.loc[edit].reindex(doses), seen_from(labels, edit)
+    panels = DOSES | {name: sizes for name, (*_, sizes) in DEFECTS.items()}
+    figure, axes = plt.subplots(3, 5, figsize=(15, 7.5), layout="constrained", sharey=True)
+    for axis, (edit, doses) in zip(axes.flat, panels.items(), strict=False):
+        own, threshold = scores.loc[edit].reindex(doses), seen_from(labels, edit) if edit in DOSES else None
         places = range(len(doses))
         axis.fill_between(places, own["min"], own["max"], alpha=0.25, linewidth=0)
         axis.plot(places, own["mean"], marker="o")
@@ -120,7 +143,7 @@ def plot_doses(path: Path) -> None:
             axis.axvline(doses.index(threshold), color="0.3", linestyle="--")
         axis.set(title=edit, xticks=places, xticklabels=[f"{dose:g}" for dose in doses], ylim=(-0.03, 1.03))
         tell(edit, ", ".join(f"{dose:g}: {show(own['mean'][dose])}" for dose in doses), threshold or "-")
-    axes.flat[len(DOSES)].axis("off")
+    axes.flat[len(panels)].axis("off")
     figure.supylabel("quality: mean and range of three textures")
     figure.savefig(path)
 

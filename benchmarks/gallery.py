@@ -56,12 +56,14 @@ DEPARTURES: Mapping[str, tuple[Any, ...]] = {
 """Parameters of every texture model that are turned up one by one, all others being zero."""
 LADDERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
     "regularity": {"phase-step": (0.05, 0.15, 0.5), "off-lattice": (0.05, 0.15, 0.4), "dropped-row": (0.1, 0.3, 0.5)},
-    "integrity": {"two-tone": (0.03, 0.1, 0.5), "doubled-tile": (0.1, 0.3, 0.5)},
+    "integrity": {"two-tone": (0.03, 0.1, 0.5), "torn": (0.03, 0.1, 0.5), "doubled-tile": (0.1, 0.3, 0.5)},
     "randomness": {"over-regular": (0.3, 0.6, 1), "verbatim": (0.2, 0.4, 1)},
     "appearance": {
         "blur": (0.4, 0.7, 1),
         "contrast": (0.1, 0.3, 0.6),
         "color-mean": (0.02, 0.1, 0.3),
+        "wrong-surface": (0.3, 0.6, 1),
+        "new-color": (0.03, 0.1, 0.3),
         "seam": (0.03, 0.1, 0.3),
     },
 }

@@ -38,7 +38,7 @@ import nrbench
 from nrbench.imaging.convert import quantize
 from nrbench.metrics import appearance
 from nrbench.metrics.perception import limits
-from nrbench.metrics.perception.visible import measure_detail, measure_looks
+from nrbench.metrics.perception.visible import measure_detail, measure_levels, measure_looks
 from nrbench.metrics.quality import Quality
 from nrbench.pictures.files import read_image
 from nrbench.plugins.forms import Observation
@@ -119,13 +119,13 @@ class Memory:
         }
         for module in modules:
             for name, value in list(vars(module).items()):
-                if isinstance(value, Hashable) and value in functions:
+                if isinstance(value, functools._lru_cache_wrapper) and value in functions:
                     setattr(module, name, functions[value])
                 if isinstance(value, type) and value.__module__ == module.__name__:
                     for part, cached in list(vars(value).items()):
                         if isinstance(cached, functools.cached_property):
                             setattr(value, part, property(self._property(cached.func)))
-        for measure in (measure_looks, measure_detail):
+        for measure in (measure_looks, measure_detail, measure_levels):
             setattr(appearance, measure.__name__, self._measure(measure))
         Observation.shared = self._shared()  # type: ignore[method-assign]
         names, note = {limit.name for limit in limits.TABLE}, self.note

@@ -6,7 +6,8 @@
     False alarms: fresh draws of all texture models, judged with the model and by sample and lattice alone.
 ``planted``
     Planted defects in textures of regular shares from 0.93 to 0.4: the area under the ROC curve (AUC) of ``quality``
-    and of the perils against fresh draws of the same textures.
+    and of the perils against fresh draws of the same textures. Three kinds are also planted where they belong: new
+    colors among few inks, wrong surfaces on materials, torn elements among equal ones.
 ``ladder``
     Edits that nobody sees and edits that everybody sees (``edits.py``), on fresh draws of the textures of ``default``.
     Constants are set on one half of the textures; the figures of the other half are the report.
@@ -37,8 +38,11 @@ from scipy.stats import mannwhitneyu
 import nrbench
 from nrbench import Lattice, plugins
 from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.cans import Cans
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.datasets_procedural.plate import Plate
+from nrbench.datasets_procedural.wallpaper import Wallpaper
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize
 from nrbench.metrics.perception import limits
@@ -68,16 +72,26 @@ PLANTED: Mapping[str, tuple[float, ...]] = {
     "displaced-tile": (0.3,),
     "missing-tile": (1.0,),
     "two-tone": (0.03, 0.1, 0.3),
+    "torn": (0.03, 0.1, 0.3),
     "blurred-band": (0.2,),
     "blur": (1.0,),
     "contrast": (0.2,),
     "noise": (0.5,),
+    "wrong-surface": (1.0,),
+    "new-color": (0.03, 0.1, 0.3),
     "seam": (0.2,),
     "color-mean": (0.1,),
     "over-regular": (0.6,),
     "verbatim": (0.4,),
 }
-"""The sizes at which each defect is planted."""
+"""The sizes at which each defect is planted. These textures are flat but for grain: a wrong surface is no defect."""
+PLANTED_IN: Mapping[str, Mapping[str, tuple[float, ...]]] = {
+    "tints": PLANTED,
+    "inks": {"new-color": (0.03, 0.1, 0.3)},
+    "material": {"wrong-surface": (0.3, 0.6, 1.0), "new-color": (0.1,)},
+    "equal": {"torn": (0.03, 0.1, 0.3)},
+}
+"""The textures: elements of continuous tints, of few inks, of a material, and elements that are alike."""
 BASELINES = ("tiling", "supertile", "shuffle", "random-phase", "scatter")
 CHANGES = {
     "own": ((1, 0), (0, 1)),
@@ -207,8 +221,8 @@ def study_fresh(options: argparse.Namespace) -> None:
         )
 
 
-def planted_subject(seed: int) -> tuple[float, Subject]:
-    """Return a texture of random periods, of a regular share by the seed."""
+def planted_subject(seed: int, textures: str = "tints") -> tuple[float, Subject]:
+    """Return a texture of random periods, of a regular share by the seed; equal elements have the share 1."""
     rng = stream("render", "validation", seed)
     share, rotation = SHARES[seed % len(SHARES)], float(rng.uniform(-45, 45))
     kinds: list[Model] = [
@@ -216,9 +230,20 @@ def planted_subject(seed: int) -> tuple[float, Subject]:
         Weave(rotation=rotation, warp=rng.uniform(9, 16), weft=rng.uniform(9, 16), gap=rng.uniform(1.2, 2.2)),
         Hexagon(rotation=rotation, period=rng.uniform(18, 34), joint=rng.uniform(1.8, 3.2)),
     ]
-    model = at_share(kinds[seed // len(SHARES) % 3], rng.dirichlet([1, 1, 1]), share)
+    mix, place = rng.dirichlet([1, 1, 1]), seed // len(SHARES) % 3
+    if textures == "equal":
+        flat: dict[str, float] = {"rotation": rotation, "color": 0, "intensity": 0.04, "noise": 0.02}
+        kinds = [Cans(period=rng.uniform(22, 34), **flat), Plate(period=rng.uniform(14, 22), **flat)]
+        kinds += [Wallpaper(width=rng.uniform(24, 36), height=rng.uniform(24, 36), motif=seed, **flat)]
+        share, model = 1.0, kinds[place]
+    else:
+        model = at_share(kinds[place], mix, share)
+    if textures == "inks":
+        model = replace(model, inks=2 + seed % 3)
+    if textures == "material":
+        model = replace(model, material=("clay", "stone", "wood", "cloth")[seed % 4])
     name = type(model).__name__.lower()
-    return share, subject_of(Recipe(name, asdict(model), seed, f"{name}-{seed}", 0, (128, 128)))
+    return share, subject_of(Recipe(name, asdict(model), seed, f"{name}-{textures}-{seed}", 0, (128, 128)))
 
 
 def at_share(model: Model, mix: NDArray[np.float64], share: float) -> Model:
@@ -240,32 +265,49 @@ def auc(low: pd.Series[float], high: pd.Series[float]) -> float:
 
 def study_planted(options: argparse.Namespace) -> None:
     """Print how well ``quality`` and each peril separate each planted defect from fresh draws."""
+    tell = print_table("textures", "defect", "size", "n", "mean quality", "AUC", "worst share", *PERILS)
+    for textures, kinds in PLANTED_IN.items():
+        chosen = {kind: sizes for kind, sizes in kinds.items() if not options.kinds or kind in options.kinds}
+        if chosen:
+            table = judge_planted(range(options.first, options.first + 5 * options.count), textures, chosen)
+            print_planted(table, textures, tell)
+
+
+def judge_planted(seeds: range, textures: str, kinds: Mapping[str, Sequence[float]]) -> pd.DataFrame:
+    """Judge fresh draws of textures, of kind ``"none"``, and defects that are planted in them."""
     rows = []
-    for seed in range(options.first, options.first + 5 * options.count):
-        share, subject = planted_subject(seed)
+    for seed in seeds:
+        share, subject = planted_subject(seed, textures)
         rows += [{"share": share, "kind": "none", "size": 0.0, **subject.judge(subject.draw(k))} for k in range(3)]
-        for kind, sizes in PLANTED.items():
+        for kind, sizes in kinds.items():
             for size in sizes:
-                rng = stream("synthesis", "validation", seed, kind)
-                try:
-                    task = Task(subject.texture.image, SIZE, None, rng, again=subject.again)
-                    output = quantize(np.clip(Planted(kind, size).synthesize(task).image, 0, 1))
-                except Refused:
-                    continue
-                rows.append({"share": share, "kind": kind, "size": size, **subject.judge(output)})
-    table = pd.DataFrame(rows)
-    columns = ["score", *PERILS]
-    table[columns] = table[columns].astype(float)
+                output = plant(subject, kind, size, stream("synthesis", "validation", seed, kind))
+                if output is not None:
+                    rows.append({"share": share, "kind": kind, "size": size, **subject.judge(output)})
+    return pd.DataFrame(rows).astype(dict.fromkeys(["score", *PERILS], float))
+
+
+def plant(subject: Subject, kind: str, size: float, rng: np.random.Generator) -> Image | None:
+    """Return a fresh draw with a defect; None if the texture has no room for it."""
+    task = Task(subject.texture.image, SIZE, None, rng, again=subject.again)
+    try:
+        return quantize(np.clip(Planted(kind, size).synthesize(task).image, 0, 1))
+    except Refused:
+        return None
+
+
+def print_planted(table: pd.DataFrame, textures: str, tell: Callable[..., None]) -> None:
+    """Print how well the scores separate each defect from fresh draws; of the perils, the mean and the AUC."""
     fresh = table[table["kind"] == "none"]
-    print(f"\n{5 * options.count} textures, {len(fresh)} fresh draws of mean quality {fresh['score'].mean():.3f}")
-    tell = print_table("defect", "size", "n", "mean quality", "AUC", "worst share", *PERILS)
+    means = [show(fresh[name].mean()) for name in ("score", *PERILS)]
+    tell(textures, "none", "-", len(fresh), means[0], "-", "-", *means[1:])
     for (kind, size), own in table[table["kind"] != "none"].groupby(["kind", "size"], sort=False):
         by_share = [
             auc(part["score"], fresh.loc[fresh["share"] == share, "score"]) for share, part in own.groupby("share")
         ]
-        perils = [f"{auc(own[name], fresh[name]):.2f}" for name in PERILS]
+        perils = [f"{show(own[name].mean())}, {auc(own[name], fresh[name]):.2f}" for name in PERILS]
         total = f"{auc(own['score'], fresh['score']):.3f}"
-        tell(kind, f"{size:g}", len(own), show(own["score"].mean()), total, f"{min(by_share):.2f}", *perils)
+        tell(textures, kind, f"{size:g}", len(own), show(own["score"].mean()), total, f"{min(by_share):.2f}", *perils)
 
 
 def judge_edits(subject: Subject, picture: Image, group: str) -> list[Row]:
@@ -403,6 +445,7 @@ def main() -> None:
         "--count", type=int, default=3, help="fresh: draws of each model; planted: textures of each share"
     )
     parser.add_argument("--first", type=int, default=100_000, help="of planted: the seed of the first texture")
+    parser.add_argument("--kinds", nargs="*", default=[], choices=PLANTED, metavar="KIND", help="of planted: kinds")
     parser.add_argument("--textures", nargs="*", default=[], help="patterns of textures, models (fresh) or files")
     parser.add_argument("--unedited", action="store_true", help="of photographs: without the edits")
     options = parser.parse_args()

@@ -15,11 +15,13 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Value
 
+from .judgment.color_classes import measure_new_colors
 from .judgment.examination import examine
 from .judgment.texture_reference import FIRST_DRAW, STRIPS, CannotTell, perceive_draws
 from .perception import limits
-from .perception.visible import Lab, measure_detail, measure_looks, perceive
-from .registration.lattice_net import LatticeNet, sample_planes, sum_boxes
+from .perception.visible import Lab, measure_detail, measure_levels, measure_looks, measure_plateaus, perceive
+from .registration.coarse_plane import CoarsePlane
+from .registration.lattice_net import LatticeNet, Mask, find_inside, fold_cells, sample_planes, sum_boxes
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 
 Looks = NDArray[np.float64]
@@ -28,6 +30,11 @@ _SIZES = {"local": 1, "local_wide": 2}
 """Sides of the windows, in cells."""
 _OCTAVES = slice(5, 7)
 """The features that are levels of the octaves beyond the finest one, which a trace of blur takes away."""
+_COLOR_PAIRS = np.triu_indices(3, 1)
+_BORDER = 6
+"""Width in px of the border where blurs differ from those inside."""
+_FEWEST_CELLS = 8
+"""Least number of cells of a sample whose strips show how its surface varies."""
 _LEAST_WINDOWS = 6
 _WITHOUT_LATTICE = 24.0
 """Side in px of the windows of a texture without a lattice."""
@@ -60,10 +67,19 @@ class _Scale(NamedTuple):
         """Return the inverse of a covariance with the floors added."""
         return np.asarray(np.linalg.inv(covariance + np.diag(self.floors**2)))
 
-    def measure(self, departures: Looks, inverse: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distances of departures, ``(k,)``."""
-        seen = np.where(departures < 0, departures * self.gains, departures)
-        return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", seen, inverse, seen)))
+    def measure(self, departures: Looks, inverse: NDArray[np.float64], own: Looks | None = None) -> NDArray[np.float64]:
+        """Return the distances of departures, ``(k,)``, from the nearest segment between 0 and a departure in ``own``.
+
+        Without any in ``own``, ``(m, n)``, the distances are those from 0.
+        """
+        seen, ends = (np.where(d < 0, d * self.gains, d) for d in (departures, departures[:0] if own is None else own))
+        squared, weighed = np.einsum("ki,ij,kj->k", seen, inverse, seen), seen @ inverse
+        if len(ends):
+            lengths = np.einsum("ki,ij,kj->k", ends, inverse, ends)
+            along = weighed @ ends.T
+            part = np.clip(along / np.maximum(lengths, 1e-12), 0, 1)
+            squared = (squared[:, np.newaxis] - part * (2 * along - part * lengths)).min(1)
+        return np.asarray(np.sqrt(np.maximum(squared, 0)))
 
 
 def _looks_scale() -> _Scale:
@@ -76,6 +92,14 @@ def _detail_scale() -> _Scale:
     return _Scale(np.array(floors), np.ones(len(floors)))
 
 
+def _scales() -> dict[str, _Scale]:
+    """Return the scale of each kind of features of a whole picture."""
+    spreads = {"surface": 24, "contrast": 12}
+    equal = {name: _Scale(np.full(count, limits.SPREAD_FLOOR), np.ones(count)) for name, count in spreads.items()}
+    tones = _Scale(np.array([limits.SPREAD_FLOOR]), np.zeros(1))
+    return {"whole": _looks_scale(), "detail": _detail_scale(), "tones": tones, **equal}
+
+
 class _Kind(NamedTuple):
     """One kind of window: its scale, the inverse covariance of its departures, and the distance that is allowed."""
 
@@ -83,9 +107,99 @@ class _Kind(NamedTuple):
     inverse: NDArray[np.float64]
     largest: float
 
-    def compare(self, departures: Looks) -> float:
+    def compare(self, departures: Looks, own: Looks | None) -> float:
         """Return the largest distance of departures over the one that is allowed."""
-        return float(self.scale.measure(departures, self.inverse).max(initial=0.0)) / self.largest
+        return float(self.scale.measure(departures, self.inverse, own).max(initial=0.0)) / self.largest
+
+
+class _Maps(NamedTuple):
+    """The local features of one picture: looks, detail, levels of oriented detail, and plateaus."""
+
+    looks: NDArray[np.float32]
+    detail: NDArray[np.float32]
+    levels: NDArray[np.float32]
+    plateaus: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, lab: Lab) -> _Maps:
+        """Measure a picture."""
+        return cls(measure_looks(lab), measure_detail(lab), measure_levels(lab), measure_plateaus(lab))
+
+    def wholes(self, net: LatticeNet, rows: int = 1, columns: int = 1) -> dict[str, Looks]:
+        """Return the features of ``rows`` x ``columns`` parts of the picture, of each kind in :func:`_scales`."""
+        found = {"whole": _cut_means(self.looks, rows, columns), "detail": _cut_means(self.detail, rows, columns)}
+        thin = net.points[::2, ::2]
+        planes = np.concatenate([sample_planes(self.levels, thin / 2), sample_planes(self.looks, thin)[..., :3]], -1)
+        parts = [row & column for row in net.cut_strips(1, rows) for column in net.cut_strips(0, columns)]
+        border = min(_BORDER, min(net.shape) // 8)
+        inside = find_inside(net.points - border, (net.shape[0] - 2 * border, net.shape[1] - 2 * border))
+        spreads = [_measure_spread(planes, (inside & part)[::2, ::2], net.samples // 2) for part in parts]
+        surface, contrast = (np.array(features) for features in zip(*spreads, strict=True))
+        tones = np.log(_cut_means(self.plateaus, rows, columns) + limits.PLATEAUS) / 2
+        return found | {"surface": surface, "contrast": contrast, "tones": tones}
+
+
+def _measure_light(planes: NDArray[np.float32], net: LatticeNet) -> Looks:
+    """Return by how much L* is lighter than its mean cell in 3 x 3 parts of a picture, ``(9, 1)``.
+
+    Each place of the cell is weighed by the inverse of its variance: joints and gaps, which have no tints, show the
+    light best.
+
+    Parameters
+    ----------
+    planes
+        Looks, in the order of the net.
+    """
+    plane, known = planes[..., :1], net.inside[..., np.newaxis]
+    rest = np.where(known, plane - net.tile(fold_cells(plane, net.inside, net.samples)), 0)
+    weight = known / net.tile(fold_cells(rest**2, net.inside, net.samples) + np.float32(limits.JND**2))
+    parts = [row & column for row in net.cut_strips(1, 3) for column in net.cut_strips(0, 3)]
+    return np.array([(weight * rest)[part].sum(0) / np.maximum(weight[part].sum(0), 1e-9) for part in parts])
+
+
+def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[np.intp]) -> tuple[Looks, Looks]:
+    """Return how levels and colors vary, between the places of the cell and from cell to cell.
+
+    The covariance of planes with themselves one cell away, over four lags of the lattice, is that of the mean cell; the
+    rest of their covariance is that from cell to cell. Neighbors alone are compared, so bends, drifts and slips of the
+    lattice hardly matter.
+
+    Parameters
+    ----------
+    planes
+        Twelve levels, L*, a* and b* in the order of a net.
+    known, samples
+        Known points, and samples of a cell.
+
+    Returns
+    -------
+    surface
+        (24,): logarithm of the standard deviation of each level over the mean cell, and from cell to cell.
+    contrast
+        (12,): the same of L*, a* and b*, and their three correlations.
+    """
+    plane = np.where(known[..., np.newaxis], planes, 0)
+    plane -= known[..., np.newaxis] * (plane.sum((0, 1), dtype=np.float64) / max(known.sum(), 1)).astype(np.float32)
+
+    def correlate(n1: int, n2: int) -> tuple[NDArray[np.float64], int]:
+        height, width = known.shape
+        one = np.s_[n1:, max(n2, 0) : width + min(n2, 0)]
+        other = np.s_[: height - n1, max(-n2, 0) : width - max(n2, 0)]
+        products = np.tensordot(plane[one], plane[other], ((0, 1), (0, 1))).astype(np.float64)
+        return (products + products.T) / 2, int((known[one] & known[other]).sum())
+
+    n1, n2 = (int(n) for n in samples)
+    products, counts = zip(*(correlate(*lag) for lag in ((n1, 0), (0, n2), (n1, n2), (n1, -n2))), strict=True)
+    between = sum(products) / max(sum(counts), 1)
+    total, count = correlate(0, 0)
+    surface, contrast = [], []
+    for covariance in (between, total / max(count, 1) - between):
+        variance = np.maximum(covariance.diagonal(), 0)
+        surface.append(np.log(variance[:-3] + limits.LEVEL_OFFSET**2) / 2)
+        seen = variance[-3:] + limits.JND**2
+        correlation = covariance[-3:, -3:] / np.sqrt(np.outer(seen, seen))
+        contrast += [np.log(seen) / 2, np.clip(correlation[*_COLOR_PAIRS], -1, 1)]
+    return np.concatenate(surface), np.concatenate(contrast)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,40 +209,56 @@ class LooksModel:
     The distance of features f from the mean is the root of (f - mean)' (C + F)^{-1} (f - mean), with the covariance C
     of the references and the squared floors F of what is not seen. Windows of one and two cells hold each place of the
     cell equally often, wherever they lie, so they differ only as the texture varies. Quarters of the picture show
-    uneven light. The whole, and its detail, are compared with parts as large as the sample, from which a method knows
-    the mean.
+    uneven light. The whole, its detail, its surface and its contrast are compared with parts as large as the sample.
+
+    A method knows one sample, which may be untypical. Where fresh draws are the references, distances are therefore
+    those from the segment between the mean and the sample, and those of a window from the nearest of the segments
+    between the mean and the windows of the sample. Quarters are compared with the mean alone.
 
     Parameters
     ----------
-    mean, detail
-        (9,) and (8,): the mean features, and those of detail.
+    means
+        The mean features of windows and whole (9,), of detail (8,), surface (24,) and contrast (12,).
     kinds
-        The windows of each size, quarters, whole and detail.
+        The windows of each size, quarters, whole, detail, surface and contrast.
     least, most_lacked
         (2,): least levels of the octaves of any window of one cell, and how far a window may lie below them, 20 ln.
     net
         The cell of the windows.
     """
 
-    mean: Looks
-    detail: Looks
+    means: Mapping[str, Looks]
     kinds: Mapping[str, _Kind]
     least: Looks
     most_lacked: float
     net: LatticeNet
 
-    def measure(self, lab: Lab) -> dict[str, float]:
-        """Return the largest distance of an output, over that which is allowed, of each kind; and what it lacks."""
-        looks = measure_looks(lab)
+    def depart(self, lab: Lab) -> dict[str, Looks]:
+        """Return how far the features of a picture lie from their means, of each kind."""
+        maps = _Maps.of(lab)
         net = LatticeNet((lab.shape[0], lab.shape[1]), self.net.vectors, self.net.origin)
-        planes = sample_planes(looks, net.points)
-        windows = {name: _window_means(planes, net, size) for name, size in _SIZES.items()}
-        whole = looks.mean((0, 1), dtype=np.float64)
-        departures = {name: own - self.mean for name, own in windows.items()}
-        departures |= {"quarters": _cut_means(looks, 2) - whole, "whole": (whole - self.mean)[np.newaxis]}
-        departures["detail"] = _cut_means(measure_detail(lab), 1) - self.detail
-        ratios = {name: kind.compare(departures[name]) for name, kind in self.kinds.items()}
-        return ratios | {"lack": _lack(windows["local"], self.least) / self.most_lacked}
+        planes = sample_planes(maps.looks, net.points)
+        wholes = maps.wholes(net)
+        found = {name: _window_means(planes, net, size) - self.means["whole"] for name, size in _SIZES.items()}
+        found |= {"quarters": _cut_means(maps.looks, 2, 2) - wholes["whole"], "light": _measure_light(planes, net)}
+        return found | {name: whole - self.means[name] for name, whole in wholes.items()}
+
+    def measure(self, lab: Lab, own: Mapping[str, Looks]) -> dict[str, float]:
+        """Return the largest distance of an output, over that which is allowed, of each kind; and what it lacks.
+
+        Parameters
+        ----------
+        lab
+            What is seen of the output.
+        own
+            How the sample departs from the mean, as :meth:`depart` finds it; empty if the sample is the reference.
+        """
+        found = self.depart(lab)
+        ratios = {
+            name: kind.compare(found[name], None if name in ("quarters", "light") else own.get(name))
+            for name, kind in self.kinds.items()
+        }
+        return ratios | {"lack": _lack(found["local"] + self.means["whole"], self.least) / self.most_lacked}
 
 
 def _lack(windows: Looks, least: Looks) -> float:
@@ -148,33 +278,28 @@ def _window_means(
     return np.asarray(total[whole] / weight[whole][:, np.newaxis])
 
 
-def _cut_means(planes: NDArray[Any], parts: int) -> Looks:
-    """Return the means of ``parts`` x ``parts`` parts of planes."""
-    cut = [part for rows in np.array_split(planes, parts, 0) for part in np.array_split(rows, parts, 1)]
+def _cut_means(planes: NDArray[Any], rows: int, columns: int) -> Looks:
+    """Return the means of ``rows`` x ``columns`` parts of planes."""
+    cut = [part for strip in np.array_split(planes, rows, 0) for part in np.array_split(strip, columns, 1)]
     return np.array([part.mean((0, 1), dtype=np.float64) for part in cut])
 
 
-def _learn_looks(
-    looks: Sequence[NDArray[np.float32]],
-    details: Sequence[NDArray[np.float32]],
-    net: LatticeNet,
-    sample_shape: Shape,
-    from_sample: bool,
-) -> LooksModel:
+def _learn_looks(maps: Sequence[_Maps], net: LatticeNet, sample_shape: Shape, from_sample: bool) -> LooksModel:
     """Learn how a texture looks from the features of fresh draws, or of its sample alone."""
-    planes = [sample_planes(look, net.points) for look in looks]
+    planes = [sample_planes(each.looks, net.points) for each in maps]
     windows = {name: _group_windows(planes, net, size, from_sample) for name, size in _SIZES.items()}
-    mean, detail = (np.concatenate([_cut_means(each, 1) for each in maps]).mean(0) for maps in (looks, details))
+    every = [each.wholes(net) for each in maps]
+    means = {name: np.mean([whole[name][0] for whole in every], 0) for name in every[0]}
     if from_sample:
         margin, unseen = limits.OF_SAMPLE_LOOKS, limits.UNSEEN_TONES
-        wholes = _wholes_of_sample(looks[0], details[0])
+        wholes = _wholes_of_sample(maps[0], net)
     else:
         margin, unseen = limits.OF_LOOKS, 1.0
         side = min(max(round(a / b), 1) for a, b in zip(net.shape, sample_shape, strict=True))
-        wholes = _wholes_of_draws(looks, details, mean, detail, side)
-    kinds = _learn_windows(windows, mean, margin, unseen) | wholes
+        wholes = _wholes_of_draws(maps, net, means, side)
+    kinds = _learn_windows(windows, means["whole"], margin, unseen) | wholes
     least, lacked = _learn_lack(windows["local"])
-    return LooksModel(mean, detail, kinds, least, margin * max(limits.LACK, lacked), net)
+    return LooksModel(means, kinds, least, margin * max(limits.LACK, lacked), net)
 
 
 def _learn_windows(
@@ -201,41 +326,43 @@ def _learn_lack(sets: list[list[Looks]]) -> tuple[Looks, float]:
     return np.min(least, 0) if least else np.full(2, -np.inf), max(lacked)
 
 
-def _wholes_of_draws(
-    looks: Sequence[NDArray[np.float32]],
-    details: Sequence[NDArray[np.float32]],
-    mean: Looks,
-    detail: Looks,
-    side: int,
-) -> dict[str, _Kind]:
-    """Return the kinds of quarters, whole and detail: each draw against the others, cut into ``side`` x ``side``."""
-    quarters = [_cut_means(look, 2) - _cut_means(look, 1) for look in looks]
-    parts = np.concatenate([_cut_means(look, side) - mean for look in looks])[:, np.newaxis]
-    fine = np.concatenate([_cut_means(each, side) - detail for each in details])[:, np.newaxis]
-    return {
+def _wholes_of_draws(maps: Sequence[_Maps], net: LatticeNet, means: Mapping[str, Looks], side: int) -> dict[str, _Kind]:
+    """Return the kinds of quarters and wholes: each draw against the others, cut into ``side`` x ``side``."""
+    quarters = [_cut_means(each.looks, 2, 2) - _cut_means(each.looks, 1, 1) for each in maps]
+    light = [_measure_light(sample_planes(each.looks, net.points), net) for each in maps]
+    step = _Scale(np.array([limits.JND / 2]), np.ones(1))
+    kinds = {
         "quarters": _learn_kind(_looks_scale(), quarters, limits.LEAST_WHOLE, limits.OF_MEANS),
-        "whole": _learn_kind(_looks_scale(), [*parts], limits.LEAST_WHOLE, limits.OF_WHOLE),
-        "detail": _learn_kind(_detail_scale(), [*fine], limits.LEAST_WHOLE, limits.OF_LOOKS),
+        "light": _learn_kind(step, light, limits.LEAST_WHOLE, limits.OF_MEANS),
     }
+    cut = {count: [each.wholes(net, count, count) for each in maps] for count in {side, max(side, 2)}}
+    for name, scale in _scales().items():
+        spread = name in ("surface", "contrast", "tones")
+        groups = [part[name] - means[name] for part in cut[max(side, 2) if spread else side]]
+        kinds[name] = _learn_kind(scale, groups, limits.LEAST_WHOLE, 1.0 if spread else limits.OF_LOOKS)
+    return kinds
 
 
-def _wholes_of_sample(look: NDArray[np.float32], detail: NDArray[np.float32]) -> dict[str, _Kind]:
-    """Return the kinds of quarters, whole and detail, as far as the strips of a sample show how its means vary."""
-    scale, fine, spread = _looks_scale(), _detail_scale(), _strip_covariance(look)
-    uneven, whole = (scale.invert(share * spread) for share in (limits.UNEVEN_QUARTERS, limits.UNEVEN_WHOLE))
-    usual = float(scale.measure(_cut_means(look, 2) - _cut_means(look, 1), uneven).max())
-    fine_whole = fine.invert(limits.UNEVEN_WHOLE * _strip_covariance(detail))
-    return {
-        "quarters": _Kind(scale, uneven, limits.OF_MEANS * max(usual, limits.LEAST_OF_SAMPLE)),
-        "whole": _Kind(scale, whole, limits.OF_MEANS * limits.LEAST_OF_SAMPLE),
-        "detail": _Kind(fine, fine_whole, limits.OF_LOOKS * limits.LEAST_WHOLE),
-    }
-
-
-def _strip_covariance(planes: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the covariance of the mean of a sample, by its strips along each axis."""
-    strips = [[p.mean((0, 1), dtype=np.float64) for p in np.array_split(planes, _PARTS, axis)] for axis in (0, 1)]
-    return np.asarray(sum(np.cov(np.array(means).T) / _PARTS for means in strips))
+def _wholes_of_sample(maps: _Maps, net: LatticeNet) -> dict[str, _Kind]:
+    """Return the kinds of quarters and wholes, as far as the strips of a sample show how its means vary."""
+    strips = [maps.wholes(net, *cut) for cut in ((_PARTS, 1), (1, _PARTS))]
+    kinds, looks = {}, _looks_scale()
+    few = net.inside.sum() < _FEWEST_CELLS * net.samples.prod()
+    for name, scale in _scales().items():
+        if name == "contrast" or (few and name == "surface"):
+            continue
+        spread = np.atleast_2d(sum(np.cov(cut[name].T) / _PARTS for cut in strips))
+        least = {
+            "whole": limits.LEAST_OF_SAMPLE * limits.OF_MEANS,
+            "detail": limits.LEAST_WHOLE * limits.OF_LOOKS,
+            "tones": limits.LEAST_WHOLE * limits.OF_SAMPLE_LOOKS,
+            "surface": limits.LEAST_WHOLE * limits.OF_SAMPLE_LOOKS * math.sqrt(3),
+        }[name]
+        kinds[name] = _Kind(scale, scale.invert(limits.UNEVEN_WHOLE * spread), least)
+        if name == "whole":
+            uneven = looks.invert(limits.UNEVEN_QUARTERS * spread)
+    usual = float(looks.measure(_cut_means(maps.looks, 2, 2) - _cut_means(maps.looks, 1, 1), uneven).max())
+    return kinds | {"quarters": _Kind(looks, uneven, limits.OF_MEANS * max(usual, limits.LEAST_OF_SAMPLE))}
 
 
 def _learn_kind(scale: _Scale, groups: Sequence[Looks], least: float, margin: float, unseen: float = 1.0) -> _Kind:
@@ -243,7 +370,7 @@ def _learn_kind(scale: _Scale, groups: Sequence[Looks], least: float, margin: fl
 
     The standard deviation of colors is multiplied by ``unseen``: a sample shows few of the tones of a texture.
     """
-    widths = np.array([unseen] * 3 + [1.0] * (len(scale.floors) - 3))
+    widths = np.where(np.arange(len(scale.floors)) < 3, unseen, 1.0)
     wider, far = np.outer(widths, widths), [least]
     for k, group in enumerate(groups):
         rest = np.concatenate([*groups[:k], *groups[k + 1 :]])
@@ -271,21 +398,25 @@ def _group_windows(
 
 @lru_cache(maxsize=4)
 def _looks_of_draws(again: Again, lattice: Lattice | None, shape: Shape, sample_shape: Shape) -> LooksModel:
-    return _learn_looks(*_measure_draws(again, shape), _make_net(lattice, shape), sample_shape, False)
+    return _learn_looks(_measure_draws(again, shape), _make_net(lattice, shape), sample_shape, False)
 
 
 @lru_cache(maxsize=2)
-def _measure_draws(again: Again, shape: Shape) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
-    """Return looks and detail of fresh draws; replicates of a texture, whose lattices differ by origin, share them."""
-    labs = perceive_draws(again, shape)[1]
-    return [measure_looks(lab) for lab in labs], [measure_detail(lab) for lab in labs]
+def _measure_draws(again: Again, shape: Shape) -> list[_Maps]:
+    """Return the features of fresh draws; replicates of a texture, whose lattices differ by origin, share them."""
+    return [_Maps.of(lab) for lab in perceive_draws(again, shape)[1]]
 
 
 @lru_cache(maxsize=2)
 def _looks_of_sample(pixels: bytes, shape: tuple[int, ...], lattice: Lattice | None) -> LooksModel:
-    lab = perceive(np.frombuffer(pixels, np.float32).reshape(shape))
-    looks, details = [measure_looks(lab)], [measure_detail(lab)]
-    return _learn_looks(looks, details, _make_net(lattice, (shape[0], shape[1])), (shape[0], shape[1]), True)
+    maps, sides = _Maps.of(perceive(np.frombuffer(pixels, np.float32).reshape(shape))), (shape[0], shape[1])
+    return _learn_looks([maps], _make_net(lattice, sides), sides, True)
+
+
+@lru_cache(maxsize=2)
+def _depart_sample(model: LooksModel, pixels: bytes, shape: tuple[int, ...]) -> Mapping[str, Looks]:
+    """Return how the sample departs from the mean of fresh draws."""
+    return model.depart(perceive(np.frombuffer(pixels, np.float32).reshape(shape)))
 
 
 def _make_net(lattice: Lattice | None, shape: Shape) -> LatticeNet:
@@ -293,14 +424,16 @@ def _make_net(lattice: Lattice | None, shape: Shape) -> LatticeNet:
     return LatticeNet(shape, vectors, np.zeros(2) if lattice is None else np.array(lattice.origin))
 
 
-def _find_looks(observation: Observation) -> LooksModel:
-    """Return how the texture of an observation looks."""
-    lattice = examine(observation).known_lattice.lattice
+def _compare_looks(observation: Observation) -> dict[str, float]:
+    """Return the largest distances of an output, over those that are allowed."""
+    lab, lattice = examine(observation).lab, examine(observation).known_lattice.lattice
     sample, output = observation.sample, observation.output
+    pixels = np.ascontiguousarray(sample, np.float32).tobytes()
     if observation.again is None:
-        return _looks_of_sample(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, lattice)
+        return _looks_of_sample(pixels, sample.shape, lattice).measure(lab, {})
     shape = (min(max(output.shape[0], 128), 384), min(max(output.shape[1], 128), 384))
-    return _looks_of_draws(observation.again, lattice, shape, (sample.shape[0], sample.shape[1]))
+    model = _looks_of_draws(observation.again, lattice, shape, (sample.shape[0], sample.shape[1]))
+    return model.measure(lab, _depart_sample(model, pixels, sample.shape))
 
 
 def _column(meaning: str, unit: str = "", better: str = "lower") -> Column:
@@ -317,7 +450,9 @@ class Appearance:
     from the references (:class:`LooksModel`) is divided by the largest one that these show: ``local``, ``local_wide``,
     ``quarters``, ``whole`` and ``detail``. ``lack`` is how far the levels of two octaves, in a window of one cell, lie
     below the least ones of all windows of the references, over what is allowed: it sees a hole where the distances are
-    wide. A ratio up to 1 has the score 1, a ratio of 1.5 has 0, and the worst of the six counts. Fresh draws are the
+    wide. Where the colors of the elements come in classes, ``colors`` is the share of elements whose color belongs to
+    none, over what chance explains (:mod:`~nrbench.metrics.judgment.color_classes`). A ratio up to 1 has the score 1, a
+    ratio of 1.5 has 0, and the worst of the seven counts. Fresh draws are the
     references; for a photograph they are four strips of the sample, each compared with the others.
 
     Seams are searched on every straight line of at least half the image's side, in every direction, because the places
@@ -325,7 +460,7 @@ class Appearance:
     its border: ``extras["tile"]``, or the output itself if ``extras["tileable"]`` is not zero.
     """
 
-    version: ClassVar[str] = "6"
+    version: ClassVar[str] = "7"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
@@ -338,7 +473,18 @@ class Appearance:
         "detail": _column(
             "The same for the detail of the whole picture: streaks, relief, speckles, holes in the grain."
         ),
+        "surface": _column(
+            "The same for its surface: how the amplitude of detail varies over the cell and from cell to cell."
+        ),
+        "contrast": _column(
+            "The same for the contrasts of L*, a* and b* and their correlations, over the cell and from cell to cell."
+        ),
+        "light": _column(
+            "The same for the light in 3 x 3 parts, as the places show it that vary least from cell to cell."
+        ),
+        "tones": _column("The same for the share of neighboring pixels that are alike: plateaus of few tones."),
         "lack": _column("What the window with the least detail lacks, over what windows of the references lack."),
+        "colors": _column("Share of elements whose color belongs to no class of the references, over what is allowed."),
         "seam": _column(
             "Visibility (size, and contrast to its parallels) of the worst line over that of fresh draws' worst line."
         ),
@@ -358,12 +504,17 @@ def _score(observation: Observation) -> Score:
     values: dict[str, Value] = dict.fromkeys(Appearance.columns)
     reasons: dict[str, str] = {}
     try:
-        ratios = _find_looks(observation).measure(examine(observation).lab)
+        ratios = _compare_looks(observation) | _find_new_colors(observation)
         values |= ratios | {"score": float(np.clip(1 - limits.LOOKS_SLOPE * (max(ratios.values()) - 1), 0, 1))}
         few = "undecided: the references show too few windows of this size"
-        reasons |= {name: few for name in _SIZES if values[name] is None}
+        reasons |= {name: few for name in (*_SIZES, "surface") if values[name] is None}
+        single = "undecided: a sample alone does not show how much its contrast and light vary"
+        reasons |= {name: single for name in ("contrast", "light") if values[name] is None}
+        if values["colors"] is None:
+            reasons["colors"] = "not applicable: the colors of the elements form no classes"
     except CannotTell as reason:
-        reasons |= dict.fromkeys(("score", *_SIZES, "quarters", "whole", "detail", "lack"), str(reason))
+        looks = [name for name in Appearance.columns if not name.startswith(("seam", "tile"))]
+        reasons |= dict.fromkeys(looks, str(reason))
     values["seam"], values["seam_step"], line = _seam(observation)
     if line is None:
         small = f"undecided: the images are smaller than {_LEAST_SEAM_SIDE} px, too small to compare lines"
@@ -376,6 +527,18 @@ def _score(observation: Observation) -> Score:
     pictures = {} if line is None else {"seam": draw_line(observation.output, line)}
     records = {"reference": "sample" if observation.again is None else "fresh draws"}
     return Score(values, reasons, pictures, records)
+
+
+def _find_new_colors(observation: Observation) -> dict[str, float]:
+    """Return the share of elements with a color of no class, over that which is allowed, where there are classes."""
+    examination = examine(observation)
+    try:
+        followed = examination.followed
+        plane = CoarsePlane(*followed.residual, followed.net.samples)
+        ratio = measure_new_colors(examination.reference, plane)
+    except CannotTell:
+        return {}
+    return {} if ratio is None else {"colors": ratio}
 
 
 # Seams, and the border of a tile that claims to be seamless.

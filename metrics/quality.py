@@ -33,12 +33,13 @@ class Quality:
     mean over textures.
 
     Where a peril cannot be measured, the quality is the smallest of the others, and ``complete`` is False: the quality
-    is then an upper bound. A peril that does not apply is no gap: tiles that do not vary cannot be joined visibly. A
-    quality of 0 is complete, too, because no other peril can lower it: where the lattice is lost, integrity and
-    randomness are not measured. The quality is None if the score of regularity is, and on textures without a lattice.
+    is then an upper bound. A peril that does not apply is no gap: where tiles do not vary, or where their detail hides
+    a joint, joined elements look whole. A quality of 0 is complete, too, because no other peril can lower it: where the
+    lattice is lost, integrity and randomness are not measured. The quality is None if the score of regularity is, and
+    on textures without a lattice.
     """
 
-    version: ClassVar[str] = "6"
+    version: ClassVar[str] = "7"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     limits: ClassVar[tuple[Limit, ...]] = tuple(TABLE)
     columns: ClassVar[Mapping[str, Column]] = {

@@ -33,10 +33,11 @@ class Randomness:
     score of 1 as long as chance explains the difference, as it shows in parts of the references as large as the sample:
 
     - ``variation``, the energy of the residuals over that of the references. Its score is the smaller over the larger.
-    - ``repetition``, from the share t of pairs of windows (a half tile wide) that are twins: nearer than all but a few
-      pairs of the references. 1 / t is the effective number of different windows; the score is its logarithm over that
-      of the number of tiles. Twins that return at one lag count more, since a repeated crop is seen by its period. The
-      column is t times the number of tiles of the sample: 0 as in fresh draws, 1 for a choice at random among them.
+    - ``repetition``, from the share t of pairs of windows (a half tile wide) that are twins, beyond chance: nearer than
+      all but a few pairs of the references. 1 / t is the effective number of different windows; the score is its
+      logarithm over that of the number of tiles. Twins that return at one lag count more, since a repeated crop is seen
+      by its period. The column is t times the number of tiles of the sample: 0 as in fresh draws, 1 for a choice at
+      random among them. Where a print has few inks, chance alone makes twins of equal elements.
     - ``arrangement``, the largest change of the correlation of tones at ten lags of the lattice: rows, checkerboards
       and blobs of one tone, and threads that lose theirs.
     - ``distance``, the energy distance between the distributions of tiles.
@@ -47,7 +48,7 @@ class Randomness:
     unless most windows of the output look the same where those of the references differ: that is 0.
     """
 
-    version: ClassVar[str] = "9"
+    version: ClassVar[str] = "10"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column("The worst of the parts: 1 as a fresh draw, 0 one tile repeated.", better="higher"),
@@ -125,23 +126,26 @@ def _score_few(tiles: Tiles, population: Population) -> Score:
 def _rate_repetition(tiles: Tiles, population: Population) -> tuple[float, float, float]:
     """Return the score of repetition, the share of twins times the sources, and the share that returns at one lag.
 
-    Where k of n pairs at a lag are twins, max(2 k - n, 0) windows return: none if half of the pairs are twins.
+    The share t of twins among pairs of windows is (t - c) / (1 - c) beyond the share c that chance explains. Of n pairs
+    at a lag, windows return if more than half of those that chance does not explain are twins.
     """
     distances, lags = tiles.compare_windows()
     limit, middle, chance = population.twins
     if not distances.size:
         return 1.0, 0.0, 0.0
-    near = distances < limit * np.clip(np.median(distances) / middle, limits.LEAST_SCALE, 1)
-    share = float(near.mean()) - chance
+    near = distances < limit * np.clip((np.median(distances) + limit) / (middle + limit), limits.LEAST_SCALE, 1)
+    share, count = float(near.mean()), max(len(tiles.features), 3)
+    most = chance + population.allow_twins(count)
     _, number = np.unique(lags, return_inverse=True)
     pairs, twins = np.bincount(number), np.bincount(number, near)
-    often = pairs >= limits.RETURNING
-    returning = float(np.maximum(2 * twins - pairs, 0)[often].sum() / max(pairs[often].sum(), 1))
-    count = max(len(tiles.features), 3)
-    strewn = np.clip(math.log(1 / max(share, 1e-9)) / math.log(count), 0, 1)
+    usual = np.maximum((1 + most) / 2, most + limits.ARRANGED_DEVIATIONS * np.sqrt(most * (1 - most) / pairs))
+    often = (pairs >= limits.RETURNING) & (usual < 1)
+    excess = np.maximum(twins - usual * pairs, 0) / np.maximum(1 - usual, 1e-9)
+    returning = float(excess[often].sum() / max(pairs[often].sum(), 1))
+    strewn = math.log(1 / max((share - most) / max(1 - most, 1e-9), 1e-9)) / math.log(count)
     return (
-        min(float(strewn), max(1 - math.sqrt(returning * population.sources), 0.0)),
-        share * population.sources,
+        min(float(np.clip(strewn, 0, 1)), max(1 - math.sqrt(returning * population.sources), 0.0)),
+        (share - chance) / max(1 - chance, 1e-9) * population.sources,
         returning,
     )
 

@@ -1,14 +1,12 @@
-"""A reference: a cartoon of the sample, which knows its mean tile and its tints, and copies no detail."""
+"""A reference: a cartoon of the sample, which knows its mean tile, its tints and its grain, and copies no detail."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.mean_tile import fold
@@ -20,6 +18,8 @@ _PLACES = 6
 """Number of places along each lattice vector at which the middle of a cell is tried."""
 _WHOLE = 0.6
 """Least share of a cell that the sample shows, for its color to count."""
+_REACH = 4.0
+"""Standard deviation in px of the Gaussian by which the covariance of the grain is tapered."""
 
 Residual = NDArray[np.float64]
 """Sample minus mean tile, ``(H, W, C)``."""
@@ -27,23 +27,23 @@ Residual = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Cartoon:
-    """A cartoon of the sample: its mean tile, one flat tint a cell, and gray noise. It copies no detail.
+    """A cartoon of the sample: its mean tile, one flat tint an element, and Gaussian grain. It copies no detail.
 
-    It shows what it is worth to know only the tints: what scores no better than this row has told nothing of the
-    texture but its period, its mean colors and the strength of its grain.
+    It shows what it is worth to know only means and covariances: what scores no better than this row has told nothing
+    of the texture but its period, its colors and the strength of its grain.
 
-    The output is the mean tile, laid on the lattice. To each cell one color is added. It is Gaussian, independent from
-    cell to cell, with the covariance of the mean colors of the sample's cells. A cell is the Voronoi cell of a lattice
-    point, or a box in a row of boxes, as a brick is. The shape and the place of the cells are those at which their mean
-    colors vary most. If a cell holds several elements, as a crossing of threads does, all get the same tint. The noise
-    is Gaussian, alike in all channels. Its variance is that of the rest of the sample: what neither the mean tile nor
-    the tints explain, in the mean of the channels.
+    The output is the mean tile, laid on the lattice. To each element one color is added. It is Gaussian, independent
+    from element to element, with the covariance of the colors of the sample's elements. An element is the Voronoi cell
+    of a lattice point; a box in a row of boxes, as a brick is; or a thread of a plain weave, which has one tint along
+    its length. The shape and the place of the elements are those at which their mean colors vary most. Each place of
+    the cell takes its own share of the tint, by least squares: a joint has none. The grain is Gaussian noise with the
+    covariances, between channels and between pixels up to a few px apart, of what mean tile and tints leave.
 
     Parameters
     ----------
     grain
-        ``"short"``: the noise is smoothed by a Gaussian, so that neighboring pixels are as correlated as those of the
-        sample's rest; ``"white"``: its pixels are independent.
+        ``"short"``: the grain has the covariances of the sample's rest, tapered by a Gaussian of 4 px; ``"white"``:
+        its pixels are independent.
     """
 
     grain: Literal["short", "white"] = "short"
@@ -51,10 +51,10 @@ class Cartoon:
     reference: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "gncc"
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
 
     def synthesize(self, task: Task) -> Synthesis:
-        """Return the cartoon. Draws of the same sample differ in tints and noise alone.
+        """Return the cartoon. Draws of the same sample differ in tints and grain alone.
 
         Raises
         ------
@@ -63,51 +63,73 @@ class Cartoon:
         """
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there is no mean tile to lay")
         tile = fold(task.sample, lattice.reduced())
-        residual = np.asarray(task.sample - tile.unfold(task.sample.shape[:2]), np.float64)
+        shape = task.sample.shape[:2]
+        residual = np.asarray(task.sample - tile.unfold(shape), np.float64)
 
         def spread(cells: _Cells) -> float:
-            label = cells.number(residual.shape[:2])
-            return float(_tints(residual, label, lattice.area).var(0).sum())
+            label = cells.number(shape)
+            return float(_means(residual, label)[_shown(label, lattice.area)].var(0).sum())
 
         cells = max(_Cells.all(tile.lattice), key=spread)
-        label, row = cells.number(residual.shape[:2]), cells.number(task.shape)
-        covariance = np.atleast_2d(np.cov(_tints(residual, label, lattice.area).T))
-        rest = residual - _means(residual, label)[label]
-        drawn = task.rng.multivariate_normal(np.zeros(len(covariance)), covariance, int(row.max()) + 1, method="eigh")
-        image = tile.unfold(task.shape) + drawn[row] + self._noise(rest.mean(-1), task)[..., np.newaxis]
+        label, row = cells.number(shape), cells.number(task.shape)
+        share, tints = np.ones((*shape, 1)), _means(residual, label)
+        for _ in range(2):
+            tint = tints[label]
+            moments = np.stack([(residual * tint).sum(-1), (tint**2).sum(-1)], -1).astype(np.float32)
+            folded = fold(moments, tile.lattice)
+            folded.values[..., 0] /= np.maximum(folded.values[..., 1], 1e-9)
+            share = np.clip(folded.unfold(shape)[..., :1], 0, 2)
+            tints = _means(residual * share, label) / np.maximum(_means(share**2, label), 1e-3)
+        seen = tints[_shown(label, lattice.area)]
+        drawn = task.rng.multivariate_normal(
+            np.zeros(seen.shape[1]), np.atleast_2d(np.cov(seen.T)), int(row.max()) + 1, method="eigh"
+        )
+        image = tile.unfold(task.shape) + np.clip(folded.unfold(task.shape)[..., :1], 0, 2) * drawn[row]
+        rest = residual - share * tints[label]
+        level = fold((rest**2).mean(-1, dtype=np.float32)[..., np.newaxis], tile.lattice)
+        strength, laid = (np.sqrt(level.unfold(size) + 1e-9) for size in (shape, task.shape))
+        image += laid * self._draw_grain(rest / strength, task)
         return Synthesis(np.clip(image, 0, 1).astype(np.float32), lattice, detection_seconds=seconds)
 
-    def _noise(self, rest: NDArray[np.float64], task: Task) -> NDArray[np.float64]:
-        """Return noise of the standard deviation of ``rest`` and, with short grain, its correlation at 1 px."""
-        noise = task.rng.standard_normal(task.shape)
-        pairs = np.mean([(rest[1:] * rest[:-1]).mean(), (rest[:, 1:] * rest[:, :-1]).mean()])
-        correlation = float(pairs / max(rest.var(), 1e-12))
-        if self.grain == "short" and correlation > 0.01:
-            # Smoothing white noise by a Gaussian of s px gives the correlation exp(-1 / (4 s^2)) at 1 px.
-            width = 0.5 / math.sqrt(-math.log(min(correlation, 0.9)))
-            noise = scipy.ndimage.gaussian_filter(noise, width, mode="wrap")
-            kernel = np.exp(-(np.arange(-math.ceil(4 * width), math.ceil(4 * width) + 1) ** 2) / (2 * width**2))
-            noise *= kernel.sum() ** 2 / (kernel**2).sum()
-        return np.asarray(noise * rest.std())
+    def _draw_grain(self, rest: Residual, task: Task) -> Residual:
+        """Return Gaussian noise of the covariances of ``rest``, ``(H, W, C)``; with white grain those at 0 px only."""
+        (height, width), room = task.shape, (2 * rest.shape[0], 2 * rest.shape[1])
+        spectrum = np.fft.rfft2(rest, room, axes=(0, 1))
+        lagged = np.fft.irfft2(spectrum[..., np.newaxis] * spectrum.conj()[..., np.newaxis, :], room, axes=(0, 1))
+        y, x = (np.rint(np.fft.fftfreq(n, 1 / n)).astype(int) for n in (height, width))
+        squared = (y**2)[:, np.newaxis] + x**2
+        taper = np.exp(-squared / (2 * _REACH**2)) if self.grain == "short" else 1.0 * (squared == 0)
+        taper[(np.abs(y) >= rest.shape[0])[:, np.newaxis] | (np.abs(x) >= rest.shape[1])] = 0
+        covariance = lagged[y[:, np.newaxis] % room[0], x % room[1]] / (rest.shape[0] * rest.shape[1])
+        values, axes = np.linalg.eigh(np.fft.rfft2(covariance * taper[..., np.newaxis, np.newaxis], axes=(0, 1)))
+        white = np.fft.rfft2(task.rng.standard_normal((height, width, rest.shape[2])), axes=(0, 1))
+        colored = np.sqrt(np.maximum(values, 0))[..., np.newaxis] * (axes.conj().swapaxes(-1, -2) @ white[..., None])
+        return np.asarray(np.fft.irfft2((axes @ colored)[..., 0], task.shape, axes=(0, 1)))
 
 
 @dataclass(frozen=True)
 class _Cells:
-    """The cells of a lattice, one of them around ``middle``: Voronoi cells, or boxes in rows along a lattice vector.
+    """The elements of a lattice, one of them around ``middle``: Voronoi cells, boxes in rows, or threads.
 
-    ``basis`` holds the vector along a row and one to the next row; None: Voronoi cells.
+    ``basis`` holds the vector along a row and one to the next row; None: Voronoi cells. If ``woven``, it holds the
+    vectors from a crossing to the next, above and below alternating, and all crossings of one thread have its number.
     """
 
     lattice: Lattice
     basis: Points | None
     middle: Points
+    woven: bool = False
 
     def number(self, shape: Shape) -> NDArray[np.intp]:
-        """Return the number of the cell that each pixel of a picture lies in."""
+        """Return the number of the element that each pixel of a picture lies in."""
         y, x = np.indices(shape[:2])
         away = np.stack([x, y], -1) - self.middle
         if self.basis is None:
             numbers = np.rint((away - self.lattice.wrap(away)) @ np.linalg.inv(self.lattice.matrix))
+        elif self.woven:
+            crossing = np.rint(away @ np.linalg.inv(self.basis)).astype(np.int64)
+            along = crossing.sum(-1) % 2
+            numbers = np.stack([np.take_along_axis(crossing, along[..., np.newaxis], -1)[..., 0], along], -1)
         else:
             along, other = self.basis
             length = np.hypot(*along)
@@ -121,22 +143,23 @@ class _Cells:
 
     @classmethod
     def all(cls, lattice: Lattice) -> Iterator[_Cells]:
-        """Yield the cells of each shape, with their middles all over one cell: boxes lie along the short vectors."""
+        """Yield the elements of each shape, with their middles all over one cell: boxes lie along the short vectors."""
         a, b = lattice.matrix
         places = lattice.from_cell(np.indices((_PLACES, _PLACES)).reshape(2, -1).T / _PLACES)
         for basis in (None, (a, b), (b, a), (a + b, a), (a - b, a)):
             yield from (cls(lattice, None if basis is None else np.stack(basis), place) for place in places)
+        yield from (cls(lattice, np.stack([a + b, a - b]) / 2, place, woven=True) for place in places)
 
 
-def _tints(residual: Residual, label: NDArray[np.intp], area: float) -> Points:
-    """Return the mean residual of each cell of which the sample shows enough, ``(n, C)``; ``area`` is a cell's."""
+def _shown(label: NDArray[np.intp], area: float) -> NDArray[np.bool_]:
+    """Return the elements of which the sample shows enough, ``(n,)``; ``area`` is that of a cell, px^2."""
     shown = np.bincount(label.ravel()) >= _WHOLE * area
     if shown.sum() < 2:
         raise Refused(f"the sample shows fewer than two cells of {area:.0f} px^2; their colors cannot vary")
-    return np.asarray(_means(residual, label)[shown])
+    return np.asarray(shown)
 
 
 def _means(residual: Residual, label: NDArray[np.intp]) -> Points:
-    """Return the mean of each cell, ``(n, C)``."""
+    """Return the mean of each element, ``(n, C)``."""
     sums = [np.bincount(label.ravel(), plane.ravel()) for plane in np.moveaxis(residual, -1, 0)]
     return np.stack(sums, -1) / np.maximum(np.bincount(label.ravel()), 1)[:, np.newaxis]

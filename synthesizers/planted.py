@@ -10,9 +10,11 @@ from typing import ClassVar, Final, Protocol
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import MIN_SIDE, Image
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Again, Refused, Shape, Synthesis, Task, Texture
 from nrbench.plugins.parameters import nearest
@@ -32,6 +34,23 @@ _BLUR = 8.0
 """Standard deviation in px of the blur at size 1."""
 _COARSE = 4.0
 """Standard deviation in px of the Gaussian above which variation is coarse: tones of elements, not their texture."""
+_TINT_WINDOW = 7
+"""Side in px of the window whose median is the tint of the element at its middle."""
+_RING = 0.02
+"""Width in cycles/px of the rings of frequencies on which the coefficients of the detail change places."""
+_LUMA = np.array([0.299, 0.587, 0.114])
+_HUES = 24
+"""Number of hues of the new colors that are tried."""
+_SATURATIONS = (0.2, 0.3, 0.4, 0.5, 0.6)
+"""Their distances from gray of equal brightness, in values."""
+_LOOKS = 400
+"""Largest number of places whose colors are compared with a new color."""
+_FAR = 0.25
+"""Mean distance, in values, of a new color from the colors of the elements, that is enough."""
+_INSIDE = 0.2
+"""Largest distance, along both lattice vectors and as a share of them, of the place where a tile is torn."""
+_TEAR = 0.25
+"""Distance, in s, by which one part of a torn tile is moved."""
 _SEAM_REACH = 16.0
 """Distance in px from a seam at which its change of brightness ends."""
 _SPLINE_MARGIN = 8
@@ -89,6 +108,12 @@ class Planted:
                                                                                        lost; needs no lattice
         noise           white noise replaces the texture inside elements (less than    share of its variance; needs
                         about 4 px wide), with equal variance                          a geometry that is constant
+        wrong-surface   Gaussian grain without direction replaces the detail inside    share of its variance; needs
+                        elements, with equal power in each octave and at each place    a geometry that is constant
+                        of the cell: streaks, pits and relief are lost. On a texture
+                        that is flat but for its grain this is no defect
+        new-color       elements keep brightness and grain, and get a hue and a        share of tiles; none; needs
+                        saturation that no element has                                 colors
         seam            one side of a line is brighter and the other darker, by half   step of values at the line;
                         of the step each, fading linearly to nothing 16 px away        where values are clipped;
                                                                                        needs no lattice
@@ -98,6 +123,8 @@ class Planted:
                                                                                        no lattice
         two-tone        tiles cut in half across t1, one half replaced by that of      share of tiles; none
                         another draw
+        torn            tiles cut in two by a line through a random place inside; the  share of tiles; none
+                        part beyond it is another draw's, moved along the line by s/4
         over-regular    the draw mixed with the repetition of one of its tiles         weight of the repetition
                                                                                        (1: all tiles are
                                                                                        identical); none
@@ -486,17 +513,75 @@ def noise(site: Site) -> PlantedImage:
 
     The texture inside elements is what the periodic image does not explain, less its Gaussian blur of 4 px.
     """
+    image, rest = _split_draw(site)
+    fine = rest - scipy.ndimage.gaussian_filter(rest, (_COARSE, _COARSE, 0), mode="mirror")
+    white = site.rng.standard_normal(fine.shape) * fine.std((0, 1), dtype=np.float64)
+    return _replace_share(site, image, fine, white)
+
+
+def wrong_surface(site: Site) -> PlantedImage:
+    """Replace a share of the variance of the detail inside elements by Gaussian grain of equal power.
+
+    The detail is what the periodic image and the tints of elements do not explain. The tint at a pixel is the median
+    of the departures around it, times the part of it that is usual at this place of the cell: nothing in joints. The
+    amplitudes of the Fourier coefficients of the detail change places on rings of equal frequency, and get random
+    phases, so that no direction and no form is left.
+    """
+    image, rest = _split_draw(site)
+    near = scipy.ndimage.median_filter(rest, (_TINT_WINDOW, _TINT_WINDOW, 1), mode="mirror")
+    products = np.stack([(rest * near).sum(-1), (near * near).sum(-1)], -1)
+    usual = fold(products, site.lattice).unfold(site.shape)
+    detail = rest - near * (usual[..., :1] / np.maximum(usual[..., 1:], 1e-12)).clip(0, 1)
+    level = np.sqrt(np.maximum(fold(detail * detail, site.lattice).unfold(site.shape), 1e-12))
+    spectrum = np.fft.fft2(detail / level, axes=(0, 1)).reshape(-1, detail.shape[2])
+    radius = np.hypot(*np.meshgrid(*map(np.fft.fftfreq, site.shape), indexing="ij")).ravel()
+    mixed = spectrum[np.argsort(radius + site.rng.uniform(0, _RING, radius.shape))]
+    spectrum[np.argsort(radius)] = mixed * np.exp(2j * np.pi * site.rng.random((len(radius), 1)))
+    grain = math.sqrt(2) * np.fft.ifft2(spectrum.reshape(detail.shape), axes=(0, 1)).real * level
+    return _replace_share(site, image, detail, grain)
+
+
+def _split_draw(site: Site) -> tuple[Image, Image]:
+    """Return a draw of a texture whose geometry is constant, and what its periodic image does not explain."""
     if site.known is None:
         raise Refused("planted: this texture has no lattice")
     draw = site.draw()
     if draw.ideal is None or draw.displacement is not None:
-        raise Refused("planted: noise needs a texture model whose geometry does not vary")
-    rest = draw.image - draw.ideal
-    fine = rest - scipy.ndimage.gaussian_filter(rest, (_COARSE, _COARSE, 0), mode="mirror")
-    white = site.rng.standard_normal(fine.shape) * fine.std((0, 1), dtype=np.float64)
-    change = (math.sqrt(1 - site.size) - 1) * fine + math.sqrt(site.size) * white
-    image = np.clip(draw.image + change, 0, 1).astype(np.float32) if site.size else draw.image
-    return PlantedImage(image, site.zeros(), _changed(image, draw.image), f"{site.size:g} of the variance")
+        raise Refused("planted: this kind needs a texture model whose geometry does not vary")
+    return draw.image, draw.image - draw.ideal
+
+
+def _replace_share(site: Site, fresh: Image, part: Image, other: NDArray[np.float64]) -> PlantedImage:
+    """Replace a share of the variance of a part of the draw by another one of equal variance."""
+    change = (math.sqrt(1 - site.size) - 1) * part + math.sqrt(site.size) * other
+    image = np.clip(fresh + change, 0, 1).astype(np.float32) if site.size else fresh
+    return PlantedImage(image, site.zeros(), _changed(image, fresh), f"{site.size:g} of the variance")
+
+
+def new_color(site: Site) -> PlantedImage:
+    """Give tiles a hue and a saturation that no tile has, at equal brightness.
+
+    It is the least saturated of some colors that is far from those of all elements. It shows at each place as much as
+    elements vary there, so that joints keep their color.
+    """
+    index, _, chosen, amount = _choose_tiles(site)
+    fresh = site.draw().image
+    if fresh.shape[2] != 3:
+        raise Refused("planted: a gray texture has no hues")
+    rest = fresh - fold(fresh, site.lattice).unfold(site.shape)
+    varies = fold((rest * rest).sum(-1, keepdims=True), site.lattice).unfold(site.shape) + 1e-6
+    weight = (2 * varies / np.quantile(varies, 0.75) - 0.5).clip(0, 1)
+    seen = scipy.ndimage.gaussian_filter(fresh, (1.5, 1.5, 0))[weight[..., 0] > 0.5]
+    seen = seen[:: len(seen) // _LOOKS + 1]
+    turns = np.linspace(0, 2 * math.pi, _HUES, endpoint=False)
+    hues = np.stack([np.cos(turns), np.sin(turns)], -1) @ scipy.linalg.null_space(_LUMA[np.newaxis]).T
+    colors = [saturation * hue for saturation in _SATURATIONS for hue in hues]
+    bright = (seen @ _LUMA)[:, np.newaxis]
+    far = [cdist((bright + color).clip(0, 1), seen).min(1).mean() for color in colors]
+    new = (fresh @ _LUMA)[..., np.newaxis] + colors[int(np.argmax(np.minimum(far, _FAR)))]
+    change = np.where(chosen[index][..., np.newaxis], weight * (new - fresh), 0)
+    image = np.clip(fresh + change, 0, 1).astype(np.float32)
+    return PlantedImage(image, site.zeros(), _changed(image, fresh), amount)
 
 
 def _changed(image: Image, fresh: Image) -> Mask:
@@ -531,14 +616,31 @@ def color_mean(site: Site) -> PlantedImage:
 
 def two_tone(site: Site) -> PlantedImage:
     """Cut tiles in half across t1, and replace one half by that of another fresh draw."""
+    index, away, chosen, amount = _choose_tiles(site)
+    covered = chosen[index] & (away @ site.lattice.matrix[0] > 0)
+    image, other = site.draw().image, site.draw().image
+    return PlantedImage(np.where(covered[..., np.newaxis], other, image), site.zeros(), covered, amount)
+
+
+def torn(site: Site) -> PlantedImage:
+    """Cut tiles by a line through a place inside, and show beyond it another draw, moved along the line by s/4."""
+    index, away, chosen, amount = _choose_tiles(site)
+    angle = site.rng.uniform(0, 2 * math.pi, len(chosen))
+    along, across = (np.stack([np.cos(turn), np.sin(turn)], -1) for turn in (angle, angle + math.pi / 2))
+    place = site.rng.uniform(-_INSIDE, _INSIDE, (len(chosen), 2)) @ site.lattice.matrix
+    covered = chosen[index] & (((away - place[index]) * across[index]).sum(-1) > 0)
+    field = np.where(covered[..., np.newaxis], _round(_TEAR * site.lattice.s * along)[index], 0)
+    margin = math.ceil(_TEAR * site.lattice.s)
+    image, other = site.draw().image, read_displaced(site.draw(margin).image, margin, field)
+    return PlantedImage(np.where(covered[..., np.newaxis], other, image), field, covered, amount)
+
+
+def _choose_tiles(site: Site) -> tuple[NDArray[np.intp], Points, Mask, str]:
+    """Return the number of the tile of each pixel, the vector to it from the tile's middle, and the chosen tiles."""
     tile, away = _tiles(site.pixels(), site.lattice)
     tiles, index = np.unique(tile.reshape(-1, 2), axis=0, return_inverse=True)
-    rank = site.rng.permutation(len(tiles))[index.reshape(site.shape)]
-    number = round(site.size * len(tiles))
-    covered = (rank < number) & (away @ site.lattice.matrix[0] > 0)
-    image, other = site.draw().image, site.draw().image
-    joined = np.where(covered[..., np.newaxis], other, image)
-    return PlantedImage(joined, site.zeros(), covered, f"{number} of {len(tiles)} tiles")
+    chosen = site.rng.permutation(len(tiles)) < round(site.size * len(tiles))
+    return index.reshape(site.shape), away, chosen, f"{chosen.sum()} of {len(tiles)} tiles"
 
 
 def over_regular(site: Site) -> PlantedImage:
@@ -645,7 +747,7 @@ DEFECTS: Final[Mapping[str, Defect]] = {
     for defect in (
         *(none, phase_step, slipped_course, dropped_row, doubled_row, displaced_tile, missing_tile, doubled_tile),
         *(warp, stretch, off_lattice, blurred_band, blur, contrast, noise, seam, color_mean),
-        *(two_tone, over_regular, verbatim),
+        *(wrong_surface, new_color, two_tone, torn, over_regular, verbatim),
     )
 }
 """The defects by name; a new defect is one more entry."""

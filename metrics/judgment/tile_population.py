@@ -70,15 +70,28 @@ class Tiles:
             found.append((windows[:_MOST_TILES], np.argwhere(whole)[:_MOST_TILES]))
         return found
 
+    @cached_property
+    def _square_distances(self) -> list[NDArray[np.float64]]:
+        return [square_distances(windows, windows) for windows, _ in self.quarters]
+
     def compare_windows(self) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
         """Return the mean squared difference of all pairs of windows, and a number for the lag of each pair."""
         distances, lags = [], []
-        for part, (windows, cells) in enumerate(self.quarters):
-            first, second = np.triu_indices(len(windows), 1)
-            distances.append(square_distances(windows, windows)[first, second])
+        for part, ((_, cells), square) in enumerate(zip(self.quarters, self._square_distances, strict=True)):
+            first, second = np.triu_indices(len(cells), 1)
+            distances.append(square[first, second])
             lag = cells[second] - cells[first]
             lags.append((lag[:, 0] * 4096 + lag[:, 1]) * 4 + part)
         return np.concatenate(distances), np.concatenate(lags).astype(np.intp)
+
+    def scatter_twins(self, limit: float) -> float:
+        """Return the variance, from window to window, of the share of windows nearer than a limit, beyond chance."""
+        found = []
+        for square in self._square_distances:
+            if len(square) > 2:
+                share = ((square < limit).sum(1) - 1) / (len(square) - 1)
+                found.append(share.var() - share.mean() * (1 - share.mean()) / (len(square) - 1))
+        return max(float(np.mean(found)), 0.0) if found else 0.0
 
 
 def square_distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -205,6 +218,20 @@ class Population:
             return 0.0, 1.0, 0.0
         limit = max(float(np.quantile(distances, min(limits.TWINS / self.sources, 0.5))), SAME)
         return limit, float(np.median(distances)), float((distances < limit).mean())
+
+    def allow_twins(self, count: int) -> float:
+        """Return the share of twins, beyond that of the references, that chance explains in ``count`` tiles.
+
+        Where elements are alike, as in a print of two inks, twins are no repetition, and their share has the variance
+        of a U-statistic (Hoeffding 1948), 4 v / n + 2 t (1 - t) / n^2, with the share t of twins by chance and the
+        variance v of the twins of single windows: in the n tiles of an output, and in those of the sample.
+        """
+        limit, _, chance = self.twins
+        often = max(chance - limits.TWINS / self.sources, 0.0)
+        pairs = often * (1 - often)
+        single = min(float(np.mean([tiles.scatter_twins(limit) for tiles in self.tiles])), pairs)
+        variance = sum(4 * single / n + 2 * pairs / n**2 for n in (count, self.sources))
+        return min(limits.DEVIATIONS * math.sqrt(variance), 1 - chance)
 
     def arrange(self, tiles: Tiles) -> NDArray[np.float64]:
         """Return the correlations of the first components of tiles at ten lags, ``(10, 3)``; NaN without pairs."""

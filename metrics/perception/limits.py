@@ -115,6 +115,10 @@ OVERLOOKED = _limit("OVERLOOKED", 0.005, "", "convention: share of broken elemen
 FEWEST_SHOWN = _limit(
     "FEWEST_SHOWN", 12.0, "cells", "measured: fresh plaids are called joined beside a sample that shows nine cells"
 )
+LEAST_LEVEL = _limit("LEAST_LEVEL", 0.2, "", "convention: a change of squared differences by a fifth is not seen")
+SEEN_STEP = _limit(
+    "SEEN_STEP", 2.5, "", "squared step across a joint over that in whole elements, below which labelers see no joint"
+)
 FEW_CELLS = _limit("FEW_CELLS", 100.0, "cells", "with fewer cells, covariances of neighboring places are pooled")
 
 # Randomness
@@ -140,6 +144,10 @@ LEAST_DISTANCE = _limit("LEAST_DISTANCE", 0.03, "", "convention: share of the en
 DISTANCE_SLOPE = _limit("DISTANCE_SLOPE", 4.0, "", "convention: the score reaches 0 at a quarter of what is possible")
 ODD = _limit("ODD", 4.5, "", "median absolute deviations of the logarithm of the misfit: one normal value in 400")
 OF_DISTANCE = _limit("OF_DISTANCE", 1.1, "", "margin over the largest distance of 24 parts of the references")
+DECISIVE = _limit("DECISIVE", 10.0, "", "Kass and Raftery (1995): a gain of the BIC that is very strong evidence")
+CLASS_GAP = _limit(
+    "CLASS_GAP", 6.0, "sd", "theory: classes of colors do not overlap; with the floor at least three JND apart"
+)
 AMPLITUDE = _limit(
     "AMPLITUDE", 0.06, "s", "the references' geometry does not vary below it; methods take samples for bent from 0.04 s"
 )
@@ -158,6 +166,11 @@ TURN_FLOOR = _limit(
     "TURN_FLOOR", 0.8, "20 ln", "measured: half a pixel, interpolated, turns slopes by up to 1.0 on 15 textures"
 )
 CLUSTER_FLOOR = _limit("CLUSTER_FLOOR", 0.35, "20 ln", "measured: a blur of .6 px changes it by up to 0.4")
+SPREAD_FLOOR = _limit(
+    "SPREAD_FLOOR", 0.15, "", "convention: a standard deviation or a correlation that differs by 15 % is not seen"
+)
+LEVEL_OFFSET = _limit("LEVEL_OFFSET", 2.0, "20 ln", "convention: levels that vary by a tenth are even")
+PLATEAUS = _limit("PLATEAUS", 0.05, "", "convention: share of neighbors that are alike, of which nobody sees plateaus")
 LACK = _limit("LACK", 6.0, "20 ln", "convention: a window may lack a fourth of the amplitude of the least one")
 WHOLE_WINDOW = _limit("WHOLE_WINDOW", 0.97, "", "convention: share of a window that lies inside the picture")
 LOSS = _limit("LOSS", 0.6, "", "lost fine detail counts less: a blur of .6 px is not seen, noise of as much energy is")
@@ -173,6 +186,5 @@ UNEVEN_QUARTERS = _limit(
 UNSEEN_TONES = _limit("UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones")
 OF_LOOKS = _limit("OF_LOOKS", 1.15, "", "margin over the largest distance of the references")
 OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters, of which there are few")
-OF_WHOLE = _limit("OF_WHOLE", 1.5, "", "the same for the whole: a copier draws from a sample")
 OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.25, "", "the same for parts of one sample")
 LOOKS_SLOPE = _limit("LOOKS_SLOPE", 2.0, "", "the score reaches 0 at 1.5 times the limit")

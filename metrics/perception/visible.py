@@ -98,3 +98,34 @@ def measure_detail(lab: Lab) -> NDArray[np.float32]:
         octave = low[::2, ::2]
     fine = [plane[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean((1, 3)) for plane in planes[:4]]
     return np.stack([*fine, *(plane[:height, :width] for plane in planes[4:])], -1)
+
+
+def measure_levels(lab: Lab) -> NDArray[np.float32]:
+    """Return the levels of oriented detail, of every second pixel, ``(H // 2, W // 2, 12)``.
+
+    They are those of the slopes along x, along y and along both diagonals of three octaves of L*, smoothed over about
+    1.2 px of the octave. A level is 20 ln of the amplitude plus what is not seen, as in :func:`measure_looks`.
+    """
+    height, width = lab.shape[0] // 2, lab.shape[1] // 2
+    octave, planes = lab[..., 3], []
+    for number in range(3):
+        low = np.asarray(gaussian_filter(octave, 1.2, mode="reflect", truncate=3))
+        down, right = (np.asarray(slope, np.float32) for slope in np.gradient(octave - low))
+        for slope in (right, down, (right + down) * np.float32(0.5**0.5), (right - down) * np.float32(0.5**0.5)):
+            energy = gaussian_filter(slope * slope, 1.2, mode="reflect", truncate=3)
+            if number == 0:
+                energy = energy[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean((1, 3))
+            level = 10 * np.log(energy + np.float32(limits.BAND_OFFSET**2))
+            planes.append(level.repeat(2, 0).repeat(2, 1)[:height, :width] if number == 2 else level[:height, :width])
+        octave = low[::2, ::2]
+    return np.asarray(np.stack(planes, -1), np.float32)
+
+
+def measure_plateaus(lab: Lab) -> NDArray[np.float32]:
+    """Return whether a pixel has the L* of the next one, within a quarter of a JND, ``(H, W, 1)``: 0, 1/2 or 1.
+
+    The mean of the next one along x and of that along y; pictures of few tones have plateaus even where there is grain.
+    """
+    raw = lab[..., 3]
+    alike = [np.abs(np.diff(raw, axis=axis, append=np.take(raw, [-2], axis))) < limits.JND / 4 for axis in (0, 1)]
+    return np.asarray((alike[0] * np.float32(0.5) + alike[1] * np.float32(0.5))[..., np.newaxis])

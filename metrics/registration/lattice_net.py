@@ -90,6 +90,10 @@ class LatticeNet:
         """Repeat a cell ``(n1, n2, ...)`` over the whole net."""
         return np.tile(cell, (*self.cells, *(1,) * (cell.ndim - 2)))
 
+    def spread(self, cells: NDArray[Any]) -> NDArray[Any]:
+        """Return the values of cells, ``(N1, N2)``, at all of their points."""
+        return cells.repeat(self.samples[0], 0).repeat(self.samples[1], 1)
+
     def half_cells(self, planes: NDArray[Any], known: Mask) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the means of planes over half cells, where a point is unknown as 0, and the known share of each."""
         half = self.samples // 2

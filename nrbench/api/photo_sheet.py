@@ -20,6 +20,9 @@ _COLUMNS = (4, 5, 6)
 """Numbers of columns of which one is chosen."""
 _LETTERS = 15
 """px; height of the letters."""
+_APART = 0.1
+"""Least difference of two qualities of which one is called higher. If a quarter of the sample is left out, an eighth
+of the smaller differences change their sign, and hardly any larger one (docs/photographs.md)."""
 _PERILS = ("regularity", "integrity", "randomness", "appearance")
 
 
@@ -69,6 +72,7 @@ def _rate(one: CellRecord) -> dict[str, Any]:
         "upper_bound": bound,
         "worst": [name for name, score in scores.items() if score == min(scores.values()) < 1],
         "not_measured": [name for name, word in silent.items() if word == "cannot tell"] if bound else [],
+        "why": one.reasons.get("quality.score", ""),
         "no_peril": [name for name, word in silent.items() if word == "no peril"] if scores else [],
         "seconds": one.seconds,
         "message": one.message,
@@ -81,24 +85,25 @@ def _shown(row: Mapping[str, Any]) -> float:
 
 
 def _is_above(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Return whether a quality is higher than another one, as far as both were measured.
+    """Return whether a quality is higher than another one, as far as both were measured, by at least :data:`_APART`.
 
     An upper bound is compared with those in which the same perils were not measured. It is above no measured quality
     but 0, than which nothing is lower.
     """
     alike = other["upper_bound"] and row["not_measured"] == other["not_measured"]
-    return _shown(row) > _shown(other) and (not row["upper_bound"] or alike or _shown(other) == 0)
+    higher = round(_shown(row) - _shown(other), 2) >= _APART
+    return higher and (not row["upper_bound"] or alike or _shown(other) == 0)
 
 
 def _rank(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the ranks that a row can have among rows with a quality, with which it is tied, and why."""
     if row["quality"] is None:
-        return {"rank": "", "tied": [], "why": ""}
+        return {"rank": "", "tied": []}
     first = 1 + sum(_is_above(other, row) for other in rows)
     last = len(rows) - sum(_is_above(row, other) for other in rows)
     tied = [one for one in rows if one is not row and not _is_above(one, row) and not _is_above(row, one)]
     unknown = [name for name in _PERILS if any(name in one["not_measured"] for one in (row, *tied))]
-    why = f"{' and '.join(unknown)} cannot be told" if unknown else "equal quality"
+    why = f"{' and '.join(unknown)} cannot be told" if unknown else f"less than {_APART:.2f} apart"
     return {
         "rank": f"{first}" if first == last else f"{first}-{last}",
         "tied": sorted(one["method"] for one in tied),
@@ -113,7 +118,7 @@ def describe_row(row: Mapping[str, Any]) -> str:
     unknown = [] if row["tied"] else row["not_measured"]  # else the reason of the tie names them
     words = (("worst: ", row["worst"]), ("cannot tell: ", unknown))
     limits = [title + ", ".join(names) for title, names in words if names]
-    tied = [f"tied: {row['why']}"] if row["tied"] else []
+    tied = [f"tied: {row['why']}" if row["tied"] else row["why"]] if row["why"] else []
     absent = f"no peril: {', '.join(row['no_peril'])}" if row["no_peril"] else ""
     return "\n".join([row["method"], f"{quality}, {row['seconds'] or 0:.1f} s", "; ".join([*tied, *limits]), absent])
 

@@ -691,7 +691,7 @@ def sheet(
         One row for each method: its status, its quality, whether this is an upper bound, the perils that set it,
         where it is below 1, those that were not measured, and those that do not exist on this photograph, the seconds,
         and why it has no output; the ranks that it can have, ``"2"`` or ``"1-3"``, with which methods it is tied, and
-        why. Measured qualities are compared by the two decimals that are shown. An upper bound is compared with upper
+        why, or why it has no quality. Qualities that hardly differ are tied. An upper bound is compared with upper
         bounds in which the same perils were not measured. It is below measured qualities that are higher, above 0, and
         else tied.
 

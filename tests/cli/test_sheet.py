@@ -66,11 +66,13 @@ UNKNOWN, ABSENT = "too few cells", "not applicable: joined elements look whole"
 
 
 def test_measured_qualities_have_ranks() -> None:
-    """Qualities have the order of the two decimals that are shown; equal ones are tied, in alphabetical order."""
-    records = [_record("d", regularity=0.2), _record("b", appearance=0.702), _record("c", regularity=0.698)]
-    assert _ranks(*records, _record("a")) == {"a": "1", "b": "2-3", "c": "2-3", "d": "4"}
+    """Qualities at least 0.1 apart have an order; others are tied, and equal ones stand in alphabetical order."""
+    records = [_record("d", regularity=0.2), _record("c", appearance=0.702), _record("b", regularity=0.698)]
+    assert list(_ranks(*records, _record("a")).items()) == [("a", "1"), ("b", "2-3"), ("c", "2-3"), ("d", "4")]
     tied = rate_outputs(records)[0][1]
-    assert tied["tied"] == ["c"] and tied["why"] == "equal quality"
+    assert tied["tied"] == ["c"] and tied["why"] == "less than 0.10 apart"
+    chain = [_record(f"{value:.2f}", randomness=value) for value in (0.95, 0.86, 0.80, 0.70)]
+    assert _ranks(*chain) == {"0.95": "1-2", "0.86": "1-3", "0.80": "2-3", "0.70": "4"}
 
 
 def test_equal_upper_bounds_are_tied_with_the_reason() -> None:
@@ -97,6 +99,15 @@ def test_no_peril_is_no_upper_bound() -> None:
     row = rate_outputs([_record("a", integrity=ABSENT)])[0][1]
     assert not row["upper_bound"] and row["not_measured"] == [] and row["no_peril"] == ["integrity"]
     assert describe_row(row) == "a\nquality 1.00, rank 1, 1.0 s\n\nno peril: integrity"
+
+
+def test_an_output_without_a_quality_has_no_rank() -> None:
+    """It stands below the others, with the reason."""
+    record = _record("a")
+    vars(record).update(values={"quality.score": None}, reasons={"quality.score": "undecided: too few cells"})
+    (_, first), (_, last) = rate_outputs([record, _record("b", regularity=0.0)])
+    assert (first["method"], first["rank"], last["rank"]) == ("b", "1", "")
+    assert describe_row(last) == "a\nquality not measured, 1.0 s\nundecided: too few cells\n"
 
 
 def test_the_sheet_prints_json(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:

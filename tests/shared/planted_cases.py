@@ -65,5 +65,5 @@ def planted(kind: str, size: float, name: str = "brick", shape: Shape = (150, 18
     """Return image, displacement, mask, the draw without its defect, and all draws."""
     again = Draws(name)
     made = plant(kind, size, seed, again, shape)
-    fresh = again.fresh(shape, -2 if kind == "two-tone" else -1)
+    fresh = again.fresh(shape, -2 if kind in ("two-tone", "torn") else -1)
     return made.image, made.extras["displacement"], made.extras["covered"] > 0, fresh, again

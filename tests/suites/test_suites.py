@@ -135,7 +135,7 @@ def test_bad_grids(grid: Any, message: str) -> None:
         ("frontier", "e4e5965bfe1e7eea"),
         ("integer", "4b1554bbac1f0b58"),
         ("spectrum", "b7a4da8b92db0cc7"),
-        ("validation", "344d40b0aed92ea3"),
+        ("validation", "7694e7f2d8aef438"),
     ],
 )
 def test_installed_suites_keep_their_content(name: str, content: str) -> None:

@@ -7,7 +7,10 @@ import pytest
 from planted_cases import LARGEST, MODELS, NEEDS_NO_LATTICE, TEXTURE, TEXTURES, Draws, S, plant, planted
 from scipy.ndimage import gaussian_filter
 
+from nrbench.datasets_procedural.brick import Brick
 from nrbench.errors import BadInput
+from nrbench.imaging.mean_tile import fold
+from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Shape, Texture
 from nrbench.synthesizers.planted import DEFECTS, Planted, read_displaced
 
@@ -174,6 +177,52 @@ def test_two_tone_joins_two_draws_in_place(name: str) -> None:
     image, _, covered, fresh, again = planted("two-tone", 0.5, name)
     np.testing.assert_array_equal(image, np.where(covered[..., np.newaxis], again.seen[-1], fresh))
     assert covered.mean() == pytest.approx(0.25, abs=0.04)
+
+
+@pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
+def test_torn_tiles_show_another_draw_beside_its_place(name: str) -> None:
+    """Some of the pixels of each affected tile are another draw's, moved by a quarter of s; the others stay."""
+    image, field, covered, _, again = planted("torn", 0.5, name)
+    margin = (again.seen[-1].shape[0] - 150) // 2
+    y, x = np.nonzero(covered)
+    dx, dy = field[covered].astype(int).T
+    np.testing.assert_array_equal(image[covered], again.seen[-1][y + margin - dy, x + margin - dx])
+    s = TEXTURES[name].lattice.s  # type: ignore[union-attr]
+    assert np.hypot(dx, dy) == pytest.approx(np.full(len(dx), s / 4), abs=0.75)
+    assert 0.15 < covered.mean() < 0.35
+
+
+def test_a_new_color_is_none_of_the_texture() -> None:
+    """Its tiles keep their brightness, and their color is far from those of all tiles of the draw; joints stay."""
+    image, _, covered, fresh, _ = planted("new-color", 0.3, "hexagon")
+    luma = np.array([0.299, 0.587, 0.114])
+    assert np.abs((image - fresh) @ luma).mean() < 0.002
+    change = gaussian_filter(np.abs(image - fresh).max(-1), 1) > 0.15
+    soft, was = (gaussian_filter(one, (1.5, 1.5, 0)) for one in (image, fresh))
+    far = [np.linalg.norm(was.reshape(-1, 3) - color, axis=1).min() for color in soft[change][::97]]
+    assert np.median(far) > 0.1 and 0.15 < change.mean() < 0.35
+    assert np.abs(image - fresh).max(-1)[covered].min() < 0.01
+
+
+def test_a_wrong_surface_keeps_amplitudes_and_loses_structure() -> None:
+    """On streaks, the values spread as widely at each place of the cell, and as much along the streaks as across."""
+    model = Brick(width=30, height=12, phase=(0.2, 0.3), color=0.1, material="wood")
+    texture = model.render((128, 128), np.random.default_rng(0))
+
+    def rest(size: float) -> np.ndarray:
+        def again(shape: Shape, k: int) -> Texture:
+            return model.again(texture, shape, np.random.default_rng(k))
+
+        ideal = again((200, 200), 0).ideal
+        assert ideal is not None
+        return plant("wrong-surface", size, again=again, shape=(200, 200)).image - ideal
+
+    before, after = rest(0.0), rest(1.0)
+    tones = [fold(one * one, Lattice((30, 0), (15, 12))).values[..., 1].ravel() for one in (before, after)]
+    assert np.corrcoef(*tones)[0, 1] > 0.9 and tones[0].mean() == pytest.approx(tones[1].mean(), rel=0.1)
+    fine = [one - gaussian_filter(one, (2, 2, 0)) for one in (before, after)]
+    slopes = [np.diff(one, axis=0).std() / np.diff(one, axis=1).std() for one in fine]
+    assert slopes[0] > 1.5 and slopes[1] == pytest.approx(1, abs=0.15)
 
 
 @pytest.mark.parametrize("name", ["brick", "weave", "hexagon"])
