@@ -533,8 +533,7 @@ def _find_new_colors(observation: Observation) -> dict[str, float]:
     """Return the share of elements with a color of no class, over that which is allowed, where there are classes."""
     examination = examine(observation)
     try:
-        followed = examination.followed
-        plane = CoarsePlane(*followed.residual, followed.net.samples)
+        plane = CoarsePlane(*examination.traced.residual, examination.traced.net.samples)
         ratio = measure_new_colors(examination.reference, plane)
     except CannotTell:
         return {}
