@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
-from nrbench.plugins.forms import Column, Observation, Score
+from nrbench.plugins.forms import Column, Observation, Score, Value
 
 from .judgment.examination import examine
 from .judgment.joint_tests import Evidence, JointTest, Steps, UnlikeTones, learn_tests
@@ -22,7 +22,7 @@ from .judgment.texture_reference import STRIPS, CannotTell, TextureReference
 from .judgment.tile_population import gather_tiles
 from .perception import limits
 from .perception.visible import tint_places
-from .registration.coarse_plane import CoarsePlane
+from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.followed import FollowedPicture
 from .registration.lattice_net import LatticeNet, Mask, Values, average_blocks, fold_cells, split_cells
 
@@ -54,8 +54,6 @@ class LimitedTest:
         The same where the cells are cut at a place that shows it as the median of all cuts does.
     chance
         Largest share of cells above the limit that chance explains in whole elements.
-    unlike
-        How much a joint stands out from the detail of the elements (:class:`Steps`).
     """
 
     name: str
@@ -64,7 +62,30 @@ class LimitedTest:
     power: float = 0.0
     usual: float = 0.0
     chance: float = 1.0
-    unlike: float = 0.0
+
+    @property
+    def able(self) -> bool:
+        """Whether enough of the joined elements are detected."""
+        return self.power - self.chance >= limits.LEAST_POWER
+
+
+@dataclass(frozen=True)
+class ElementModel:
+    """What the references show of whole elements.
+
+    Parameters
+    ----------
+    joint
+        The test that detects best where elements are joined in their places.
+    tear
+        The novelty of parts that lie elsewhere in their cells.
+    unlike
+        How much a joint stands out from the detail of the elements (:class:`Steps`).
+    """
+
+    joint: LimitedTest
+    tear: LimitedTest
+    unlike: float
 
 
 @dataclass
@@ -150,33 +171,40 @@ def _unseen_noise(plane: CoarsePlane, rng: np.random.Generator) -> Values:
 
 
 @lru_cache(maxsize=2)
-def learn_elements(reference: TextureReference) -> LimitedTest:
-    """Learn the tests for joined elements from the references, and return the one that detects them best.
+def learn_elements(reference: TextureReference) -> ElementModel:
+    """Learn the tests for joined and torn elements from the references.
 
-    The best test, with its limit, is the one by which the smallest share of joined elements shows: that with the least
-    ratio of chance to power, among those with enough power.
+    Of the tests for joined elements, the best one, with its limit, is the one by which the smallest share of them
+    shows: that with the least ratio of chance to power, among those with enough power. The limit of torn elements lies
+    halfway between whole ones and those of which parts are moved by a quarter of s.
     """
-    net, rng = reference.net, np.random.default_rng(0)
-    pictures = reference.departures if reference.from_sample else reference.residuals
-    tests = learn_tests([CoarsePlane(fine, known, net.samples) for fine, known in pictures], net)
-    weighed = weigh_sample(reference, tests, rng) if reference.from_sample else weigh_draws(reference, rng)
-    unlike = next(test.unlike for test in tests if isinstance(test, Steps))
+    net, rng, pooled = reference.net, np.random.default_rng(0), reference.from_sample
+    pictures = reference.departures if pooled else reference.residuals
+    planes = [CoarsePlane(fine, known, net.samples) for fine, known in pictures]
+    tests = learn_tests(planes, net)
+    weighed = weigh_sample(reference, tests, rng) if pooled else weigh_draws(reference, rng)
     tried = [
-        _set_limit(LimitedTest(name, test, unlike=unlike), own, share, reference.from_sample)
+        _set_limit(LimitedTest(name, test), own, share, pooled)
         for name, test, own in zip(_NAMES, tests, weighed, strict=True)
         for share in limits.WHOLE_SHARES
     ]
-    return max(tried, key=_rate)
+    novelty, own = tests[_NAMES.index("novelty")], weighed[_NAMES.index("novelty")]
+    mean = net.tile(reference.model.mean)
+    torn = [novelty.weigh(tear_cells(plane, mean, net, rng)) for plane in (planes * _SHUFFLES)[:_SHUFFLES]]
+    tear = _set_limit(
+        LimitedTest("torn", novelty), Weighed(own.whole, torn), limits.WHOLE_SHARES[-1], pooled, halfway=True
+    )
+    unlike = next(test.unlike for test in tests if isinstance(test, Steps))
+    return ElementModel(max(tried, key=_rate), tear, unlike)
 
 
 def _rate(test: LimitedTest) -> tuple[bool, float]:
     """Return by what tests are compared: enough power comes first."""
-    able = test.power - test.chance >= limits.LEAST_POWER
-    return able, -test.chance / test.power if able else test.power - test.chance
+    return test.able, -test.chance / test.power if test.able else test.power - test.chance
 
 
-def _set_limit(test: LimitedTest, weighed: Weighed, share: float, pooled: bool) -> LimitedTest:
-    """Return the test with the limit that a share of the whole elements exceeds.
+def _set_limit(test: LimitedTest, weighed: Weighed, share: float, pooled: bool, halfway: bool = False) -> LimitedTest:
+    """Return the test with the limit that a share of the whole elements exceeds, or one halfway to the joined ones.
 
     An output is as large as a draw, but as all strips of a sample together (``pooled``).
     """
@@ -185,6 +213,8 @@ def _set_limit(test: LimitedTest, weighed: Weighed, share: float, pooled: bool) 
         return test
     whole = np.concatenate([part for parts in divisions for part in parts])
     limit = float(np.quantile(whole, 1 - share))
+    if halfway:
+        limit = (limit + max(float(np.median(np.concatenate(joined))), limit)) / 2
     variances = [
         np.var([(part > limit).mean() for part in parts], ddof=1) / len(parts) ** pooled for parts in divisions
     ]
@@ -218,14 +248,28 @@ def shuffle_cells(
         moved = np.zeros_like(cells)
         moved[tuple(to_cells.T)] = cells[tuple(from_cells.T)]
         shuffled.append(np.roll(moved.swapaxes(1, 2).reshape(*plane.known.shape, *cells.shape[4:]), cut, (0, 1)))
-    per_pixel = net.samples / np.linalg.norm(net.vectors, axis=1)
+    return _blur_joints(shuffled[0], shuffled[1], net)
+
+
+def tear_cells(plane: CoarsePlane, mean: Values, net: LatticeNet, rng: np.random.Generator) -> CoarsePlane:
+    """Return a picture of which half of the cells, cut at a random place, show what lies a quarter of s beside them."""
+    angle = rng.uniform(0, 2 * np.pi)
+    step = limits.MOST_STEP * net.s * np.array([math.cos(angle), math.sin(angle)]) @ np.linalg.inv(net.vectors)
+    down, right = (int(k) for k in np.rint(step * net.samples))
+    moved, both = shift_plane(plane.fine + mean, plane.known, (down, right))
+    chosen = np.roll(net.spread(rng.random(net.cells) < 0.5), rng.integers(0, net.samples), (0, 1))
+    return _blur_joints(np.where(chosen[..., np.newaxis], moved - mean, plane.fine), both, net)
+
+
+def _blur_joints(values: Values, known: Mask, net: LatticeNet) -> CoarsePlane:
+    """Return a picture whose joints are seen through the blur of the eye."""
+    per_pixel, seen = net.samples / np.linalg.norm(net.vectors, axis=1), np.empty_like(values)
     for k, blur in enumerate((limits.BLUR, limits.CHROMA_BLUR, limits.CHROMA_BLUR)):
         sums, share = (
-            ndimage.gaussian_filter(a.astype(np.float32), blur * per_pixel)
-            for a in (shuffled[0][..., k] * shuffled[1], shuffled[1])
+            ndimage.gaussian_filter(a.astype(np.float32), blur * per_pixel) for a in (values[..., k] * known, known)
         )
-        shuffled[0][..., k] = sums / np.maximum(share, 1e-3)
-    return CoarsePlane(shuffled[0], shuffled[1], net.samples)
+        seen[..., k] = sums / np.maximum(share, 1e-3)
+    return CoarsePlane(seen, known, net.samples)
 
 
 @dataclass(frozen=True)
@@ -244,10 +288,14 @@ class Integrity:
     for those that the test misses and for those that it counts wrongly. The limit is the one with the smallest q / p;
     p - q is ``detection_power``.
 
-    Where the power cannot be 0.3, the score is None, for one of two reasons. *Not applicable*: there is no peril,
-    because the elements do not visibly vary, or because the step across a joint hardly stands out from the detail of
-    the elements. *Not measured*: joints can be seen, but no test detects them. Beside a sample of fewer than twelve
-    cells the score is undecided.
+    Parts that lie elsewhere in their cells, but so near or so small that no window is out of place, tear an element,
+    too. They are sought by novelty, with a limit halfway to the evidence where cells of the references show what lies a
+    quarter of s beside them. The smaller of both scores counts.
+
+    Where the power cannot be 0.3 and no element is torn, the score is None, for one of two reasons. *Not applicable*:
+    there is no peril, because the elements do not visibly vary, or because the step across a joint hardly stands out
+    from the detail of the elements. *Not measured*: joints can be seen, but no test detects them. Beside a sample of
+    fewer than twelve cells the score is undecided.
 
     The references are fresh draws of the model, half of them weighed by the others, or strips of the sample, each
     weighed by the others. Elements out of place are left out; they count for regularity.
@@ -277,32 +325,52 @@ def _score(observation: Observation) -> Score:
         return Score.missing(Integrity.columns, str(reason))
     if limits.SLOPE * examination.misplaced >= 1:
         return Score.missing(Integrity.columns, "not scored: half of the tiles are out of place")
-    if not gather_tiles(reference).varies:
-        return Score.missing(Integrity.columns, "not applicable: the elements hardly vary, so joined ones look whole")
-    best = learn_elements(reference)
-    power = best.power - best.chance
-    evidence = best.test.weigh(CoarsePlane(*followed.residual, followed.net.samples))
-    judged = evidence[np.isfinite(evidence)]
+    model = learn_elements(reference)
+    plane = CoarsePlane(*followed.residual, followed.net.samples)
+    varies = gather_tiles(reference).varies
+    tests = [test for test, used in ((model.joint, varies), (model.tear, True)) if used and test.able]
+    evidence = [test.test.weigh(plane) for test in tests]
+    known = min([int(np.isfinite(own).sum()) for own in evidence], default=_LEAST_CELLS)
     shown = sum(known.sum() for _, known in reference.departures) / reference.net.samples.prod()
-    if judged.size < _LEAST_CELLS or shown < limits.FEWEST_SHOWN:
-        return Score.missing(Integrity.columns, "undecided: too few whole tiles in place")
-    if power < limits.LEAST_POWER:
-        silence = _LOOK_WHOLE if best.unlike < limits.SEEN_STEP else _NO_POWER
+    silence = _explain_silence(model, varies, known >= _LEAST_CELLS and shown >= limits.FEWEST_SHOWN)
+    found = [_count_broken(test, own) for test, own in zip(tests, evidence, strict=True)]
+    worst = min(range(len(found)), key=lambda k: float(found[k]["score"] or 0), default=0)
+    if silence and (not found or found[worst]["score"] == 1 or silence == _FEW):
         missing = Score.missing(Integrity.columns, silence)
-        return Score({**missing.values, "detection_power": power}, missing.reasons)
-    share = float((judged > best.limit).mean())
-    excess = max(share - best.chance, 0.0)
-    values = {
-        "score": float(np.clip(1 - excess / max(best.usual - best.chance, limits.LEAST_POWER), 0, 1)),
+        return Score({**missing.values, "detection_power": model.joint.power - model.joint.chance}, missing.reasons)
+    test = tests[worst]
+    broken = np.nan_to_num(evidence[worst], nan=-np.inf) > test.limit
+    pictures = {"broken": draw_broken(observation.output, followed, broken)}
+    records = {"test": test.name, "limit": test.limit, "chance": test.chance, "cells": known}
+    return Score(found[worst], {}, pictures, records)
+
+
+def _count_broken(test: LimitedTest, evidence: Evidence) -> dict[str, Value]:
+    """Return the columns of the score by one test."""
+    judged = evidence[np.isfinite(evidence)]
+    share = float((judged > test.limit).mean()) if judged.size else 0.0
+    excess = max(share - test.chance, 0.0)
+    return {
+        "score": float(np.clip(1 - excess / max(test.usual - test.chance, limits.LEAST_POWER), 0, 1)),
         "broken_share": share,
         "broken_tiles": float(np.rint(excess * judged.size)),
-        "detection_power": power,
+        "detection_power": test.power - test.chance,
     }
-    pictures = {"broken": draw_broken(observation.output, followed, np.nan_to_num(evidence, nan=-np.inf) > best.limit)}
-    records = {"test": best.name, "limit": best.limit, "chance": best.chance, "cells": int(judged.size)}
-    return Score(values, {}, pictures, records)
 
 
+def _explain_silence(model: ElementModel, varies: bool, enough: bool) -> str:
+    """Return why joined elements are not detected; nothing if they are."""
+    if not varies:
+        return _ALIKE
+    if not enough:
+        return _FEW
+    if model.joint.able:
+        return ""
+    return _LOOK_WHOLE if model.unlike < limits.SEEN_STEP else _NO_POWER
+
+
+_FEW = "undecided: too few whole tiles in place"
+_ALIKE = "not applicable: the elements hardly vary, so joined ones look whole"
 _LOOK_WHOLE = "not applicable: the detail of the elements hides a joint, so joined ones look whole"
 _NO_POWER = "not measured: no test tells joined elements from whole ones"
 

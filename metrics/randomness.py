@@ -43,6 +43,9 @@ class Randomness:
     - ``distance``, the energy distance between the distributions of tiles.
     - ``misplacement_ratio`` of ``regularity``, where the geometry of the texture varies: it may be lost as well.
 
+    A method knows one sample, which may not be typical. With a model, variation, arrangement and distance are measured
+    to the nearest point between fresh draws and sample. Repetition is not, because no sample excuses it.
+
     ``score`` is the smallest. Where the texture does not visibly vary, only the variation counts. Randomness is not
     scored where half of the tiles are out of place, nor where output or references show fewer than four whole tiles,
     unless most windows of the output look the same where those of the references differ: that is 0.
@@ -85,19 +88,21 @@ def _score(observation: Observation) -> Score:
     except CannotTell as reason:
         return Score.missing(Randomness.columns, str(reason))
     values: dict[str, Value] = dict.fromkeys(Randomness.columns)
-    level = population.rate_energy(tiles.features)
-    values["variation"] = math.exp(level)
-    parts = {"variation": math.exp(-max(abs(level) - population.allow_energy(len(tiles.features)), 0.0))}
+    values["variation"] = math.exp(population.rate_energy(tiles.features))
+    source = _find_source(examination)
+    shown = None if source is None or reference.from_sample else source.features
+    shown = None if shown is None or len(shown) < LEAST_TILES else shown
+    parts = {"variation": population.rate_variation(tiles.features, shown)}
     if population.varies:
         parts["repetition"], values["repetition"], values["returning"] = _rate_repetition(tiles, population)
-        distance = population.measure_distance(tiles.features)
+        distance = population.measure_distance(tiles.features, shown)
         values["distance"] = distance
         parts["distance"] = 1 - max(distance - population.distance_limit, 0.0) / (1 - population.distance_limit)
         parts["distance"] = max(1 - limits.DISTANCE_SLOPE * (1 - parts["distance"]), 0.0)
-        change = values["arrangement"] = _rate_arrangement(tiles, population)
+        change = values["arrangement"] = _rate_arrangement(tiles, population, None if shown is None else source)
         if change is not None:
             parts["arrangement"] = max(1 - change, 0.0)
-        values["copied"] = _find_copies(examination, tiles, population)
+        values["copied"] = None if source is None else _find_copies(source, tiles, population)
     bending = _rate_bending(examination)
     if bending is not None:
         parts["misplacement_ratio"] = bending
@@ -133,7 +138,8 @@ def _rate_repetition(tiles: Tiles, population: Population) -> tuple[float, float
     limit, middle, chance = population.twins
     if not distances.size:
         return 1.0, 0.0, 0.0
-    near = distances < limit * np.clip((np.median(distances) + limit) / (middle + limit), limits.LEAST_SCALE, 1)
+    scale = np.clip(np.median(distances) / middle, limits.LEAST_SCALE, 1) if middle > limit else 1.0
+    near = distances < limit * scale
     share, count = float(near.mean()), max(len(tiles.features), 3)
     most = chance + population.allow_twins(count)
     _, number = np.unique(lags, return_inverse=True)
@@ -150,16 +156,22 @@ def _rate_repetition(tiles: Tiles, population: Population) -> tuple[float, float
     )
 
 
-def _rate_arrangement(tiles: Tiles, population: Population) -> float | None:
-    """Return the largest change of a correlation at a lag, beyond what chance explains; None if no lag has pairs."""
+def _rate_arrangement(tiles: Tiles, population: Population, source: Tiles | None) -> float | None:
+    """Return the largest change of a correlation at a lag, beyond what chance explains; None if no lag has pairs.
+
+    It is measured to the nearest point between the references and the sample.
+    """
     usual, variance = population.arrangement
-    gap = np.abs(population.arrange(tiles) - usual)
-    if not np.isfinite(gap).any():
+    change = population.arrange(tiles) - usual
+    if not np.isfinite(change).any():
         return None
+    if source is not None:
+        way = np.nan_to_num(population.arrange(source) - usual)
+        change -= way * np.clip(np.nansum(way * change) / max(float((way**2).sum()), 1e-9), 0, 1)
     variance = np.maximum(variance, 1 / len(tiles.features))
     allowed = np.maximum(limits.ARRANGED, limits.ARRANGED_DEVIATIONS * np.sqrt(variance))
-    change = np.maximum(gap - allowed, 0) / np.maximum(1 - allowed, 0.3)
-    return float(np.nan_to_num(change).max(initial=0.0))
+    excess = np.maximum(np.abs(change) - allowed, 0) / np.maximum(1 - allowed, 0.3)
+    return float(np.nan_to_num(excess).max(initial=0.0))
 
 
 def _rate_bending(examination: Examination) -> float | None:
@@ -172,12 +184,14 @@ def _rate_bending(examination: Examination) -> float | None:
     return math.exp(-max(abs(ratio) - allowed, 0.0))
 
 
-def _find_copies(examination: Examination, tiles: Tiles, population: Population) -> float | None:
-    """Return the share of windows of half a tile that have a twin at an equal place of the sample."""
+def _find_source(examination: Examination) -> Tiles | None:
+    """Return the tiles of the sample; None if it cannot be followed."""
     sample = np.ascontiguousarray(examination.observation.sample, np.float32)
-    sources = _cut_sample(examination.reference, sample.tobytes(), sample.shape)
-    if sources is None:
-        return None
+    return _cut_sample(examination.reference, sample.tobytes(), sample.shape)
+
+
+def _find_copies(sources: Tiles, tiles: Tiles, population: Population) -> float | None:
+    """Return the share of windows of half a tile that have a twin at an equal place of the sample."""
     limit = population.twins[0]
     pairs = [(a, b) for (a, _), (b, _) in zip(tiles.quarters, sources.quarters, strict=True) if len(a) and len(b)]
     near = [(square_distances(a, b) < limit).any(1) for a, b in pairs]

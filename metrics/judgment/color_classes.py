@@ -50,6 +50,11 @@ class PlaceClasses(NamedTuple):
     within: float
     step: tuple[int, int] = (0, 0)
 
+    @property
+    def spread(self) -> float:
+        """Mean squared distance between the means of the classes."""
+        return float(_square_distances(self.centers, self.centers).mean())
+
     def measure_new(self, colors: Colors, cells: NDArray[np.intp]) -> float:
         """Return the share of cells whose color belongs to no class, over the share that chance explains.
 
@@ -77,12 +82,13 @@ class PlaceClasses(NamedTuple):
 def learn_classes(reference: TextureReference) -> list[PlaceClasses]:
     """Return the classes at each place of the cell whose colors come in classes; empty for most textures.
 
-    Where two elements meet, a place has a class for each pair of their colors, of which a sample shows few. So a place
-    counts only if no place within two around it has fewer classes.
+    Where two elements meet, a place has a class for each pair of their colors, of which a sample shows few; and where
+    an element meets the ground, its colors change with half a pixel. So a place counts only if no place within two
+    around it has fewer classes, or classes whose colors differ visibly more.
     """
-    parts = [_split_places(CoarsePlane(*each, reference.net.samples)) for each in reference.departures]
+    parts = [_split_places(CoarsePlane(*each, reference.net.samples)) for each in reference.shown]
     sides = (limits.PLACES, limits.PLACES)
-    found, number = [], np.full(sides, _MOST_CLASSES + 1)
+    found, number, spread = [], np.full(sides, _MOST_CLASSES + 1), np.zeros(sides)
     for place in range(limits.PLACES**2):
         step, colors = _gather_elements(
             [(values[known[..., place], place], np.argwhere(known[..., place])) for values, known in parts]
@@ -90,9 +96,10 @@ def learn_classes(reference: TextureReference) -> list[PlaceClasses]:
         classes = find_classes(colors)
         if classes is not None:
             found.append(classes._replace(place=place, step=step))
-            number[np.unravel_index(place, sides)] = len(classes.centers)
-    least = ndimage.minimum_filter(number, 5, mode="wrap").ravel()
-    return [classes for classes in found if len(classes.centers) == least[classes.place]]
+            number.flat[place], spread.flat[place] = len(classes.centers), classes.spread
+    least, most = ndimage.minimum_filter(number, 5, mode="wrap"), ndimage.maximum_filter(spread, 5, mode="wrap")
+    inner = (number == least) & (spread >= (1 - limits.TOLERANCE) * most)
+    return [classes for classes in found if inner.flat[classes.place]]
 
 
 def _gather_elements(parts: list[tuple[Colors, NDArray[np.intp]]]) -> tuple[tuple[int, int], Colors]:

@@ -51,12 +51,17 @@ class Examination:
         return reference_from_sample(seen.sample, known.lattice)
 
     @cached_property
+    def traced(self) -> FollowedPicture:
+        """The output followed by the lattice, whether or not its sample can be; few cells are in place if it cannot."""
+        return self.reference.follow(self.lab)
+
+    @cached_property
     def followed(self) -> FollowedPicture:
         """The output followed by the lattice; raises :class:`CannotTell` if it or a sample is too small or too bent."""
         own = self.reference.most_misplaced
         if self.reference.from_sample and own > limits.MOST_OWN:
             raise CannotTell(f"undecided: up to {own:.0%} of the reference itself is out of place by chance")
-        return self.reference.follow(self.lab)
+        return self.traced
 
     @cached_property
     def coherence(self) -> CoherenceReference | None:

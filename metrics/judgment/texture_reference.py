@@ -125,6 +125,12 @@ class TextureReference:
         mean = self.net.tile(self.model.mean)
         return [(plane - mean, known) for plane, known in (picture.straightened for picture in self.pictures)]
 
+    @cached_property
+    def shown(self) -> list[tuple[Values, Mask]]:
+        """The same for all points of a sample, because its cells out of place, as rare ones can be, belong to it."""
+        inside = self.net.inside
+        return [(plane, inside if self.from_sample else known) for plane, known in self.departures]
+
     def follow(self, lab: Lab) -> FollowedPicture:
         """Follow the lattice through an output."""
         net = replace(self.net, shape=(lab.shape[0], lab.shape[1]))

@@ -176,33 +176,49 @@ class Population:
         """Return the logarithm of the energy of tiles over that of the references, with the least visible one added."""
         return math.log((float(features.var(0, ddof=1).mean()) + SAME) / (self.energy + SAME))
 
-    def allow_energy(self, count: int) -> float:
-        """Return the largest difference of the logarithm of the energy that chance explains for ``count`` tiles.
+    def rate_variation(self, features: Features, sample: Features | None = None) -> float:
+        """Return the score of the energy of tiles: the smaller over the larger, beyond what chance explains.
 
-        It is three standard deviations over parts of the references, or of a mean over as many independent tiles as the
-        output or the sample has, if that is more.
+        Chance explains a difference of three standard deviations over parts of the references, or of a mean over as
+        many independent tiles as the output or the sample has, if that is more. From the interval between the
+        references and the sample from which a method has made the tiles, only the number of these tiles counts.
         """
-        spread = float(np.std([self.rate_energy(part) for part in self._cut()] or [0.0]))
+        level, spread = self.rate_energy(features), float(np.std([self.rate_energy(part) for part in self._cut()] or 0))
         own = ((self.features - self.features.mean(0)) ** 2).mean(1)
-        single = float(own.std() / max(own.mean(), 1e-9)) / math.sqrt(min(count, self.sources))
-        spread = max(spread / (self.parts if self.from_sample else 1), single)
-        return max(limits.TOLERANCE, limits.DEVIATIONS * spread)
+        single = float(own.std() / max(own.mean(), 1e-9))
+        spread = max(
+            spread / (self.parts if self.from_sample else 1), single / math.sqrt(min(len(features), self.sources))
+        )
+        change = abs(level) - max(limits.TOLERANCE, limits.DEVIATIONS * spread)
+        if sample is not None:
+            shown = self.rate_energy(sample)
+            away = max(level - max(shown, 0.0), min(shown, 0.0) - level)
+            change = min(change, away - max(limits.TOLERANCE, limits.DEVIATIONS * single / math.sqrt(len(features))))
+        return math.exp(-max(change, 0.0))
 
     @cached_property
     def _usual(self) -> tuple[NDArray[np.float64], float]:
         points = self.project(self.features)[: 2 * _MOST_TILES]
         return points, _mean_distance(points, points)
 
-    def measure_distance(self, features: Features) -> float:
+    def measure_distance(self, features: Features, sample: Features | None = None) -> float:
         """Return the energy distance between tiles and those of the references, over twice their mean distance.
 
         It is E|x - y| - (E|x - x'| + E|y - y'|) / 2 over E|x - y| (Székely and Rizzo 2004), about 0 for equal
-        distributions and at most 1.
+        distributions and at most 1. With the sample from which a method has made the tiles, y is of the mixture
+        (1 - t) of the references and t of the sample that is nearest: the energy distance is a quadratic in t.
         """
         points, within = self._usual
         own = self.project(features)
-        between = _mean_distance(own, points)
-        return float(1 - (_mean_distance(own, own) + within) / (2 * max(between, 1e-9)))
+        between, alone = _mean_distance(own, points), _mean_distance(own, own)
+        if sample is not None:
+            source = self.project(sample)
+            far, shown, across = (_mean_distance(source, other) for other in (own, source, points))
+            bend = max(2 * across - within - shown, 1e-9)
+            part = float(np.clip((between - far + across - within) / bend, 0, 1))
+            within = (1 - part) ** 2 * within + 2 * part * (1 - part) * across + part**2 * shown
+            between = (1 - part) * between + part * far
+        return float(1 - (alone + within) / (2 * max(between, 1e-9)))
 
     @cached_property
     def distance_limit(self) -> float:
@@ -250,14 +266,17 @@ class Population:
     def arrangement(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean of the correlations over the references, and the variance of each component's, mean over the lags.
 
-        The mean is NaN at the lags that a reference lacks.
+        The mean is NaN at the lags that a reference lacks. The variance in one sample is that of its pairs at each lag.
         """
         found = np.array([self.arrange(tiles) for tiles in self.tiles])
         chance = 1 / max(float(np.mean([len(tiles.features) for tiles in self.tiles])), 1.0)
         mean = found.mean(0)
         known = np.isfinite(mean).all(1)
         if len(found) == 1 or not known.any():
-            return mean, np.full(mean.shape[1], 2 * chance)
+            whole = self.tiles[0].grid[1]
+            both = [shift_plane(whole.astype(np.float32), whole, lag)[1].sum() for lag in _LAGS]
+            pairs = np.maximum(1 / np.maximum(both, 1), chance)[:, np.newaxis]
+            return mean, np.broadcast_to(pairs + chance, mean.shape)
         spread = found[:, known].var(0, ddof=1).mean(0)
         return mean, np.maximum(spread, chance) * (1 + 1 / len(found))
 
@@ -273,7 +292,7 @@ def _mean_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 def gather_tiles(reference: TextureReference) -> Population:
     """Return the population of the tiles of a reference."""
     net = reference.net
-    tiles = [Tiles(CoarsePlane(fine, known, net.samples)) for fine, known in reference.departures]
+    tiles = [Tiles(CoarsePlane(fine, known, net.samples)) for fine, known in reference.shown]
     box = np.abs(net.vectors).sum(0)[::-1]
     sources = float(np.maximum(reference.sample_shape - box, 1).prod()) / abs(float(np.linalg.det(net.vectors)))
     side = min(a / b for a, b in zip(net.shape, reference.sample_shape, strict=True))

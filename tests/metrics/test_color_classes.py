@@ -27,11 +27,11 @@ PERIOD, RADIUS = 21.4, 7.5
 LATTICE = Lattice((PERIOD, 0), (0, PERIOD), (3.0, 5.0))
 
 
-def print_dots(colors: NDArray[np.float64]) -> Image:
-    """Return a picture of dots of given colors, ``(n, n, 3)``, on a light ground."""
+def print_dots(colors: NDArray[np.float64], shift: float = 0.0) -> Image:
+    """Return a picture of dots of given colors, ``(n, n, 3)``, on a light ground, shifted by some px."""
     side = int((len(colors) - 1) * PERIOD)
     y, x = (np.indices((4 * side, 4 * side)) + 0.5) / 4 - 0.5
-    u, v = (x - 3) / PERIOD, (y - 5) / PERIOD
+    u, v = (x - 3 - shift) / PERIOD, (y - 5 - shift) / PERIOD
     i, j = np.rint(u).astype(int), np.rint(v).astype(int)
     dots = (np.hypot(u - i, v - j) * PERIOD < RADIUS)[..., np.newaxis]
     picture = np.where(dots, colors[j % len(colors), i % len(colors)], (0.93, 0.92, 0.88))
@@ -69,6 +69,15 @@ def test_invented_colors_are_no_appearance(inks: int) -> None:
     colors = rng.multivariate_normal(palette.mean(0), np.cov(palette.T, ddof=0), (11, 11)).clip(0.02, 0.98)
     values = appearance(observe(inks, print_dots(colors))).values
     assert values["colors"] > 3 and values["score"] == 0
+
+
+def test_dots_off_their_places_have_no_new_color() -> None:
+    """Dots of the right inks, some of which lie 0.7 px off, have no new color, although their borders change."""
+    colors = INKS[3][np.random.default_rng(4).integers(3, size=(11, 11))]
+    left, right = print_dots(colors), print_dots(colors, 0.7)
+    middle = left.shape[1] // 2
+    mixed = np.concatenate([left[:, :middle], right[:, middle:]], 1)
+    assert appearance(observe(3, mixed)).values["colors"] == 0
 
 
 def test_one_strange_dot_is_allowed_and_many_are_not() -> None:

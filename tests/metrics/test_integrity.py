@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.cans import Cans
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.imaging.convert import quantize
 from nrbench.metrics.integrity import Integrity
@@ -112,3 +113,22 @@ def test_the_phase_of_the_output_does_not_matter() -> None:
         crops = (wide[:192, :192], wide[5:197, 9:201])
         shares = [integrity(case(name).observe(crop)).values["broken_share"] for crop in crops]
         assert shares[0] == pytest.approx(shares[1], abs=0.1)
+
+
+@pytest.mark.parametrize("model", [True, False])
+def test_joined_cans_are_found(model: bool) -> None:
+    """Fresh cans are whole, with and without the model, and copied cells with hard edges have at most 0.4."""
+    own = Case.of(Cans(color=0.2, noise=0.03), 1, side=192)
+    copies = copy_cells(Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0)))
+    assert min(integrity(own.observe(own.fresh(k=k), model)).values["score"] for k in (0, 1)) >= 0.8
+    assert integrity(own.observe(quantize(copies), model)).values["score"] <= 0.4
+
+
+def test_alike_elements_are_torn_where_their_parts_are_moved() -> None:
+    """Alike cans cannot be joined visibly: no peril. Strips of half a can that are moved by s / 7 tear them."""
+    own = Case.of(Cans(color=0.02, intensity=0.02, noise=0.02, packing="square"), 1, side=192)
+    whole = own.fresh()
+    torn = np.where((np.arange(192) // 14 % 2 == 0)[:, np.newaxis, np.newaxis], np.roll(whole, 4, 1), whole)
+    fresh, broken = (integrity(own.observe(image, False)) for image in (whole, torn))
+    assert fresh.values["score"] is None and fresh.reasons["score"].startswith("not applicable")
+    assert broken.values["score"] <= 0.4 and broken.records["test"] == "torn"

@@ -13,6 +13,8 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
+from nrbench.metrics.judgment.examination import examine
+from nrbench.metrics.judgment.tile_population import gather_tiles
 from nrbench.metrics.quality import Quality
 from nrbench.metrics.randomness import Randomness
 from nrbench.plugins.forms import Observation, Task, Texture
@@ -149,6 +151,19 @@ def test_variation_measures_how_far_tiles_depart() -> None:
     other = Case(weak, own.texture)
     values = [randomness(own.observe(other.fresh(k=k))).values["variation"] for k in range(3)]
     assert np.mean(values) == pytest.approx(0.25, abs=0.1)
+
+
+def test_a_sample_excuses_what_it_shows() -> None:
+    """Beside the model, a copy of an odd sample is measured to the sample, too; what neither shows is not excused."""
+    own = Case.of(Hexagon(color=0.4, noise=0.02, period=21.3), 5)
+    population = gather_tiles(examine(own.observe(own.fresh())).reference)
+    tiles = population.features
+    light = tiles[tiles.mean(1) > np.quantile(tiles.mean(1), 0.8)]
+    odd, copy, other = 3 * light[::2], 3 * light[1::2], 9 * tiles
+    assert population.measure_distance(copy, odd) < 0.3 * population.measure_distance(copy)
+    assert population.rate_variation(copy, odd) > population.rate_variation(copy)
+    assert population.measure_distance(tiles, odd) == pytest.approx(population.measure_distance(tiles), abs=0.01)
+    assert population.measure_distance(other, odd) > population.distance_limit
 
 
 def test_noise_does_not_make_wallpaper_random(own: Case) -> None:
