@@ -2,9 +2,8 @@
 
 ``python benchmarks/resample.py STUDY``. The seeds are not those of the suites.
 
-``elements``, ``fields``, ``detail``
-    The limits of the element map and of threads, of fields, and of detail: on the models on which they were chosen, and
-    on others.
+``elements``, ``fields``
+    The limits of the element map and of threads, and of fields: on the models on which they were chosen, and on others.
 ``widths``
     Quality by how closely the colors of copied detail must match.
 ``defects``, ``rare``
@@ -41,7 +40,6 @@ from nrbench.synthesizers.planted import Planted
 from nrbench.synthesizers.resampling import element_colors, element_detail, element_map
 from nrbench.synthesizers.resampling.cell_field import measure_steps
 from nrbench.synthesizers.resampling.element_colors import ElementColors, ElementThread
-from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import ElementMap
 
 CHOOSING = frozenset(
@@ -70,7 +68,6 @@ WIDTHS = (0.4, 0.8, 1.2, 1.6, 3.2)
 WIDTH_SEED = 77
 """The seed at which the width of detail is chosen. No table reports it."""
 CONTINUOUS = (0.5, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 1.0)
-ALIKE = (0.2, 0.4, 0.8, 1.2, 1.6, 2.4, 99.0)
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 DEFECTS = {
     **{"none": 0.0, "phase-step": 0.3, "off-lattice": 0.4, "two-tone": 0.5, "over-regular": 0.7},
@@ -243,56 +240,6 @@ def compare_fields(k: Known) -> Iterator[tuple[float, float]]:
         yield ratio, float(far[0] - far[1])
 
 
-def print_detail() -> None:
-    """Print the energy score of details given colors, over that of details drawn regardless of colors."""
-    for choosing, jitter in ((True, 0.0), (True, 0.3), (False, 0.0), (False, 0.3)):
-        known = draw_known(choosing, jitter)
-        scores = mean_of_textures((k.name, score) for k in known if (score := score_detail(k)) is not None)
-        for limit, score in zip(ALIKE, scores, strict=True):
-            print(f"choosing: {choosing}, jitter {jitter}, {limit} sigma: {score:.4f}", flush=True)
-
-
-def score_detail(k: Known) -> np.ndarray | None:
-    """Return the mean energy score of the details of a fresh draw's elements, for each of :data:`ALIKE`.
-
-    The sample's details, weighted by their colors as for a new element of the fresh one's color, are the forecast. The
-    energy score (Gneiting and Raftery 2007) is least if they are distributed as the true ones.
-    """
-    residual = k.residual(k.made.image)
-    elements = element_map.segment(k.made.image, residual, k.lattice)
-    corner, found = elements.cells(k.shape)[0, 0], []
-    for part in (residual, k.fresh_residual(0)):
-        fit = ElementColors.fit(elements, part)
-        table = fit.of_sample(k.shape)
-        found.append((table, ElementDetail(elements, part - fit.render(table, k.shape))))
-    (own, sample), (new, fresh) = found
-    if min(map(len, sample.whole)) < element_map.FEWEST:
-        return None
-    total, count = np.zeros(len(ALIKE)), 0
-    for number, (old_cells, new_cells) in enumerate(zip(sample.whole, fresh.whole, strict=True)):
-        details = [cut(d.rest, elements, number, c) for d, c in ((sample, old_cells), (fresh, new_cells))]
-        old, drawn = (t[number][tuple((c - corner).T)] for t, c in ((own, old_cells), (new, new_cells)))
-        apart = np.square(drawn[:, np.newaxis] - old).sum(-1) / max(float(old.var(0).sum()), 1e-12)
-        across, within = (np.sqrt(np.square(one[:, np.newaxis] - details[0]).mean(-1)) for one in details[::-1])
-        scores = []
-        for limit in ALIKE:
-            weight = np.exp((apart.min(1, keepdims=True) - apart) / (2 * limit**2))
-            weight /= weight.sum(1, keepdims=True)
-            scores.append(((weight * across).sum(1) - ((weight @ within) * weight).sum(1) / 2).mean())
-        total += np.array(scores) / scores[-1] * len(new_cells)
-        count += len(new_cells)
-    return total / count
-
-
-def cut(rest: np.ndarray, elements: ElementMap, number: int, cells: np.ndarray) -> np.ndarray:
-    """Return the details of an element in some cells, one row each."""
-    at = np.argwhere(elements.label == number)[::4]
-    place = ((at + 0.5) / elements.label.shape)[:, ::-1] - elements.offset[tuple(at.T)]
-    x, y = elements.lattice.from_cell((cells[:, np.newaxis] + place).reshape(-1, 2)).round().astype(int).T
-    height, width, _ = rest.shape
-    return rest[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].reshape(len(cells), -1)
-
-
 def draws_of(name: str, seed: int, parameters: dict[str, float]) -> tuple[Texture, Again]:
     """Return a sample of 128 px and its fresh draws."""
     model = build("datasets", name, parameters)
@@ -372,7 +319,6 @@ def print_widths() -> None:
 STUDIES: Mapping[str, Callable[[], None]] = {
     "elements": print_elements,
     "fields": print_fields,
-    "detail": print_detail,
     "widths": print_widths,
     "defects": print_defects,
     "rare": print_rare,

@@ -471,17 +471,18 @@ def specimens(options: argparse.Namespace, prints: bool = False) -> Iterator[Spe
 
 
 def print_rows(rows: list[Row], *columns: str) -> None:
-    """Print the quality in groups, how many outputs lie within their bounds, and those that do not."""
+    """Print the quality in groups, the share within bounds of those that are judged, and those that are not."""
     table = pd.DataFrame(rows).astype({"score": float})
     table["good"] = (table["score"] >= table["least"]) & (table["score"] <= table["most"])
-    tell = print_table("half", "by", *columns, "n", "least", "mean", "largest", "within bounds", "others")
+    tell = print_table("half", "by", *columns, "n", "undecided", "least", "mean", "largest", "beyond the bounds")
     for key, own in table.groupby(["half", "by", *columns], sort=False):
-        score, bad = own["score"], own[~own["good"]].to_dict("records")
+        score, bad = own["score"], own[~own["good"] & own["score"].notna()].to_dict("records")
         others = "; ".join(f"{row['texture']} {perils_text(row)}" for row in bad) or "-"
-        tell(*key, len(own), *map(show, (score.min(), score.mean(), score.max())), f"{own['good'].mean():.2f}", others)
+        tell(*key, len(own), score.isna().sum(), *map(show, (score.min(), score.mean(), score.max())), others)
     for (half, by, least, most, group), own in table.groupby(["half", "by", "least", "most", columns[0]], sort=False):
-        share = f"{own['good'].mean():.3f} of {len(own)} from {least} to {most}"
-        print(f"\n{half}, by {by}, {columns[0]} {group}: {share}")
+        judged = own[own["score"].notna()]
+        share = f"{judged['good'].mean():.3f} of {len(judged)} judged from {least} to {most}"
+        print(f"\n{half}, by {by}, {columns[0]} {group}: {share}, {len(own) - len(judged)} undecided")
 
 
 def study_fresh(options: argparse.Namespace) -> None:

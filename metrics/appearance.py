@@ -21,7 +21,15 @@ from .judgment.texture_reference import FIRST_DRAW, STRIPS, CannotTell, perceive
 from .perception import limits
 from .perception.visible import Lab, measure_detail, measure_levels, measure_looks, measure_plateaus, perceive
 from .registration.coarse_plane import CoarsePlane
-from .registration.lattice_net import LatticeNet, Mask, find_inside, fold_cells, sample_planes, sum_boxes
+from .registration.lattice_net import (
+    LatticeNet,
+    Mask,
+    find_inside,
+    fold_cells,
+    sample_planes,
+    split_cells,
+    sum_boxes,
+)
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 
 Looks = NDArray[np.float64]
@@ -299,6 +307,8 @@ def _learn_looks(maps: Sequence[_Maps], net: LatticeNet, sample_shape: Shape, fr
         wholes = _wholes_of_draws(maps, net, means, side)
     kinds = _learn_windows(windows, means["whole"], margin, unseen) | wholes
     least, lacked = _learn_lack(windows["local"])
+    if from_sample:
+        least = np.minimum(least, _find_quietest(planes[0], net))
     return LooksModel(means, kinds, least, margin * max(limits.LACK, lacked), net)
 
 
@@ -324,6 +334,16 @@ def _learn_lack(sets: list[list[Looks]]) -> tuple[Looks, float]:
             least.append(np.concatenate([*groups[:k], *groups[k + 1 :]])[:, _OCTAVES].min(0))
             lacked.append(_lack(group, least[-1]))
     return np.min(least, 0) if least else np.full(2, -np.inf), max(lacked)
+
+
+def _find_quietest(plane: NDArray[np.float32], net: LatticeNet) -> Looks:
+    """Return the levels of octaves of a cell whose places are each as quiet as the quietest one of a sample.
+
+    Prints have inks, so that some windows have equal elements, without the edges that others have. A sample shows few
+    of them, but at each place of the cell some neighbors that are equal.
+    """
+    cells, known = split_cells(plane[..., _OCTAVES], net.samples), split_cells(net.inside, net.samples)
+    return np.asarray(np.where(known[..., np.newaxis], cells, np.inf).min((0, 1)).mean((0, 1)))
 
 
 def _wholes_of_draws(maps: Sequence[_Maps], net: LatticeNet, means: Mapping[str, Looks], side: int) -> dict[str, _Kind]:
@@ -504,7 +524,10 @@ def _score(observation: Observation) -> Score:
     values: dict[str, Value] = dict.fromkeys(Appearance.columns)
     reasons: dict[str, str] = {}
     try:
-        ratios = _compare_looks(observation) | _find_new_colors(observation)
+        ratios, colors = _compare_looks(observation), _find_new_colors(observation)
+        if colors and observation.again is None:  # a sample shows few of the ways in which inks meet
+            ratios = {name: ratio / (1 if name == "lack" else limits.UNSEEN_TONES) for name, ratio in ratios.items()}
+        ratios |= colors
         values |= ratios | {"score": float(np.clip(1 - limits.LOOKS_SLOPE * (max(ratios.values()) - 1), 0, 1))}
         few = "undecided: the references show too few windows of this size"
         reasons |= {name: few for name in (*_SIZES, "surface") if values[name] is None}

@@ -266,14 +266,17 @@ class Population:
     def arrangement(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean of the correlations over the references, and the variance of each component's, mean over the lags.
 
-        The mean is NaN at the lags that a reference lacks.
+        The mean is NaN at the lags that a reference lacks. The variance in one sample is that of its pairs at each lag.
         """
         found = np.array([self.arrange(tiles) for tiles in self.tiles])
         chance = 1 / max(float(np.mean([len(tiles.features) for tiles in self.tiles])), 1.0)
         mean = found.mean(0)
         known = np.isfinite(mean).all(1)
         if len(found) == 1 or not known.any():
-            return mean, np.full(mean.shape[1], 2 * chance)
+            whole = self.tiles[0].grid[1]
+            both = [shift_plane(whole.astype(np.float32), whole, lag)[1].sum() for lag in _LAGS]
+            pairs = np.maximum(1 / np.maximum(both, 1), chance)[:, np.newaxis]
+            return mean, np.broadcast_to(pairs + chance, mean.shape)
         spread = found[:, known].var(0, ddof=1).mean(0)
         return mean, np.maximum(spread, chance) * (1 + 1 / len(found))
 

@@ -183,7 +183,9 @@ UNEVEN_WHOLE = _limit("UNEVEN_WHOLE", 3.0, "", "two pictures differ by both vari
 UNEVEN_QUARTERS = _limit(
     "UNEVEN_QUARTERS", 8.0, "", "the same for quarters: a quarter of the sample varies four times more"
 )
-UNSEEN_TONES = _limit("UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones")
+UNSEEN_TONES = _limit(
+    "UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones, nor how inks meet"
+)
 OF_LOOKS = _limit("OF_LOOKS", 1.15, "", "margin over the largest distance of the references")
 OF_MEANS = _limit("OF_MEANS", 1.3, "", "the same for quarters, of which there are few")
 OF_SAMPLE_LOOKS = _limit("OF_SAMPLE_LOOKS", 1.25, "", "the same for parts of one sample")

@@ -77,6 +77,8 @@ def measure_detail(lab: Lab) -> NDArray[np.float32]:
     that along y, and the same for the diagonals, which show streaks and relief under a light; the level of its
     amplitude within 3 px over that at a place, which shows speckles and other detail that comes in clusters; and the
     level of what is brighter than its surroundings over that of what is darker. None of them changes with the contrast.
+    The second octave has every second pixel; both the even and the odd ones are measured, since elements of whole
+    pixels lie on either.
     """
 
     def level(energy: NDArray[Any]) -> NDArray[Any]:
@@ -85,19 +87,22 @@ def measure_detail(lab: Lab) -> NDArray[np.float32]:
     def blur(plane: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
         return np.asarray(gaussian_filter(plane, sigma, mode="reflect", truncate=3))
 
-    height, width = lab.shape[0] // 2, lab.shape[1] // 2
-    octave, planes = lab[..., 0], []
-    for _ in range(2):
+    def measure(octave: NDArray[np.float32]) -> tuple[NDArray[np.float32], list[NDArray[Any]]]:
         low = blur(octave, 1.2)
         band = octave - low
         down, right = (np.asarray(slope, np.float32) for slope in np.gradient(octave))
         near, energy = blur(band * band, 1), blur(band * band, 2)
         bright = blur(np.maximum(band, 0) ** 2, 2)
-        planes += [level(right**2) - level(down**2), level((right + down) ** 2 / 2) - level((right - down) ** 2 / 2)]
+        planes = [level(right**2) - level(down**2), level((right + down) ** 2 / 2) - level((right - down) ** 2 / 2)]
         planes += [level(blur(near, 3)) - level(near), level(bright) - level(np.maximum(energy - bright, 0))]
-        octave = low[::2, ::2]
-    fine = [plane[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean((1, 3)) for plane in planes[:4]]
-    return np.stack([*fine, *(plane[:height, :width] for plane in planes[4:])], -1)
+        return low, planes
+
+    height, width = lab.shape[0] // 2, lab.shape[1] // 2
+    low, fine = measure(lab[..., 0])
+    fine = [plane[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean((1, 3)) for plane in fine]
+    even, odd = (measure(low[start::2, start::2])[1] for start in (0, 1))
+    coarse = [(a[:height, :width] + b[:height, :width]) / 2 for a, b in zip(even, odd, strict=True)]
+    return np.stack([*fine, *coarse], -1)
 
 
 def measure_levels(lab: Lab) -> NDArray[np.float32]:

@@ -15,6 +15,7 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.appearance import Appearance, border_excess
+from nrbench.metrics.perception.visible import measure_detail, perceive
 from nrbench.metrics.seam_detection.seam_lines import find_worst_lines
 from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.cartoon import Cartoon
@@ -138,6 +139,38 @@ def test_a_blurred_hole_lacks_detail(own: Case) -> None:
     holed[60 : 60 + side, 60 : 60 + side] = blur(own.fresh(), 6)[60 : 60 + side, 60 : 60 + side]
     after = appearance(own.observe(quantize(holed), model=False)).values
     assert before["lack"] < 1.15 and after["lack"] > 1.5 and after["score"] == 0
+
+
+def _wall(inks: NDArray[Any], phase: int = 0) -> Image:
+    """Paint a wall of bricks of 16 x 8 whole pixels, one number of an ink for each brick."""
+    palette = np.array([(0.95, 0.75, 0.2), (0.85, 0.3, 0.25), (0.2, 0.42, 0.7)], np.float32)
+    rows = [np.roll(np.repeat(palette[row], 16, 0), 8 * (k % 2), 0) for k, row in enumerate(inks)]
+    wall = np.repeat(np.array(rows), 8, 0)
+    for k in range(len(inks)):
+        wall[8 * k] = 0.9
+        wall[8 * k : 8 * k + 8, 8 * (k % 2) :: 16] = 0.9
+    return quantize(np.roll(wall, phase, (0, 1)))
+
+
+def test_pixel_art_looks_the_same_at_odd_and_at_even_pixels() -> None:
+    """The kind of detail of elements that lie on whole pixels does not depend on where they lie."""
+    wall = _wall(np.random.default_rng(0).integers(0, 3, (16, 8)))
+    even, odd = (measure_detail(perceive(np.roll(wall, k, (0, 1)))).mean((0, 1)) for k in (0, 1))
+    assert np.abs(even - odd).max() < 0.4
+
+
+def test_equal_neighbors_lack_nothing() -> None:
+    """Equal elements side by side, as prints have them by chance, lack no detail; a blurred hole there does."""
+    rng = np.random.default_rng(1)
+    lattice = Lattice((16.0, 0.0), (8.0, 8.0))
+    inks = rng.integers(0, 3, (32, 16))
+    inks[8:14, 4:7] = 0
+    output = _wall(inks)
+    sample = Texture(_wall(rng.integers(0, 3, (16, 8))), lattice, (lattice,))
+    hole = output.copy()
+    hole[100:140, 100:150] = blur(output, 4)[100:140, 100:150]
+    whole, holed = (appearance(Observation(sample.image, image, sample)).values["lack"] for image in (output, hole))
+    assert whole < 1 < 1.3 < holed
 
 
 def test_stronger_blur_is_farther(own: Case) -> None:
