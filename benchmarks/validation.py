@@ -17,8 +17,8 @@
     Other bases of a lattice, and supercells of two to four cells: a fresh draw, and one whose halves have slipped,
     judged by sample and lattice alone.
 ``photographs FOLDER``
-    Photographs with known lattices (``truth.csv``): one half is the sample, the other half, edited and unedited, and
-    tiles of the sample joined at random are the outputs.
+    Photographs with known lattices (``truth.csv``): one half is the sample. The outputs are the other half, edited,
+    slipped and unedited, and tiles of the sample joined at random.
 """
 
 from __future__ import annotations
@@ -62,6 +62,10 @@ FIRST_DRAW = 200
 """Number of the first fresh draw that is judged; no reference has these numbers."""
 LEAST_FRESH, LEAST_UNSEEN, MOST_SEEN = 0.9, 0.85, 0.6
 """Quality below which a fresh draw, or an unseen edit, is a false alarm, and above which a seen edit escapes."""
+LEAST_HALF = 0.8
+"""Quality that the other half of a photograph has at least."""
+SLIPS = (0.15, 0.3)
+"""Shares of s by which halves of photographs are moved."""
 SHARES = (0.93, 0.8, 0.7, 0.55, 0.4)
 PLANTED: Mapping[str, tuple[float, ...]] = {
     "phase-step": (0.15, 0.3),
@@ -389,7 +393,7 @@ def study_bases(options: argparse.Namespace) -> None:
 
 
 def photographs(folder: Path, patterns: Sequence[str]) -> Iterator[tuple[Subject, Image]]:
-    """Yield one half of each photograph, cut across its longer side, as the sample, and the other half."""
+    """Yield each half of each photograph, cut across its longer side, as the sample, and the other half."""
     truth = pd.read_csv(folder / "truth.csv")
     for row in truth.dropna(subset=["t1x"]).to_dict("records"):
         if patterns and not any(Path(row["file"]).match(pattern) for pattern in patterns):
@@ -400,28 +404,54 @@ def photographs(folder: Path, patterns: Sequence[str]) -> Iterator[tuple[Subject
         halves = (picture[:, : width // 2], picture[:, -(width // 2) :])
         if height > width:
             halves = (picture[: height // 2], picture[-(height // 2) :])
-        sample, other = (np.ascontiguousarray(half) for half in halves)
-        yield Subject(Path(row["file"]).stem, Texture(sample, lattice, (lattice,))), other
+        for halves_turned in (halves, halves[::-1]):
+            sample, other = (np.ascontiguousarray(half) for half in halves_turned)
+            yield Subject(Path(row["file"]).stem, Texture(sample, lattice, (lattice,))), other
+
+
+def crop_cells(subject: Subject, cells: float) -> Subject:
+    """Return the corner of a sample that shows a number of cells along each side."""
+    sides = np.minimum(np.ceil(cells * np.abs(subject.vectors).max(0))[::-1], subject.texture.image.shape[:2]).astype(
+        int
+    )
+    image = np.ascontiguousarray(subject.texture.image[: sides[0], : sides[1]])
+    return replace(subject, texture=replace(subject.texture, image=image))
 
 
 def study_photographs(options: argparse.Namespace) -> None:
-    """Print how the other half of each photograph, its edits, and shuffled tiles of the sample are judged."""
-    tell = print_table("photograph", "other half", "preserved", "shuffled tiles", "preserved")
-    rows = []
+    """Print how the other half of each photograph, its slips and edits, and shuffled tiles of the sample are judged.
+
+    The other half is also judged by a corner of the sample that shows 3.5 cells a side.
+    """
+    slips = [(axis, share) for share in SLIPS for axis in (0, 1)]
+    names = [
+        "other half",
+        "by 3.5 cells",
+        *(f"slipped by {share} s, {axis}" for axis, share in slips),
+        "shuffled tiles",
+    ]
+    tell = print_table("photograph", *names)
+    rows, found = [], []
     for subject, other in photographs(Path(options.folder), options.textures):
         sample = subject.texture.image
+        scene = Scene(other, subject.vectors, stream("photographs"))
+        moved = [quantize(np.float32(slip(scene, axis, round(share * shortest(scene))))) for axis, share in slips]
         shuffled = baseline("shuffle", sample, subject.texture.lattice, (384, 384))
-        cells = []
-        for output in (other, shuffled):
-            row = subject.judge(output) if output is not None else None
-            kept = None if row is None or row["regularity"] is None else row["regularity"] >= limits.PRESERVED
-            cells += [
-                "refused" if row is None else perils_text(row),
-                {None: "undecided", True: "yes", False: "no"}[kept],
-            ]
-        tell(subject.name, *cells)
+        small = crop_cells(subject, 3.5)
+        judges = [(subject, other), (small, other), *((subject, output) for output in moved), (subject, shuffled)]
+        judged = [judge.judge(output) if output is not None else None for judge, output in judges]
+        tell(subject.name, *("refused" if row is None else perils_text(row) for row in judged))
+        found += [{"output": name, **row} for name, row in zip(names, judged, strict=True) if row is not None]
         if not options.unedited:
             rows += judge_edits(subject, other, "photographs")
+    table = pd.DataFrame(found).astype({"score": float, "regularity": float})
+    for name, own in table.groupby("output", sort=False):
+        known, good = own["regularity"].notna().mean(), (own["score"] >= LEAST_HALF).mean()
+        lost, bound = (own["regularity"] < limits.PRESERVED).mean(), (own["complete"] == False).mean()  # noqa: E712
+        print(
+            f"\n{name}: {len(own)}, known {known:.3f}, lost {lost:.3f}, quality of {LEAST_HALF} {good:.3f}, "
+            f"upper bounds {bound:.3f}"
+        )
     if rows:
         print_ladder(pd.DataFrame(rows).astype({"score": float}))
 

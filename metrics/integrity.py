@@ -50,8 +50,6 @@ class LimitedTest:
         Evidence above which a cell counts as broken.
     power
         Share of cells above the limit where the cells of the references are shuffled.
-    usual
-        The same where the cells are cut at a place that shows it as the median of all cuts does.
     chance
         Largest share of cells above the limit that chance explains in whole elements.
     """
@@ -60,7 +58,6 @@ class LimitedTest:
     test: JointTest
     limit: float = 0.0
     power: float = 0.0
-    usual: float = 0.0
     chance: float = 1.0
 
     @property
@@ -220,9 +217,8 @@ def _set_limit(test: LimitedTest, weighed: Weighed, share: float, pooled: bool, 
     ]
     spread = math.sqrt(float(np.mean(variances)))
     chance = float((whole > limit).mean()) + limits.DEVIATIONS * spread + limits.OVERLOOKED
-    usual = float(np.median([(part > limit).mean() for part in joined]))
     power = float((np.concatenate(joined) > limit).mean())
-    return replace(test, limit=limit, power=power, usual=usual, chance=chance)
+    return replace(test, limit=limit, power=power, chance=chance)
 
 
 def _drop_unknown(parts: Sequence[Evidence]) -> list[Evidence]:
@@ -282,11 +278,10 @@ class Integrity:
     element at the same place (``NovelParts``); and no step runs along a line on which no element has one
     (:class:`Steps`). The test is used by which the smallest share of joined elements shows.
 
-    Let p be the share of the shuffled cells of the references above the limit of the evidence, r that share for the
-    median of the places where they are cut, q the largest share of whole ones that chance explains, and c the share of
-    the output's cells. The score is 1 - (c - q) / (r - q), in [0, 1]: the share of whole elements, corrected
-    for those that the test misses and for those that it counts wrongly. The limit is the one with the smallest q / p;
-    p - q is ``detection_power``.
+    Let p be the share of the shuffled cells of the references above the limit of the evidence, q the largest share of
+    whole ones that chance explains, and c the share of the output's cells. The score is 1 - (c - q) / (p - q), in
+    [0, 1]: the share of whole elements, corrected for those that the test misses and for those that it counts wrongly.
+    The limit is the one with the smallest q / p; p - q is ``detection_power``.
 
     Parts that lie elsewhere in their cells, but so near or so small that no window is out of place, tear an element,
     too. They are sought by novelty, with a limit halfway to the evidence where cells of the references show what lies a
@@ -335,7 +330,7 @@ def _score(observation: Observation) -> Score:
     silence = _explain_silence(model, varies, known >= _LEAST_CELLS and shown >= limits.FEWEST_SHOWN)
     found = [_count_broken(test, own) for test, own in zip(tests, evidence, strict=True)]
     worst = min(range(len(found)), key=lambda k: float(found[k]["score"] or 0), default=0)
-    if silence and (not found or found[worst]["score"] == 1 or silence == _FEW):
+    if silence and (not found or found[worst]["score"] == 1 or known < _LEAST_CELLS or silence == _FEW):
         missing = Score.missing(Integrity.columns, silence)
         return Score({**missing.values, "detection_power": model.joint.power - model.joint.chance}, missing.reasons)
     test = tests[worst]
@@ -351,7 +346,7 @@ def _count_broken(test: LimitedTest, evidence: Evidence) -> dict[str, Value]:
     share = float((judged > test.limit).mean()) if judged.size else 0.0
     excess = max(share - test.chance, 0.0)
     return {
-        "score": float(np.clip(1 - excess / max(test.usual - test.chance, limits.LEAST_POWER), 0, 1)),
+        "score": float(np.clip(1 - excess / max(test.power - test.chance, limits.LEAST_POWER), 0, 1)),
         "broken_share": share,
         "broken_tiles": float(np.rint(excess * judged.size)),
         "detection_power": test.power - test.chance,

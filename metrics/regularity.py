@@ -59,8 +59,9 @@ class Regularity:
     by default. The record ``lattice_from`` names the source: model, given, or dominance.
 
     Beside one sample the phase coherence of matches is a second judge
-    (:class:`~nrbench.metrics.registration.coherence.SampleMatches`). The smaller score counts, and the record
-    ``decided_by`` names which of both it is. Where the sample is too small or too uneven for one, the other decides.
+    (:class:`~nrbench.metrics.registration.coherence.SampleMatches`). The larger share out of place and the smaller
+    drift count, and the record ``decided_by`` names whose share it is. Where the sample is too small or too uneven for
+    one of both, the other decides.
     """
 
     version: ClassVar[str] = "12"
@@ -112,12 +113,11 @@ class _Finding:
         return float(max(0.0, self.bad[self.nodes.valid].mean() - self.usual) / (1 - self.usual))
 
     @property
-    def score(self) -> float:
-        """1 if all is in place and does not drift more than the references."""
+    def straight(self) -> float:
+        """1 if the whole does not drift more than the references, falling to 0."""
         wider = max(1.0, min(limits.OF_NOISE * self.usual_drift, limits.MOST_DRIFT) / limits.DRIFT)
         most, drift = limits.MOST_DRIFT, float(np.linalg.norm(self.nodes.drift, 2))
-        kept = np.clip((most * wider - drift) / ((most - limits.DRIFT) * wider), 0, 1)
-        return float(np.clip(1 - limits.SLOPE * self.share, 0, 1) * kept)
+        return float(np.clip((most * wider - drift) / ((most - limits.DRIFT) * wider), 0, 1))
 
 
 def _find(examination: Examination) -> list[_Finding]:
@@ -129,10 +129,9 @@ def _find(examination: Examination) -> list[_Finding]:
             usual = max(float(np.linalg.norm(picture.drift, 2)) for picture in reference.pictures)
             bad = reference.misplacement(followed)
             found.append(_Finding("registration", followed, bad, reference.most_misplaced, usual))
-    matched, own = examination.matched, examination.coherence
-    if matched and own and own.most_misplaced <= limits.MOST_OWN:
-        usual = float(np.linalg.norm(own.picture.drift, 2))
-        bad = matched.misplacement(own.slip_limit)
+    matched, own = examination.matched, examination.matches
+    if matched and own and own.picture:
+        bad, usual = matched.misplacement(own.slip_limit), float(np.linalg.norm(own.picture.drift, 2))
         found.append(_Finding("coherence", matched, bad, own.most_misplaced, usual))
     return found
 
@@ -148,8 +147,9 @@ def _score(observation: Observation) -> Score:
         values = dict.fromkeys(Regularity.columns)
     if not found:
         return Score({name: values.get(name) for name in Regularity.columns}, reasons, records=records)
-    worst = min(found, key=lambda finding: (finding.score, -finding.share))
-    values |= {"misplaced_share": worst.share, "score": worst.score, "preserved": worst.score >= limits.PRESERVED}
+    worst = max(found, key=lambda finding: finding.share)
+    score = max(0.0, 1 - limits.SLOPE * worst.share) * max(finding.straight for finding in found)
+    values |= {"misplaced_share": worst.share, "score": score, "preserved": score >= limits.PRESERVED}
     reasons = {name: reason for name, reason in reasons.items() if values.get(name) is None}
     records |= {
         "decided_by": worst.by,

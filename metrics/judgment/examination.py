@@ -9,9 +9,8 @@ from nrbench.plugins.forms import Observation
 
 from ..perception import limits
 from ..perception.visible import Lab, perceive
-from ..registration.coherence import MatchedPicture
+from ..registration.coherence import MatchedPicture, SampleMatches, match_sample
 from ..registration.followed import FollowedPicture
-from .coherence_reference import CoherenceReference, match_sample
 from .known_lattice import KnownLattice, find_known_lattice
 from .texture_reference import CannotTell, TextureReference, reference_from_draws, reference_from_sample
 
@@ -64,23 +63,17 @@ class Examination:
         return self.traced
 
     @cached_property
-    def coherence(self) -> CoherenceReference | None:
-        """The sample matched to itself, if it is the only reference; None if its matches say nothing."""
+    def matches(self) -> SampleMatches | None:
+        """The sample, to which the output is matched if there is no model."""
         known = self.known_lattice
         if known.lattice is None or known.origin == "model":
             return None
-        try:
-            return match_sample(self.observation.sample, known.lattice)
-        except CannotTell:
-            return None
+        return match_sample(self.observation.sample, known.lattice)
 
     @cached_property
     def matched(self) -> MatchedPicture | None:
-        """The output followed by matches, if the sample is the only reference."""
-        try:
-            return self.coherence.follow(self.lab) if self.coherence else None
-        except CannotTell:
-            return None
+        """The output followed by matches; None if the sample is not the only reference, or does not tell."""
+        return self.matches.follow(self.lab) if self.matches else None
 
     @cached_property
     def misplaced(self) -> float:

@@ -15,6 +15,7 @@ from nrbench.plugins.forms import NoLatticeFound, Observation
 
 from ..perception import limits
 from ..perception.visible import Lab, perceive
+from ..registration.coherence import SampleMatches
 from ..registration.lattice_net import LatticeNet, Values, fold_cells, sample_planes, split_cells
 
 Origin = Literal["model", "given", "dominance"]
@@ -82,7 +83,9 @@ def split_supercell(sample: Image, lattice: Lattice) -> Lattice:
 
     A half or a third of a cell is a lattice vector if the mean cell m, folded again from there as m', is the same. The
     departures r = m' - m are divided by the variances of both means and (JND / 2)^2. At 99 % of the places r^2 is then
-    at most ``SAME_CELL``, and in all at most ``SAME_SHARE`` of the variance of m and m' over the cell.
+    at most ``SAME_CELL``, and in all at most ``SAME_SHARE`` of the variance of m and m' over the cell. The mean cell of
+    a wall whose courses wander is smeared along them, and seems to repeat by thirds. So thirds must be matched, too
+    (:meth:`~.registration.coherence.SampleMatches.prefers`).
     """
     return _split(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, lattice)
 
@@ -100,9 +103,9 @@ def _split(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> Lattice:
                 mean, error, *_fold(lab, replace(net, origin=net.origin + np.array(k) / parts @ net.vectors))
             )
         parts, k = min(ratios, key=lambda fraction: ratios[fraction])
-        if ratios[parts, k] > 1:
-            break
         basis = _add_vector(net.vectors, np.array(k) / parts @ net.vectors, parts)
+        if ratios[parts, k] > 1 or (parts == 3 and SampleMatches(lab, net).prefers(basis)):
+            break
         lattice = canonical_lattice(Lattice.from_basis(basis, lattice.origin))
     return lattice
 

@@ -17,6 +17,7 @@ from ..perception import limits
 from ..perception.visible import Lab, perceive
 from ..registration.followed import CellModel, FollowedPicture
 from ..registration.lattice_net import LatticeNet, Mask, Values, fold_cells, sample_planes
+from ..registration.lattice_nodes import STRIPS as STRIPS
 from ..registration.lattice_nodes import WIDEST, Strips, choose_windows, explain_share
 from .known_lattice import canonical_lattice
 
@@ -24,8 +25,6 @@ FIRST_DRAW = 1 << 16
 """Number of the first fresh draw of the reference; the oracle and the planted defects use smaller numbers."""
 DRAWS = 6
 """Number of fresh draws."""
-STRIPS = 4
-"""Number of strips of a sample, each of which is judged by the others."""
 _SIDES = (128, 384)
 """Smallest and largest side of a fresh draw, px."""
 _LEAST_TILES = 8

@@ -8,20 +8,31 @@ less that of the match is constant or changes smoothly; where the lattice breaks
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.lattice.geometry import Points
+from nrbench.imaging.convert import Image
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Shape
 
 from ..perception import limits
-from ..perception.visible import Lab
+from ..perception.visible import Lab, perceive
 from .lattice_net import LatticeNet, Mask, Values, sum_boxes
-from .lattice_nodes import Field, LatticeNodes, find_least, find_lengths
+from .lattice_nodes import (
+    STRIPS,
+    WIDEST,
+    Field,
+    LatticeNodes,
+    Strips,
+    choose_windows,
+    explain_share,
+    find_least,
+    find_lengths,
+)
 
 _SCALES = (1, 2, 4, 8)
 """Standard deviations, px, of the Gaussians whose derivatives are features."""
@@ -120,20 +131,10 @@ class MatchedPicture(LatticeNodes):
         whole = self.size**2 * abs(float(np.linalg.det(net.vectors))) / self.grid.step**2
         return find_least(-spread), count > 0.9 * whole
 
-    @property
-    def displacement(self) -> Field:
-        """Displacement of each node, modulo the lattice."""
-        return self._fit[0]
-
-    @property
-    def valid(self) -> Mask:
-        """``(R, C)``: the nodes whose windows lie inside the picture."""
-        return self._fit[1]
-
 
 @dataclass(frozen=True, eq=False)
 class SampleMatches:
-    """The points of a sample, to which those of other pictures are matched.
+    """A sample, to whose points those of other pictures are matched.
 
     A match is the point with the smallest squared distance of features, which are decorrelated and divided by the roots
     of their variances plus JND^2.
@@ -176,6 +177,17 @@ class SampleMatches:
         away = find_lengths(self._displace(self.grid, self._own), self.net.vectors)
         return np.asarray(away < limits.GOOD_MATCH * self.net.s)
 
+    def prefers(self, basis: Points) -> bool:
+        """Return whether matches lie at the points of the sample's lattice rather than at those of a denser one.
+
+        If one of n points of the denser lattice is one of the sample's, a share of 1 / n of the matches beyond chance
+        is expected there where the cell repeats, and all of them where it does not. The limit is the geometric mean.
+        """
+        moved = self._displace(self.grid, self._own) @ self.net.vectors @ np.linalg.inv(basis)
+        denser = abs(float(np.linalg.det(self.net.vectors) / np.linalg.det(basis)))
+        near = float((find_lengths(moved, basis) < limits.GOOD_MATCH * self.net.s).mean()) - denser * self.chance
+        return bool((self.right.mean() - self.chance) ** 2 * denser > max(near, 0.0) ** 2)
+
     @property
     def chance(self) -> float:
         """Share of matches that are right by chance."""
@@ -189,15 +201,48 @@ class SampleMatches:
         return np.maximum(share - self.chance, 0).ravel()
 
     @cached_property
-    def own(self) -> MatchedPicture:
-        """The sample itself, each point matched to another part of it."""
-        return self._place(self.grid, self._own)
+    def picture(self) -> MatchedPicture | None:
+        """The sample itself, followed by matches with its other parts.
 
-    def match(self, lab: Lab) -> MatchedPicture:
-        """Match a picture, and follow it with windows of one cell."""
+        None if it shows fewer than four cells, or if its places do not match at one phase of the lattice.
+        """
+        if self._cells < limits.FEWEST_CELLS or self.right.mean() < self.chance + limits.COHERENT:
+            return None
+        own, sides = self._place(self.grid, self._own), range(1, min(WIDEST, int(self.net.cells.min())) + 1)
+        return next(iter(choose_windows(lambda size: [replace(own, size=size)], sides, True)), None)
+
+    @property
+    def _cells(self) -> float:
+        return self.net.shape[0] * self.net.shape[1] / abs(float(np.linalg.det(self.net.vectors)))
+
+    @cached_property
+    def slip_limit(self) -> float:
+        """Difference in s between two sides of a line beyond which they have slipped."""
+        own = self.picture.slip.max(initial=0) if self.picture else 0
+        return limits.LOOSE * max(limits.SLIP, limits.OF_SLIP * float(own))
+
+    @cached_property
+    def most_misplaced(self) -> float:
+        """Share out of place that chance explains: by the strips of the sample, and by the number of its cells.
+
+        If k of n cells are out of place, the next one is with a probability of (k + 1) / (n + 2), by Laplace's rule of
+        succession. 1 if the sample cannot be followed.
+        """
+        if self.picture is None:
+            return 1.0
+        bad = self.picture.misplacement(self.slip_limit)
+        shares = Strips.across(self.net.shape, STRIPS).share_out(bad, self.picture)
+        return max(explain_share(shares, True), (self._cells * float(shares.mean()) + 1) / (self._cells + 2))
+
+    def follow(self, lab: Lab) -> MatchedPicture | None:
+        """Follow the lattice through an output by matches; None if the sample or the output is too small for it."""
+        if self.picture is None or self.most_misplaced > limits.MOST_OWN:
+            return None
         rows, matrix = self._features
         grid = PointGrid.over(lab, _MOST_POINTS[1])
-        return self._place(grid, _find_nearest(grid.measure_features(lab) @ matrix, rows))
+        matched = self._place(grid, _find_nearest(grid.measure_features(lab) @ matrix, rows))
+        matched = replace(matched, limit=self.picture.limit, size=self.picture.size)
+        return matched if (matched.net.cells >= matched.size).all() and matched.valid.any() else None
 
     def _displace(self, grid: PointGrid, match: NDArray[np.intp]) -> Field:
         """Return the phase of each point less that of its match, in cells."""
@@ -205,8 +250,19 @@ class SampleMatches:
         return np.asarray((own - matched[match]) @ np.linalg.inv(self.net.vectors))
 
     def _place(self, grid: PointGrid, match: NDArray[np.intp]) -> MatchedPicture:
-        net = replace(self.net, shape=grid.shape)
-        return MatchedPicture(net, _ROUGHLY, 1, grid, self._displace(grid, match), self.trust[match])
+        net, moved = replace(self.net, shape=grid.shape), self._displace(grid, match)
+        return MatchedPicture(net, _ROUGHLY, 1, grid, moved, self.trust[match])
+
+
+def match_sample(sample: Image, lattice: Lattice) -> SampleMatches:
+    """Return the matches of a sample; cached, because many outputs have one sample."""
+    return _match(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, lattice)
+
+
+@lru_cache(maxsize=2)
+def _match(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> SampleMatches:
+    net = LatticeNet((shape[0], shape[1]), lattice.matrix, np.array(lattice.origin))
+    return SampleMatches(perceive(np.frombuffer(pixels, np.float32).reshape(shape)), net)
 
 
 def _find_nearest(rows: Values, others: Values, excluded: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:

@@ -91,20 +91,10 @@ class FollowedPicture(LatticeNodes):
     def _fit(self) -> tuple[Field, Values, Mask]:
         return self._fit_windows(self.size)
 
-    @property
-    def valid(self) -> Mask:
-        """``(R, C)``: the nodes whose windows lie inside the picture."""
-        return self._fit[2]
-
     @cached_property
     def contrast(self) -> Values:
         """How much worse each node's window fits at the worst displacement than at the best; 0 in a flat window."""
         return np.asarray(np.ptp(self._fit[1], axis=(2, 3)))
-
-    @property
-    def displacement(self) -> Field:
-        """Displacement of each node, modulo the lattice."""
-        return self._fit[0]
 
     @cached_property
     def misfit(self) -> Values:

@@ -26,6 +26,8 @@ _REACH = 2
 _SIDE, _ALONG = 4, 2
 """Depth and half length, in nodes, of the two sides of a line whose displacements are compared."""
 _MOST_ROUNDS = 300
+STRIPS = 4
+"""Number of strips of a sample, each of which is judged by the others."""
 WIDEST = 3
 """Largest side of the windows that are followed, in cells."""
 Nodes = TypeVar("Nodes", bound="LatticeNodes")
@@ -86,15 +88,20 @@ class LatticeNodes:
     limit: float
     size: int
 
+    @cached_property
+    def _fit(self) -> tuple[Any, ...]:
+        """The displacements first, and the valid nodes last."""
+        raise NotImplementedError
+
     @property
     def displacement(self) -> Field:
         """Displacement of each node, modulo the lattice."""
-        raise NotImplementedError
+        return np.asarray(self._fit[0])
 
     @property
     def valid(self) -> Mask:
         """``(R, C)``: the nodes whose windows lie inside the picture."""
-        raise NotImplementedError
+        return np.asarray(self._fit[-1])
 
     @cached_property
     def _growth(self) -> tuple[Mask, Field]:
@@ -233,9 +240,8 @@ def find_least(costs: NDArray[Any]) -> Field:
 
 def find_lengths(difference: Field, vectors: Points) -> Values:
     """Return the length px of displacements in cell coordinates, modulo the lattice of reduced vectors."""
-    lengths = net_kernels.measure_lengths(
-        np.ascontiguousarray(difference).reshape(-1, 2), np.ascontiguousarray(vectors)
-    )
+    flat = np.ascontiguousarray(difference).reshape(-1, 2)
+    lengths = net_kernels.measure_lengths(flat, np.ascontiguousarray(vectors))
     return np.asarray(lengths.reshape(difference.shape[:-1]))
 
 
