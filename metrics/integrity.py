@@ -104,13 +104,14 @@ class Weighed:
 def weigh_draws(reference: TextureReference, rng: np.random.Generator) -> list[Weighed]:
     """Weigh each half of the fresh draws by the other half, for each test.
 
-    Noise that nobody sees is added before, so that it breaks no element of an output.
+    Noise, and a shift by half a pixel, that nobody sees are added before, so that they break no element of an output.
     """
     net = reference.net
     planes = [CoarsePlane(fine, known, net.samples) for fine, known in reference.residuals]
     found = [Weighed([[]], []) for _ in _NAMES]
     for k in (0, 1):
-        seen = [replace(p, fine=p.fine + _unseen_noise(p, rng)) for p in planes[k::2]]
+        mean = net.tile(reference.model.mean)
+        seen = [_misplace(replace(p, fine=p.fine + _unseen_noise(p, rng)), mean, net, rng) for p in planes[k::2]]
         joined = [shuffle_cells(plane, net, rng) for plane in planes[k::2][: _SHUFFLES // 2]]
         for test, own in zip(learn_tests(planes[1 - k :: 2], net), found, strict=True):
             own.whole[0] += [test.weigh(plane) for plane in seen]
@@ -122,7 +123,8 @@ def weigh_sample(reference: TextureReference, tests: Sequence[JointTest], rng: n
     """Weigh each of four strips of a sample by the mean cell and the tests of the others.
 
     The strips run along both lattice vectors, or along their sum and difference if tones go together farther along
-    these, because threads run through all strips across them.
+    these, because threads run through all strips across them. The sample counts as it is and moved by half a pixel,
+    which nobody sees.
     """
     net, ((fine, known),) = reference.net, reference.departures
     plane = CoarsePlane(fine, known, net.samples)
@@ -130,6 +132,7 @@ def weigh_sample(reference: TextureReference, tests: Sequence[JointTest], rng: n
     shown = split_cells(plane.complete, (limits.PLACES, limits.PLACES)).mean((2, 3)) > _LEAST_SHARE
     for strips in _number_strips(shown, tests):
         pictures = [plane, *(shuffle_cells(plane, net, rng, strips) for _ in range(_SHUFFLES // 2))]
+        pictures.append(_misplace(plane, net.tile(reference.model.mean), net, rng))
         evidence = np.full((len(_NAMES), len(pictures), *net.cells), np.nan)
         for strip in np.unique(strips[shown]):
             rest = known & net.spread(strips != strip)
@@ -140,7 +143,8 @@ def weigh_sample(reference: TextureReference, tests: Sequence[JointTest], rng: n
                 for k, test in enumerate(learned):
                     evidence[k, m][strips == strip] = test.weigh(own)[strips == strip]
         for weighed, (whole, *joined) in zip(found, evidence, strict=True):
-            weighed.whole.append([whole[strips == k] for k in range(STRIPS)])
+            moved = joined.pop()
+            weighed.whole.append([np.concatenate([whole[strips == k], moved[strips == k]]) for k in range(STRIPS)])
             weighed.joined += joined
     return found
 
@@ -158,6 +162,14 @@ def _number_strips(shown: Mask, tests: Sequence[JointTest]) -> list[NDArray[np.i
         edges = np.quantile(line[shown], np.arange(1, STRIPS) / STRIPS) if shown.any() else np.zeros(1)
         found.append(np.searchsorted(edges, line, side="left"))
     return found
+
+
+def _misplace(plane: CoarsePlane, mean: Values, net: LatticeNet, rng: np.random.Generator) -> CoarsePlane:
+    """Return a picture moved by half a pixel in a random direction, which is not seen."""
+    angle = rng.uniform(0, 2 * np.pi)
+    step = 0.5 * np.array([math.cos(angle), math.sin(angle)]) @ np.linalg.inv(net.vectors) * net.samples
+    moved = ndimage.shift(plane.fine + mean, (*step, 0), order=1, mode="nearest")
+    return replace(plane, fine=np.asarray(moved - mean, np.float32))
 
 
 def _unseen_noise(plane: CoarsePlane, rng: np.random.Generator) -> Values:
