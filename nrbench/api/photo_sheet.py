@@ -112,15 +112,14 @@ def _rank(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> dict[str
 
 
 def describe_row(row: Mapping[str, Any]) -> str:
-    """Return method, quality with rank and seconds, what limits the quality, and why it is tied, in four lines."""
+    """Return method, quality with rank and seconds, why it is tied, and what limits it, in two to four lines."""
     value, bound = row["quality"], "at most " if row["upper_bound"] else ""
     quality = "quality not measured" if value is None else f"quality {bound}{value:.2f}, rank {row['rank']}"
     unknown = [] if row["tied"] else row["not_measured"]  # else the reason of the tie names them
-    words = (("worst: ", row["worst"]), ("cannot tell: ", unknown))
-    limits = [title + ", ".join(names) for title, names in words if names]
-    tied = [f"tied: {row['why']}" if row["tied"] else row["why"]] if row["why"] else []
-    absent = f"no peril: {', '.join(row['no_peril'])}" if row["no_peril"] else ""
-    return "\n".join([row["method"], f"{quality}, {row['seconds'] or 0:.1f} s", "; ".join([*tied, *limits]), absent])
+    words = (("worst: ", row["worst"]), ("cannot tell: ", unknown), ("no peril: ", row["no_peril"]))
+    limits = "; ".join(title + ", ".join(names) for title, names in words if names)
+    tied = f"tied: {row['why']}" if row["tied"] else row["why"]
+    return "\n".join(filter(None, [row["method"], f"{quality}, {row['seconds'] or 0:.1f} s", tied, limits]))
 
 
 def draw_sheet(made: Sequence[tuple[CellRecord, Mapping[str, Any]]]) -> Image:

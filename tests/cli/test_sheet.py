@@ -82,7 +82,7 @@ def test_equal_upper_bounds_are_tied_with_the_reason() -> None:
     assert [row["rank"] for _, row in rated] == ["1-2", "1-2", "3"]
     assert [row["why"] for _, row in rated] == ["integrity cannot be told"] * 2 + [""]
     text = describe_row(rated[0][1])
-    assert text == "a\nquality at most 1.00, rank 1-2, 1.0 s\ntied: integrity cannot be told\n"
+    assert text == "a\nquality at most 1.00, rank 1-2, 1.0 s\ntied: integrity cannot be told"
     assert _ranks(*bounds, _record("c", integrity=UNKNOWN, randomness=0.4))["c"] == "3"
 
 
@@ -98,7 +98,7 @@ def test_no_peril_is_no_upper_bound() -> None:
     """A peril that does not exist on the photograph leaves the quality measured, and is named."""
     row = rate_outputs([_record("a", integrity=ABSENT)])[0][1]
     assert not row["upper_bound"] and row["not_measured"] == [] and row["no_peril"] == ["integrity"]
-    assert describe_row(row) == "a\nquality 1.00, rank 1, 1.0 s\n\nno peril: integrity"
+    assert describe_row(row) == "a\nquality 1.00, rank 1, 1.0 s\nno peril: integrity"
 
 
 def test_an_output_without_a_quality_has_no_rank() -> None:
@@ -107,7 +107,7 @@ def test_an_output_without_a_quality_has_no_rank() -> None:
     vars(record).update(values={"quality.score": None}, reasons={"quality.score": "undecided: too few cells"})
     (_, first), (_, last) = rate_outputs([record, _record("b", regularity=0.0)])
     assert (first["method"], first["rank"], last["rank"]) == ("b", "1", "")
-    assert describe_row(last) == "a\nquality not measured, 1.0 s\nundecided: too few cells\n"
+    assert describe_row(last) == "a\nquality not measured, 1.0 s\nundecided: too few cells"
 
 
 def test_the_sheet_prints_json(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:
