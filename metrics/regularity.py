@@ -59,9 +59,10 @@ class Regularity:
     by default. The record ``lattice_from`` names the source: model, given, or dominance.
 
     Beside one sample the phase coherence of matches is a second judge
-    (:class:`~nrbench.metrics.registration.coherence.SampleMatches`). The larger share out of place and the smaller
-    drift count, and the record ``decided_by`` names whose share it is. Where the sample is too small or too uneven for
-    one of both, the other decides.
+    (:class:`~nrbench.metrics.registration.coherence.SampleMatches`). If each single cell of the sample shows its place,
+    so that the windows are of one cell, registration decides. Otherwise the larger share out of place counts. Of drifts
+    the smaller one counts. The record ``decided_by`` names whose share it is. Where the sample is too small or too
+    uneven for one of both, the other decides.
     """
 
     version: ClassVar[str] = "12"
@@ -147,7 +148,8 @@ def _score(observation: Observation) -> Score:
         values = dict.fromkeys(Regularity.columns)
     if not found:
         return Score({name: values.get(name) for name in Regularity.columns}, reasons, records=records)
-    worst = max(found, key=lambda finding: finding.share)
+    sure = [finding for finding in found if finding.by == "registration" and finding.nodes.size == 1]
+    worst = max(sure or found, key=lambda finding: finding.share)
     score = max(0.0, 1 - limits.SLOPE * worst.share) * max(finding.straight for finding in found)
     values |= {"misplaced_share": worst.share, "score": score, "preserved": score >= limits.PRESERVED}
     reasons = {name: reason for name, reason in reasons.items() if values.get(name) is None}
@@ -158,7 +160,7 @@ def _score(observation: Observation) -> Score:
         "expected_share": worst.usual,
         "misplaced_shares": {finding.by: finding.share for finding in found},
     }
-    pictures = {"defects": draw_misplaced(observation.output, [(finding.nodes, finding.bad) for finding in found])}
+    pictures = {"defects": draw_misplaced(observation.output, [(finding.nodes, finding.bad) for finding in sure or found])}
     return Score({name: values[name] for name in Regularity.columns}, reasons, pictures, records)
 
 
