@@ -135,16 +135,23 @@ class _Maps(NamedTuple):
 
     def wholes(self, net: LatticeNet, rows: int = 1, columns: int = 1) -> dict[str, Looks]:
         """Return the features of ``rows`` x ``columns`` parts of the picture, of each kind in :func:`_scales`."""
-        found = {"whole": _cut_means(self.looks, rows, columns), "detail": _cut_means(self.detail, rows, columns)}
-        thin = net.points[::2, ::2]
+        thin, samples = net.points[::2, ::2], net.samples // 2
         planes = np.concatenate([sample_planes(self.levels, thin / 2), sample_planes(self.looks, thin)[..., :3]], -1)
         parts = [row & column for row in net.cut_strips(1, rows) for column in net.cut_strips(0, columns)]
         border = min(_BORDER, min(net.shape) // 8)
         inside = find_inside(net.points - border, (net.shape[0] - 2 * border, net.shape[1] - 2 * border))
-        spreads = [_measure_spread(planes, (inside & part)[::2, ::2], net.samples // 2) for part in parts]
-        surface, contrast = (np.array(features) for features in zip(*spreads, strict=True))
-        tones = np.log(_cut_means(self.plateaus, rows, columns) + limits.PLATEAUS) / 2
-        return found | {"surface": surface, "contrast": contrast, "tones": tones}
+        known = [(inside & part)[::2, ::2] for part in parts]
+        surface, contrast = (
+            np.array(a) for a in zip(*(_measure_spread(planes, part, samples) for part in known), strict=True)
+        )
+        detail = sample_planes(self.detail, thin / 2)
+        return {
+            "whole": _cut_means(self.looks, rows, columns),
+            "detail": np.array([_mean_of_places(detail, part, samples) for part in known]),
+            "surface": surface,
+            "contrast": contrast,
+            "tones": np.log(_cut_means(self.plateaus, rows, columns) + limits.PLATEAUS) / 2,
+        }
 
 
 def _measure_light(planes: NDArray[np.float32], net: LatticeNet) -> Looks:
@@ -163,6 +170,12 @@ def _measure_light(planes: NDArray[np.float32], net: LatticeNet) -> Looks:
     weight = known / net.tile(fold_cells(rest**2, net.inside, net.samples) + np.float32(limits.JND**2))
     parts = [row & column for row in net.cut_strips(1, 3) for column in net.cut_strips(0, 3)]
     return np.array([(weight * rest)[part].sum(0) / np.maximum(weight[part].sum(0), 1e-9) for part in parts])
+
+
+def _mean_of_places(planes: NDArray[np.float32], known: Mask, samples: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return the mean of planes over all places of the cell, each of which counts alike wherever a picture is cut."""
+    shown = split_cells(known, samples).any((0, 1))
+    return np.asarray(fold_cells(planes, known, samples)[shown].sum(0, dtype=np.float64) / max(shown.sum(), 1))
 
 
 def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[np.intp]) -> tuple[Looks, Looks]:
@@ -466,7 +479,8 @@ class Appearance:
 
     Nine features of what an eye sees (:func:`~nrbench.metrics.perception.visible.measure_looks`) are averaged over
     windows of one and of two cells, over quarters of the picture and over the whole; eight features of its detail
-    (:func:`~nrbench.metrics.perception.visible.measure_detail`) over the whole. The largest distance of each kind
+    (:func:`~nrbench.metrics.perception.visible.measure_detail`) over the whole, where each place of the cell counts
+    alike. The largest distance of each kind
     from the references (:class:`LooksModel`) is divided by the largest one that these show: ``local``, ``local_wide``,
     ``quarters``, ``whole`` and ``detail``. ``lack`` is how far the levels of two octaves, in a window of one cell, lie
     below the least ones of all windows of the references, over what is allowed: it sees a hole where the distances are
@@ -527,14 +541,15 @@ def _score(observation: Observation) -> Score:
         ratios, colors = _compare_looks(observation), _find_new_colors(observation)
         if colors and observation.again is None:  # a sample shows few of the ways in which inks meet
             ratios = {name: ratio / (1 if name == "lack" else limits.UNSEEN_TONES) for name, ratio in ratios.items()}
-        ratios |= colors
+        ratios |= {name: ratio for name, ratio in colors.items() if ratio is not None}
         values |= ratios | {"score": float(np.clip(1 - limits.LOOKS_SLOPE * (max(ratios.values()) - 1), 0, 1))}
         few = "undecided: the references show too few windows of this size"
         reasons |= {name: few for name in (*_SIZES, "surface") if values[name] is None}
         single = "undecided: a sample alone does not show how much its contrast and light vary"
         reasons |= {name: single for name in ("contrast", "light") if values[name] is None}
         if values["colors"] is None:
-            reasons["colors"] = "not applicable: the colors of the elements form no classes"
+            lost = "undecided: half of the reference itself is out of place by chance"
+            reasons["colors"] = lost if colors else "not applicable: the colors of the elements form no classes"
     except CannotTell as reason:
         looks = [name for name in Appearance.columns if not name.startswith(("seam", "tile"))]
         reasons |= dict.fromkeys(looks, str(reason))
@@ -552,15 +567,20 @@ def _score(observation: Observation) -> Score:
     return Score(values, reasons, pictures, records)
 
 
-def _find_new_colors(observation: Observation) -> dict[str, float]:
-    """Return the share of elements with a color of no class, over that which is allowed, where there are classes."""
+def _find_new_colors(observation: Observation) -> dict[str, float | None]:
+    """Return the share of elements with a color of no class, over that which is allowed, where there are classes.
+
+    Where half of the reference is out of place by chance, colors would be read at wrong phases: the share is None.
+    """
     examination = examine(observation)
     try:
         plane = CoarsePlane(*examination.traced.residual, examination.traced.net.samples)
         ratio = measure_new_colors(examination.reference, plane)
     except CannotTell:
         return {}
-    return {} if ratio is None else {"colors": ratio}
+    if ratio is None:
+        return {}
+    return {"colors": None if limits.SLOPE * examination.reference.most_misplaced >= 1 else ratio}
 
 
 # Seams, and the border of a tile that claims to be seamless.

@@ -191,7 +191,7 @@ class SampleMatches:
     @property
     def chance(self) -> float:
         """Share of matches that are right by chance."""
-        return float(np.pi * (limits.GOOD_MATCH * self.net.s) ** 2 / abs(np.linalg.det(self.net.vectors)))
+        return float(np.pi * (limits.GOOD_MATCH * self.net.s) ** 2 / self._cell_area)
 
     @cached_property
     def trust(self) -> NDArray[np.float64]:
@@ -212,8 +212,12 @@ class SampleMatches:
         return next(iter(choose_windows(lambda size: [replace(own, size=size)], sides, True)), None)
 
     @property
+    def _cell_area(self) -> float:
+        return abs(float(np.linalg.det(self.net.vectors)))
+
+    @property
     def _cells(self) -> float:
-        return self.net.shape[0] * self.net.shape[1] / abs(float(np.linalg.det(self.net.vectors)))
+        return self.net.shape[0] * self.net.shape[1] / self._cell_area
 
     @cached_property
     def slip_limit(self) -> float:
@@ -235,8 +239,12 @@ class SampleMatches:
         return max(explain_share(shares, True), (self._cells * float(shares.mean()) + 1) / (self._cells + 2))
 
     def follow(self, lab: Lab) -> MatchedPicture | None:
-        """Follow the lattice through an output by matches; None if the sample or the output is too small for it."""
-        if self.picture is None or self.most_misplaced > limits.MOST_OWN:
+        """Follow the lattice through an output by matches.
+
+        None if it shows fewer than four cells, or if the sample cannot be followed.
+        """
+        shown = lab.shape[0] * lab.shape[1] / self._cell_area
+        if self.picture is None or self.most_misplaced > limits.MOST_OWN or shown < limits.FEWEST_CELLS:
             return None
         rows, matrix = self._features
         grid = PointGrid.over(lab, _MOST_POINTS[1])

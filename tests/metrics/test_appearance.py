@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.appearance import Appearance, border_excess
+from nrbench.metrics.appearance import Appearance, _Maps, border_excess
 from nrbench.metrics.perception.visible import measure_detail, perceive
+from nrbench.metrics.registration.lattice_net import LatticeNet
 from nrbench.metrics.seam_detection.seam_lines import find_worst_lines
 from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.cartoon import Cartoon
@@ -45,6 +46,18 @@ def test_a_fresh_draw_looks_like_one(own: Case, model: bool) -> None:
     ):
         assert max(values[column] or 0 for values in found) < 1.15
     assert not model or np.mean([values["seam"] for values in found]) == pytest.approx(1, abs=0.35)
+
+
+def test_detail_does_not_depend_on_where_a_checkerboard_is_cut() -> None:
+    """Places of the cell count alike, so one line more along x and one less along y change no mean of the detail."""
+    net = LatticeNet((128, 128), np.eye(2) * 27.4, np.zeros(2))
+    details = []
+    for shift in (0.0, 3.0):
+        y, x = np.indices(net.shape)
+        field = (np.floor((x + shift) / 13.7) + np.floor((y - shift) / 13.7)) % 2
+        picture = np.float32(0.2 + 0.6 * field)[..., np.newaxis]
+        details.append(_Maps.of(perceive(picture)).wholes(net)["detail"])
+    assert abs(details[0] - details[1]).max() < 0.6
 
 
 @pytest.mark.parametrize(
