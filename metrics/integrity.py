@@ -111,7 +111,8 @@ def weigh_draws(reference: TextureReference, rng: np.random.Generator) -> list[W
     found = [Weighed([[]], []) for _ in _NAMES]
     for k in (0, 1):
         mean = net.tile(reference.model.mean)
-        seen = [_misplace(replace(p, fine=p.fine + _unseen_noise(p, rng)), mean, net, rng) for p in planes[k::2]]
+        moved = [_misplace(plane, mean, net, rng) for plane in planes[k::2]]
+        seen = [replace(plane, fine=plane.fine + _unseen_noise(plane, rng)) for plane in moved]
         joined = [shuffle_cells(plane, net, rng) for plane in planes[k::2][: _SHUFFLES // 2]]
         for test, own in zip(learn_tests(planes[1 - k :: 2], net), found, strict=True):
             own.whole[0] += [test.weigh(plane) for plane in seen]
