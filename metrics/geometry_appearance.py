@@ -57,20 +57,13 @@ class GeometryAppearance:
         known = examine(observation).known_lattice
         if known.lattice is None:
             return Score.missing(self.columns, known.reason)
-        measured = [measure(image, known.lattice) for image in (observation.output, observation.sample)]
-        if None in measured:
+        output, sample = (measure(image, known.lattice) for image in (observation.output, observation.sample))
+        if output is None or sample is None:
             return Score.missing(self.columns, "not measured: the lattice cannot be followed through sample and output")
-        (g, a), (sample_g, sample_a) = (each for each in measured if each is not None)
-        values: dict[str, Value] = {
-            "g": g,
-            "a": a,
-            "sample_g": sample_g,
-            "sample_a": sample_a,
-            "g_difference": g - sample_g,
-            "a_difference": a - sample_a,
-            "g_ratio": g / sample_g if sample_g >= _LEAST_G else None,
-            "a_ratio": a / sample_a if sample_a >= _LEAST_A else None,
-        }
+        (g, a), (sample_g, sample_a) = output, sample
+        ratios = g / sample_g if sample_g >= _LEAST_G else None, a / sample_a if sample_a >= _LEAST_A else None
+        measured = g, a, sample_g, sample_a, g - sample_g, a - sample_a, *ratios
+        values: dict[str, Value] = dict(zip(self.columns, measured, strict=True))
         reason = "not applicable: the sample's own value is too near 0 for a ratio"
         return Score(values, {name: reason for name, value in values.items() if value is None})
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nrbench.errors import BadInput
-from nrbench.lattice.relation import LatticeError, lattice_error
+from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Column, FoundLattice, Observation, Score, Value
 
 
@@ -70,7 +70,9 @@ class LatticeRecovery:
         height, width = observation.output.shape[:2]
         error = lattice_error(used, truth, (height, width), self.tolerance)
         reasons = {} if error.index is not None else {"index": "the lattice is wrong, not a multiple of the true one"}
-        return Score(_values(error, truth.s), reasons, records={"class": error.label})
+        measured = (error.relation == "exact", error.index, error.vector, error.vector / truth.s, error.angle)
+        found = dict(zip(_COMPARED, (*measured, error.area_ratio, error.drift), strict=True))
+        return Score(found, reasons, records={"class": error.label})
 
 
 _COMPARED = tuple(name for name in LatticeRecovery.columns if name not in ("found", "confidence"))
@@ -82,15 +84,3 @@ def _score_detection(detected: FoundLattice | None) -> Score:
         return Score(dict.fromkeys(names), dict.fromkeys(names, "no detector was used"))
     reasons = {} if detected.confidence is not None else {"confidence": f"none found: {detected.reason}"}
     return Score({"found": detected.lattice is not None, "confidence": detected.confidence}, reasons)
-
-
-def _values(error: LatticeError, s: float) -> dict[str, Value]:
-    return {
-        "exact": error.relation == "exact",
-        "index": error.index,
-        "vector_error": error.vector,
-        "vector_error_in_s": error.vector / s,
-        "angle": error.angle,
-        "area_ratio": error.area_ratio,
-        "drift": error.drift,
-    }

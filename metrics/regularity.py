@@ -130,7 +130,8 @@ def _find(examination: Examination) -> list[_Finding]:
             usual = max(float(np.linalg.norm(picture.drift, 2)) for picture in reference.pictures)
             bad = reference.misplacement(followed)
             found.append(_Finding("registration", followed, bad, reference.most_misplaced, usual))
-    matched, own = examination.matched, examination.matches
+    own = examination.matches
+    matched = own and own.follow(examination.lab)
     if matched and own and own.picture:
         bad, usual = matched.misplacement(own.slip_limit), float(np.linalg.norm(own.picture.drift, 2))
         found.append(_Finding("coherence", matched, bad, own.most_misplaced, usual))
@@ -138,21 +139,21 @@ def _find(examination: Examination) -> list[_Finding]:
 
 
 def _score(observation: Observation) -> Score:
-    examination, values, reasons = examine(observation), dict[str, Value](), dict[str, str]()
+    examination, reasons = examine(observation), dict[str, str]()
     records: dict[str, Any] = {"lattice_from": examination.known_lattice.origin}
     found = _find(examination)
+    values: dict[str, Value] = dict.fromkeys(Regularity.columns)
     try:
         _measure(examination, values, reasons, records)
     except CannotTell as reason:
         reasons = dict.fromkeys(Regularity.columns, str(reason))
-        values = dict.fromkeys(Regularity.columns)
     if not found:
-        return Score({name: values.get(name) for name in Regularity.columns}, reasons, records=records)
+        return Score(values, reasons, records=records)
     sure = [finding for finding in found if finding.by == "registration" and finding.nodes.size == 1]
     worst = max(sure or found, key=lambda finding: finding.share)
     score = max(0.0, 1 - limits.SLOPE * worst.share) * max(finding.straight for finding in found)
     values |= {"misplaced_share": worst.share, "score": score, "preserved": score >= limits.PRESERVED}
-    reasons = {name: reason for name, reason in reasons.items() if values.get(name) is None}
+    reasons = {name: reason for name, reason in reasons.items() if values[name] is None}
     records |= {
         "decided_by": worst.by,
         "window_cells": worst.nodes.size,
@@ -160,8 +161,9 @@ def _score(observation: Observation) -> Score:
         "expected_share": worst.usual,
         "misplaced_shares": {finding.by: finding.share for finding in found},
     }
-    pictures = {"defects": draw_misplaced(observation.output, [(finding.nodes, finding.bad) for finding in sure or found])}
-    return Score({name: values[name] for name in Regularity.columns}, reasons, pictures, records)
+    shown = [(finding.nodes, finding.bad) for finding in sure or found]
+    pictures = {"defects": draw_misplaced(observation.output, shown)}
+    return Score(values, reasons, pictures, records)
 
 
 def _measure(
@@ -171,8 +173,8 @@ def _measure(
     followed, reference = examination.followed, examination.reference
     distances = followed.away[followed.valid]
     for name, level in (("misplacement_median", 0.5), ("misplacement_p95", 0.95)):
-        values[name] = float(np.quantile(distances, level))
-        values[f"{name}_px"] = followed.net.s * float(np.quantile(distances, level))
+        far = float(np.quantile(distances, level))
+        values |= {name: far, f"{name}_px": followed.net.s * far}
     median, torn = reference.usual_misfit
     blank = reference.find_blank(followed)
     values["torn_share"] = float((blank | (followed.misfit > torn))[followed.valid].mean())

@@ -54,21 +54,17 @@ class SourceUse:
 
 def _known(source: SourceMap) -> NDArray[np.bool_]:
     """Return which pixels have a source, ``(H, W)``."""
-    x, y, weight = np.moveaxis(np.isfinite(source), -1, 0)
-    return np.asarray(x & y & weight)
+    return np.asarray(np.isfinite(source).all(-1))
 
 
 def _mean_copy_length(source: SourceMap) -> float:
     """Return the mean length of unbroken runs, those along rows and those along columns together."""
-    known = _known(source)
-    starts = 0
-    for axis in (0, 1):
-        length = known.shape[axis]
-        goes_on = np.take(known, np.arange(length - 1), axis) & np.take(known, np.arange(1, length), axis)
-        for coordinate, place in enumerate(np.moveaxis(source[..., :2], -1, 0)):
-            goes_on &= np.abs(np.diff(place, axis=axis) - (coordinate != axis)) <= _SLACK
-        starts += int(known.sum() - goes_on.sum())
-    return 2 * float(known.sum()) / starts
+    count, starts = int(_known(source).sum()), 0
+    for lines, step in ((source, (0, 1)), (source.swapaxes(0, 1), (1, 0))):
+        known = _known(lines)
+        alike = (np.abs(np.diff(lines[..., :2], axis=0) - np.array(step, lines.dtype)) <= _SLACK).all(-1)
+        starts += count - int((known[1:] & known[:-1] & alike).sum())
+    return 2 * count / starts
 
 
 def _count_uses(source: SourceMap, shape: tuple[int, ...]) -> NDArray[np.int64]:

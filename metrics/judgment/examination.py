@@ -9,7 +9,7 @@ from nrbench.plugins.forms import Observation
 
 from ..perception import limits
 from ..perception.visible import Lab, perceive
-from ..registration.coherence import MatchedPicture, SampleMatches, match_sample
+from ..registration.coherence import SampleMatches, match_sample
 from ..registration.followed import FollowedPicture
 from .known_lattice import KnownLattice, find_known_lattice
 from .texture_reference import CannotTell, TextureReference, reference_from_draws, reference_from_sample
@@ -69,11 +69,6 @@ class Examination:
         if known.lattice is None or known.origin == "model":
             return None
         return match_sample(self.observation.sample, known.lattice)
-
-    @cached_property
-    def matched(self) -> MatchedPicture | None:
-        """The output followed by matches; None if the sample is not the only reference, or does not tell."""
-        return self.matches.follow(self.lab) if self.matches else None
 
     @cached_property
     def misplaced(self) -> float:

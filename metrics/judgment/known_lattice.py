@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -97,14 +98,12 @@ def _split(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> Lattice:
     for _ in range(_MOST_SPLITS):
         net = LatticeNet((shape[0], shape[1]), reduce_basis(lattice.matrix), np.array(lattice.origin))
         mean, error = _fold(lab, net)
-        ratios = {}
-        for parts, k in _FRACTIONS:
-            ratios[parts, k] = _compare_cells(
-                mean, error, *_fold(lab, replace(net, origin=net.origin + np.array(k) / parts @ net.vectors))
-            )
-        parts, k = min(ratios, key=lambda fraction: ratios[fraction])
-        basis = _add_vector(net.vectors, np.array(k) / parts @ net.vectors, parts)
-        if ratios[parts, k] > 1 or (parts == 3 and SampleMatches(lab, net).prefers(basis)):
+        steps = [np.array(k) / parts @ net.vectors for parts, k in _FRACTIONS]
+        ratios = [_compare_cells(mean, error, *_fold(lab, replace(net, origin=net.origin + step))) for step in steps]
+        best = int(np.argmin(ratios))
+        parts = _FRACTIONS[best][0]
+        basis = _add_vector(net.vectors, steps[best], parts)
+        if ratios[best] > 1 or (parts == 3 and SampleMatches(lab, net).prefers(basis)):
             break
         lattice = canonical_lattice(Lattice.from_basis(basis, lattice.origin))
     return lattice
@@ -142,8 +141,7 @@ def _fold(lab: Lab, net: LatticeNet) -> tuple[Values, Values]:
 def _add_vector(vectors: Points, extra: Points, parts: int) -> Points:
     """Return a basis of the lattice that two vectors and a third one generate; ``parts`` times the third is in it."""
     area = abs(float(np.linalg.det(vectors))) / parts
-    combined = [
-        np.array([a, extra + i * vectors[0] + j * vectors[1]]) for a in vectors for i in (-1, 0, 1) for j in (-1, 0, 1)
-    ]
+    shifts = [extra + np.array(k) @ vectors for k in product((-1, 0, 1), repeat=2)]
+    combined = [np.array([a, shift]) for a in vectors for shift in shifts]
     fits = [basis for basis in combined if abs(abs(float(np.linalg.det(basis))) - area) < 1e-6 * area]
     return reduce_basis(fits[0]) if fits else vectors

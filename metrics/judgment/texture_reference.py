@@ -80,14 +80,10 @@ class TextureReference:
         """Median misfit of the cells of the reference, and the misfit beyond which a cell is torn."""
         misfits = np.concatenate([picture.misfit[picture.valid & picture.in_place] for picture in self.pictures])
         top, margin = (limits.TOP_OF_SAMPLE, limits.TORN_OF_SAMPLE) if self.from_sample else (limits.TOP, limits.TORN)
-        seen = max(limits.SEEN_MISFIT, limits.OF_FLAT * self._flat_misfit)
-        return max(float(np.median(misfits)), seen / 2), max(margin * float(np.quantile(misfits, top)), seen)
-
-    @cached_property
-    def _flat_misfit(self) -> float:
-        """Misfit of a flat cell of the mean color."""
         mean = self.model.mean
-        return float(((mean - mean.mean((0, 1))) ** 2 / (self.model.variance + limits.JND**2)).mean())
+        flat = ((mean - mean.mean((0, 1))) ** 2 / (self.model.variance + limits.JND**2)).mean()
+        seen = max(limits.SEEN_MISFIT, limits.OF_FLAT * float(flat))
+        return max(float(np.median(misfits)), seen / 2), max(margin * float(np.quantile(misfits, top)), seen)
 
     @cached_property
     def usual_contrast(self) -> float:
@@ -199,17 +195,10 @@ def reference_from_draws(
         If the dataset gives no fresh draw.
     """
     least = np.maximum(_LEAST_TILES * np.abs(vectors).max(0)[::-1], _SIDES[0])
-    sides = np.maximum(np.minimum(output, _SIDES[1]), np.ceil(least)).astype(int)
-    shape = (int(sides[0]), int(sides[1]))
-    first, labs = perceive_draws(again, shape)
-    ideal, drawn = first.ideal, first.lattice
-    return _learn(
-        labs,
-        canonical_lattice(drawn or Lattice(*vectors)),
-        None if ideal is None else perceive(ideal),
-        None,
-        sample_shape,
-    )
+    height, width = np.maximum(np.minimum(output, _SIDES[1]), np.ceil(least)).astype(int).tolist()
+    first, labs = perceive_draws(again, (height, width))
+    lattice = canonical_lattice(first.lattice or Lattice(*vectors))
+    return _learn(labs, lattice, None if first.ideal is None else perceive(first.ideal), None, sample_shape)
 
 
 def reference_from_sample(sample: Image, lattice: Lattice) -> TextureReference:
@@ -226,9 +215,8 @@ def reference_from_sample(sample: Image, lattice: Lattice) -> TextureReference:
 @lru_cache(maxsize=2)
 def _reference_of(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> TextureReference:
     """Learn a texture from the pixels of its sample; cached, because many outputs have one sample."""
-    sample = np.frombuffer(pixels, np.float32).reshape(shape)
-    height, width = shape[:2]
-    return _learn([perceive(sample)], lattice, None, Strips.across((height, width), STRIPS), (height, width))
+    lab, sides = perceive(np.frombuffer(pixels, np.float32).reshape(shape)), (shape[0], shape[1])
+    return _learn([lab], lattice, None, Strips.across(sides, STRIPS), sides)
 
 
 def _learn(
@@ -239,14 +227,23 @@ def _learn(
         raise CannotTell("undecided: the sample shows fewer than three cells along a lattice vector")
     models = (_first_model(labs if ideal is None else [ideal], net),) * (STRIPS if strips else 1)
     size = 2 if net.cells.min() > _FEWEST_CELLS else 1
+
+    def follow(size: int) -> list[FollowedPicture]:
+        return [FollowedPicture(net, _ROUGHLY, size, lab, models, strips) for lab in labs]
+
     for _ in range(3 if strips else 2):
-        followed = [FollowedPicture(net, _ROUGHLY, size, lab, models, strips) for lab in labs]
-        planes, known = zip(*(picture.straightened for picture in followed), strict=True)
+        planes, known = zip(*(picture.straightened for picture in follow(size)), strict=True)
         if not all(k.any() for k in known):
             raise CannotTell("undecided: the lattice cannot be followed through the sample")
         model = CellModel.fold(planes, known, net, strips is not None)
-        models = _strip_models(planes[0], known[0], net, strips) if strips else (model,)
-    pictures = _follow_closely(labs, net, models, strips)
+        models = (model,)
+        if strips:
+            parts = [known[0] & (strips.number(net.points) != k) for k in range(STRIPS)]
+            models = tuple(CellModel.fold(planes[:1], [part], net, True) for part in parts)
+
+    pictures = choose_windows(follow, range(1, min(WIDEST, int(net.cells.min()) - 1) + 1), strips is not None)
+    if not pictures:
+        raise CannotTell("undecided: no window of whole cells lies inside the sample")
     if not any((picture.valid & picture.in_place).any() for picture in pictures):
         raise CannotTell("undecided: the lattice cannot be followed through the sample")
     return TextureReference(pictures, model, sample_shape)
@@ -258,30 +255,7 @@ _ROUGHLY = 0.2
 
 def _first_model(labs: Sequence[Lab], net: LatticeNet) -> CellModel:
     """Return the mean cell of pictures that are not straightened, with one variance everywhere."""
-    nets = [replace(net, shape=(lab.shape[0], lab.shape[1])) for lab in labs]
-    means = [
-        fold_cells(sample_planes(lab[..., :3], n.points), n.inside, n.samples)
-        for lab, n in zip(labs, nets, strict=True)
-    ]
-    mean = np.asarray(np.mean(means, 0))
+    net = replace(net, shape=(labs[0].shape[0], labs[0].shape[1]))
+    planes = [sample_planes(lab[..., :3], net.points) for lab in labs]
+    mean = np.asarray(np.mean([fold_cells(plane, net.inside, net.samples) for plane in planes], 0))
     return CellModel(mean, np.full_like(mean, 100))
-
-
-def _strip_models(plane: Values, known: Mask, net: LatticeNet, strips: Strips) -> tuple[CellModel, ...]:
-    number = strips.number(net.points)
-    return tuple(CellModel.fold([plane], [known & (number != k)], net, True) for k in range(STRIPS))
-
-
-def _follow_closely(
-    labs: Sequence[Lab], net: LatticeNet, models: tuple[CellModel, ...], strips: Strips | None
-) -> list[FollowedPicture]:
-    """Follow the pictures with the smallest windows that lie in their places, to within ``SURE``."""
-    sides = range(1, min(WIDEST, int(net.cells.min()) - 1) + 1)
-
-    def follow(size: int) -> list[FollowedPicture]:
-        return [FollowedPicture(net, _ROUGHLY, size, lab, models, strips) for lab in labs]
-
-    chosen = choose_windows(follow, sides, strips is not None)
-    if not chosen:
-        raise CannotTell("undecided: no window of whole cells lies inside the sample")
-    return chosen

@@ -31,9 +31,8 @@ class CoarsePlane:
     @cached_property
     def values(self) -> Values:
         """``(8 N1, 8 N2, 3)``: means over the places of each cell; 0 where unknown."""
-        return np.where(
-            self.complete[..., np.newaxis], self._mean(np.where(self.known[..., np.newaxis], self.fine, 0)), 0
-        )
+        means = self._mean(np.where(self.known[..., np.newaxis], self.fine, 0))
+        return np.where(self.complete[..., np.newaxis], means, 0)
 
     @cached_property
     def complete(self) -> Mask:
@@ -52,10 +51,6 @@ class CoarsePlane:
     def whole(self) -> Mask:
         """``(N1, N2)``: the cells all of whose places are known."""
         return np.asarray(split_cells(self.complete, (limits.PLACES, limits.PLACES)).all((2, 3)))
-
-    def restrict(self, known: Mask) -> CoarsePlane:
-        """Return the same residual with fewer known points."""
-        return CoarsePlane(self.fine, known, self.samples)
 
 
 def shift_plane(values: Values, known: Mask, lag: tuple[int, int]) -> tuple[Values, Mask]:

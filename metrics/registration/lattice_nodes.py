@@ -164,9 +164,8 @@ class LatticeNodes:
         label, count = ndimage.label(self.valid & ~slipped, np.ones((3, 3)))
         if slipped.any() and count > 1:
             main = 1 + np.bincount(label.ravel())[1:].argmax()
-            rows, columns = ndimage.distance_transform_edt(label == 0, return_distances=False, return_indices=True)
             amount = min(float(np.median(self.slip[slipped])) / limits.MOST_STEP, 1)
-            bad = np.where(label[rows, columns] != main, np.maximum(bad, amount), bad)
+            bad = np.where(_fill(label, label == 0) != main, np.maximum(bad, amount), bad)
         return np.asarray(bad)
 
 
@@ -290,7 +289,7 @@ def _count_agreeing(displacement: Field, valid: Mask, vectors: Points, limit: fl
     return total
 
 
-def _fill(field: Field, unknown: Mask) -> Field:
+def _fill(field: NDArray[Any], unknown: Mask) -> NDArray[Any]:
     """Return a field with unknown nodes replaced by the nearest known one."""
     if unknown.all() or not unknown.any():
         return field
