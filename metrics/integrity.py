@@ -104,15 +104,13 @@ class Weighed:
 def weigh_draws(reference: TextureReference, rng: np.random.Generator) -> list[Weighed]:
     """Weigh each half of the fresh draws by the other half, for each test.
 
-    Noise, and a shift by half a pixel, that nobody sees are added before, so that they break no element of an output.
+    Noise that nobody sees is added before, so that it breaks no element of an output.
     """
     net = reference.net
     planes = [CoarsePlane(fine, known, net.samples) for fine, known in reference.residuals]
     found = [Weighed([[]], []) for _ in _NAMES]
     for k in (0, 1):
-        mean = net.tile(reference.model.mean)
-        moved = [_misplace(plane, mean, net, rng) for plane in planes[k::2]]
-        seen = [replace(plane, fine=plane.fine + _unseen_noise(plane, rng)) for plane in moved]
+        seen = [replace(p, fine=p.fine + _unseen_noise(p, rng)) for p in planes[k::2]]
         joined = [shuffle_cells(plane, net, rng) for plane in planes[k::2][: _SHUFFLES // 2]]
         for test, own in zip(learn_tests(planes[1 - k :: 2], net), found, strict=True):
             own.whole[0] += [test.weigh(plane) for plane in seen]
