@@ -95,17 +95,15 @@ def _looks_scale() -> _Scale:
     return _Scale(np.array([*[limits.COLOR_FLOOR] * 3, *bands]), np.array([1, 1, 1, *[limits.LOSS] * 3, 1, 1, 1]))
 
 
-def _detail_scale() -> _Scale:
-    floors = [*[limits.TURN_FLOOR] * 2, *[limits.CLUSTER_FLOOR] * 2] * 2
-    return _Scale(np.array(floors), np.ones(len(floors)))
-
-
 def _scales() -> dict[str, _Scale]:
     """Return the scale of each kind of features of a whole picture."""
-    spreads = {"surface": 24, "contrast": 12}
-    equal = {name: _Scale(np.full(count, limits.SPREAD_FLOOR), np.ones(count)) for name, count in spreads.items()}
-    tones = _Scale(np.array([limits.SPREAD_FLOOR]), np.zeros(1))
-    return {"whole": _looks_scale(), "detail": _detail_scale(), "tones": tones, **equal}
+    return {
+        "whole": _looks_scale(),
+        "detail": _Scale(np.array(([limits.TURN_FLOOR] * 2 + [limits.CLUSTER_FLOOR] * 2) * 2), np.ones(8)),
+        "tones": _Scale(np.array([limits.SPREAD_FLOOR]), np.zeros(1)),
+        "surface": _Scale(np.full(24, limits.SPREAD_FLOOR), np.ones(24)),
+        "contrast": _Scale(np.full(12, limits.SPREAD_FLOOR), np.ones(12)),
+    }
 
 
 class _Kind(NamedTuple):

@@ -152,9 +152,8 @@ def _number_strips(shown: Mask, tests: Sequence[JointTest]) -> list[NDArray[np.i
     p = limits.PLACES
     related = {pair.lag: float(pair.constant.mean()) for pair in tones.pairs}
     straight = max(related[p, 0], related[0, p]) >= max(related[p, p], related[p, -p])
-    lines = (i, j) if straight else (i - j, i + j)
     found: list[NDArray[np.intp]] = []
-    for line in lines:
+    for line in (i, j) if straight else (i - j, i + j):
         edges = np.quantile(line[shown], np.arange(1, STRIPS) / STRIPS) if shown.any() else np.zeros(1)
         found.append(np.searchsorted(edges, line, side="left"))
     return found
@@ -188,9 +187,7 @@ def learn_elements(reference: TextureReference) -> ElementModel:
     novelty, own = tests[_NAMES.index("novelty")], weighed[_NAMES.index("novelty")]
     mean = net.tile(reference.model.mean)
     torn = [novelty.weigh(tear_cells(plane, mean, net, rng)) for plane in (planes * _SHUFFLES)[:_SHUFFLES]]
-    tear = _set_limit(
-        LimitedTest("torn", novelty), Weighed(own.whole, torn), limits.WHOLE_SHARES[-1], pooled, halfway=True
-    )
+    tear = _set_limit(LimitedTest("torn", novelty), Weighed(own.whole, torn), limits.WHOLE_SHARES[-1], pooled, True)
     unlike = next(test.unlike for test in tests if isinstance(test, Steps))
     return ElementModel(max(tried, key=_rate), tear, unlike)
 
@@ -212,10 +209,8 @@ def _set_limit(test: LimitedTest, weighed: Weighed, share: float, pooled: bool, 
     limit = float(np.quantile(whole, 1 - share))
     if halfway:
         limit = (limit + max(float(np.median(np.concatenate(joined))), limit)) / 2
-    variances = [
-        np.var([(part > limit).mean() for part in parts], ddof=1) / len(parts) ** pooled for parts in divisions
-    ]
-    spread = math.sqrt(float(np.mean(variances)))
+    shares = [[(part > limit).mean() for part in parts] for parts in divisions]
+    spread = math.sqrt(np.mean([np.var(own, ddof=1) / len(own) ** pooled for own in shares]))
     chance = float((whole > limit).mean()) + limits.DEVIATIONS * spread + limits.OVERLOOKED
     power = float((np.concatenate(joined) > limit).mean())
     return replace(test, limit=limit, power=power, chance=chance)
@@ -316,10 +311,10 @@ def _score(observation: Observation) -> Score:
     examination = examine(observation)
     try:
         followed, reference = examination.followed, examination.reference
+        if limits.SLOPE * examination.misplaced >= 1:
+            raise CannotTell("not scored: half of the tiles are out of place")
     except CannotTell as reason:
         return Score.missing(Integrity.columns, str(reason))
-    if limits.SLOPE * examination.misplaced >= 1:
-        return Score.missing(Integrity.columns, "not scored: half of the tiles are out of place")
     model = learn_elements(reference)
     plane = CoarsePlane(*followed.residual, followed.net.samples)
     varies = gather_tiles(reference).varies

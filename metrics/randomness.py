@@ -89,9 +89,10 @@ def _score(observation: Observation) -> Score:
         return Score.missing(Randomness.columns, str(reason))
     values: dict[str, Value] = dict.fromkeys(Randomness.columns)
     values["variation"] = math.exp(population.rate_energy(tiles.features))
-    source = _find_source(examination)
-    shown = None if source is None or reference.from_sample else source.features
-    shown = None if shown is None or len(shown) < LEAST_TILES else shown
+    sample = np.ascontiguousarray(observation.sample, np.float32)
+    source = _cut_sample(reference, sample.tobytes(), sample.shape)
+    known = source is not None and not reference.from_sample and len(source.features) >= LEAST_TILES
+    shown = source.features if source and known else None
     parts = {"variation": population.rate_variation(tiles.features, shown)}
     if population.varies:
         parts["repetition"], values["repetition"], values["returning"] = _rate_repetition(tiles, population)
@@ -103,8 +104,7 @@ def _score(observation: Observation) -> Score:
         if change is not None:
             parts["arrangement"] = max(1 - change, 0.0)
         values["copied"] = None if source is None else _find_copies(source, tiles, population)
-    bending = _rate_bending(examination)
-    if bending is not None:
+    if (bending := _rate_bending(examination)) is not None:
         parts["misplacement_ratio"] = bending
     values["survival"] = _rate_survival(examination)
     values["score"] = min(parts.values())
@@ -184,12 +184,6 @@ def _rate_bending(examination: Examination) -> float | None:
     return math.exp(-max(abs(ratio) - allowed, 0.0))
 
 
-def _find_source(examination: Examination) -> Tiles | None:
-    """Return the tiles of the sample; None if it cannot be followed."""
-    sample = np.ascontiguousarray(examination.observation.sample, np.float32)
-    return _cut_sample(examination.reference, sample.tobytes(), sample.shape)
-
-
 def _find_copies(sources: Tiles, tiles: Tiles, population: Population) -> float | None:
     """Return the share of windows of half a tile that have a twin at an equal place of the sample."""
     limit = population.twins[0]
@@ -200,7 +194,7 @@ def _find_copies(sources: Tiles, tiles: Tiles, population: Population) -> float 
 
 @lru_cache(maxsize=2)
 def _cut_sample(reference: TextureReference, pixels: bytes, shape: tuple[int, ...]) -> Tiles | None:
-    """Return the tiles of a sample; cached, because many outputs have one sample."""
+    """Return the tiles of a sample, None if it cannot be followed; cached, because many outputs have one sample."""
     try:
         followed = reference.follow(perceive(np.frombuffer(pixels, np.float32).reshape(shape)))
     except CannotTell:

@@ -50,11 +50,6 @@ class PlaceClasses(NamedTuple):
     within: float
     step: tuple[int, int] = (0, 0)
 
-    @property
-    def spread(self) -> float:
-        """Mean squared distance between the means of the classes."""
-        return float(_square_distances(self.centers, self.centers).mean())
-
     def measure_new(self, colors: Colors, cells: NDArray[np.intp]) -> float:
         """Return the share of cells whose color belongs to no class, over the share that chance explains.
 
@@ -96,7 +91,8 @@ def learn_classes(reference: TextureReference) -> list[PlaceClasses]:
         classes = find_classes(colors)
         if classes is not None:
             found.append(classes._replace(place=place, step=step))
-            number.flat[place], spread.flat[place] = len(classes.centers), classes.spread
+            centers = classes.centers
+            number.flat[place], spread.flat[place] = len(centers), _square_distances(centers, centers).mean()
     least, most = ndimage.minimum_filter(number, 5, mode="wrap"), ndimage.maximum_filter(spread, 5, mode="wrap")
     inner = (number == least) & (spread >= (1 - limits.TOLERANCE) * most)
     return [classes for classes in found if inner.flat[classes.place]]

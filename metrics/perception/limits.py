@@ -47,9 +47,7 @@ BLUR = _limit(
     "central Gaussian of luminance in S-CIELAB (Zhang and Wandell 1997) at 38 px a degree: 96 dpi, 57 cm",
 )
 CHROMA_BLUR = _limit("CHROMA_BLUR", 2.0, "px", "the Gaussians of chroma in S-CIELAB, as one of half their bandwidth")
-JND = _limit(
-    "JND", 2.0, "CIELAB", "a difference of about 2 is just noticeable side by side (Mahy and others 1994: 2.3)"
-)
+JND = _limit("JND", 2.0, "CIELAB", "just noticeable side by side (Mahy and others 1994: 2.3)")
 
 # Registration
 
@@ -58,9 +56,7 @@ MOST_SAMPLES = int(
     _limit("MOST_SAMPLES", 24, "samples", "convention: three times PLACES; more cost time and gain nothing")
 )
 SURE = _limit("SURE", 0.12, "s", "windows are widened until those of the references lie this close to their places")
-LEAST_STEP = _limit(
-    "LEAST_STEP", 0.08, "s", "less than half of the smallest fault that labelers called lost half of the time"
-)
+LEAST_STEP = _limit("LEAST_STEP", 0.08, "s", "below half the smallest fault that labelers call lost half of the time")
 MOST_STEP = _limit("MOST_STEP", 0.25, "s", "a tile that is out of place by this is wholly out of place")
 LOOSE = _limit("LOOSE", 1.5, "", "factor of LEAST_STEP and SLIP beside one sample: photographed walls wander by .1 s")
 OF_NOISE = _limit("OF_NOISE", 1.3, "", "margin over the largest departure of the references")
@@ -79,18 +75,14 @@ GOOD_MATCH = _limit("GOOD_MATCH", 0.15, "s", "a match at its own phase; votes ar
 COHERENT = _limit("COHERENT", 0.1, "", "share of matches in a sample, beyond chance, that lie at their phase at least")
 FEWEST_CELLS = _limit("FEWEST_CELLS", 3.5, "cells", "convention: four, to within the uncertainty of their lattice")
 
-SAME_CELL = _limit(
-    "SAME_CELL", 10.0, "", "theory: 99 % of squared normal values are below 6.6; half more for few cells"
-)
+SAME_CELL = _limit("SAME_CELL", 10.0, "", "theory: 99 % of squared normal values are below 6.6; more for few cells")
 SAME_SHARE = _limit(
     "SAME_SHARE", 0.2, "", "measured: brick walls moved by half a cell depart by 0.29 or more, supercells by up to 0.14"
 )
 
 # Regularity
 
-SLOPE = _limit(
-    "SLOPE", 2.0, "", "the score reaches 0 when half of the tiles are out of place: no half is the right one"
-)
+SLOPE = _limit("SLOPE", 2.0, "", "the score is 0 when half of the tiles are out of place: no half is the right one")
 PRESERVED = _limit("PRESERVED", 0.85, "", "convention: lost if more than one tile in fourteen is out of place")
 MOST_OWN = _limit("MOST_OWN", 0.35, "", "if more tiles of the references are out of place, nothing can be told")
 DEVIATIONS = _limit("DEVIATIONS", 3.0, "sd", "theory: one normal value in 740 is larger")
@@ -100,21 +92,13 @@ MOST_DRIFT = _limit("MOST_DRIFT", 0.06, "", "convention: three times the uncerta
 
 # Integrity
 
-FREEDOM = _limit(
-    "FREEDOM", 6.0, "", "degrees of freedom of a heavy-tailed likelihood: single odd places decide nothing"
-)
+FREEDOM = _limit("FREEDOM", 6.0, "", "degrees of freedom of a heavy-tailed likelihood: one odd place decides nothing")
 WHOLE_SHARES = (0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002)
 """Shares of whole elements above the limit that are tried; the one with the least chance for its power is used."""
-LEAST_POWER = _limit(
-    "LEAST_POWER", 0.3, "", "share of joined elements, beyond whole ones, below which the score is None"
-)
-UNSEEN_NOISE = _limit(
-    "UNSEEN_NOISE", 0.75, "CIELAB", "measured: root mean square of what JPEG 85 changes, as it is seen"
-)
+LEAST_POWER = _limit("LEAST_POWER", 0.3, "", "least share of joined elements, beyond whole ones, for a score")
+UNSEEN_NOISE = _limit("UNSEEN_NOISE", 0.75, "CIELAB", "measured: root mean square of what is seen of JPEG 85")
 OVERLOOKED = _limit("OVERLOOKED", 0.005, "", "convention: share of broken elements that is overlooked")
-FEWEST_SHOWN = _limit(
-    "FEWEST_SHOWN", 12.0, "cells", "measured: fresh plaids are called joined beside a sample that shows nine cells"
-)
+FEWEST_SHOWN = _limit("FEWEST_SHOWN", 12.0, "cells", "measured: beside nine cells, fresh plaids are called joined")
 LEAST_LEVEL = _limit("LEAST_LEVEL", 0.2, "", "convention: a change of squared differences by a fifth is not seen")
 SEEN_STEP = _limit(
     "SEEN_STEP", 2.5, "", "squared step across a joint over that in whole elements, below which labelers see no joint"
@@ -137,9 +121,7 @@ LEAST_SCALE = _limit(
 )
 TOLERANCE = _limit("TOLERANCE", 0.1, "", "convention: a variation that differs by 10 % is not seen")
 ARRANGED = _limit("ARRANGED", 0.15, "", "convention: a change of a correlation that is not seen")
-ARRANGED_DEVIATIONS = _limit(
-    "ARRANGED_DEVIATIONS", 4.0, "sd", "theory: one of 30 normal values exceeds it once in 500 draws"
-)
+ARRANGED_DEVIATIONS = _limit("ARRANGED_DEVIATIONS", 4.0, "sd", "theory: one of 30 normal values is larger once in 500")
 LEAST_DISTANCE = _limit("LEAST_DISTANCE", 0.03, "", "convention: share of the energy distance that is not seen")
 DISTANCE_SLOPE = _limit("DISTANCE_SLOPE", 4.0, "", "convention: the score reaches 0 at a quarter of what is possible")
 ODD = _limit("ODD", 4.5, "", "median absolute deviations of the logarithm of the misfit: one normal value in 400")
@@ -151,9 +133,7 @@ CLASS_GAP = _limit(
 AMPLITUDE = _limit(
     "AMPLITUDE", 0.06, "s", "the references' geometry does not vary below it; methods take samples for bent from 0.04 s"
 )
-AMPLITUDE_TOLERANCE = _limit(
-    "AMPLITUDE_TOLERANCE", 0.35, "", "convention: displacements that differ by 40 % are not seen"
-)
+AMPLITUDE_TOLERANCE = _limit("AMPLITUDE_TOLERANCE", 0.35, "", "convention: a difference of 40 % is not seen")
 
 # Appearance: floors in units of the features, 20 ln of an amplitude for bands
 
@@ -180,9 +160,7 @@ LEAST_LOCAL = _limit("LEAST_LOCAL", 3.5, "sd", "theory: the norm of eight normal
 LEAST_WHOLE = _limit("LEAST_WHOLE", 2.0, "sd", "convention: half of what was seen in all edits")
 LEAST_OF_SAMPLE = _limit("LEAST_OF_SAMPLE", 1.25, "sd", "the same beside one sample, whose own means count as exact")
 UNEVEN_WHOLE = _limit("UNEVEN_WHOLE", 3.0, "", "two pictures differ by both variances; half more for four strips")
-UNEVEN_QUARTERS = _limit(
-    "UNEVEN_QUARTERS", 8.0, "", "the same for quarters: a quarter of the sample varies four times more"
-)
+UNEVEN_QUARTERS = _limit("UNEVEN_QUARTERS", 8.0, "", "the same for quarters: one of the sample varies four times more")
 UNSEEN_TONES = _limit(
     "UNSEEN_TONES", 1.6, "", "convention: a sample of few elements does not show all of their tones, nor how inks meet"
 )

@@ -44,6 +44,21 @@ def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> 
     return np.asarray(np.clip(np.where(marked, (1 - _DIM) * faint + _DIM * tint, faint), 0, 1), np.float32)
 
 
+def _blur(plane: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    return np.asarray(gaussian_filter(plane, sigma, mode="reflect", truncate=3))
+
+
+def _level(energy: NDArray[Any], unseen: float = limits.BAND_OFFSET) -> NDArray[Any]:
+    """Return 20 ln of the amplitude of an energy, plus the amplitude that is not seen."""
+    return np.asarray(10 * np.log(energy + np.float32(unseen**2)))
+
+
+def _halve(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the means of 2 x 2 pixels."""
+    height, width = plane.shape[0] // 2, plane.shape[1] // 2
+    return np.asarray(plane[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean((1, 3)))
+
+
 def measure_looks(lab: Lab) -> NDArray[np.float32]:
     """Return the local features of appearance at each pixel, ``(H, W, 9)``.
 
@@ -52,21 +67,14 @@ def measure_looks(lab: Lab) -> NDArray[np.float32]:
     amplitude that is not seen. Its mean over a window weighs dark joints and flat elements alike, so that strong edges
     do not hide a change of the grain between them.
     """
-
-    def blur(plane: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-        return np.asarray(gaussian_filter(plane, sigma, mode="reflect", truncate=3))
-
-    def level(band: NDArray[np.float32], sigma: float, unseen: float) -> NDArray[Any]:
-        return np.asarray(10 * np.log(blur(band * band, sigma) + unseen**2))
-
     raw = lab[..., 3]
     grain = np.zeros_like(raw)
     grain[1:-1, 1:-1] = np.diff(np.diff(raw, 2, 0), 2, 1) / 6
-    octaves = [blur(raw, sigma) for sigma in (1.2, 2.4, 5.0)]
+    octaves = [_blur(raw, sigma) for sigma in (1.2, 2.4, 5.0)]
     bands = [lab[..., 0] - octaves[0], octaves[0] - octaves[1], octaves[1] - octaves[2]]
-    planes = [lab[..., 0], lab[..., 1], lab[..., 2], level(grain, 1.5, limits.GRAIN_OFFSET)]
-    planes += [level(band, sigma, limits.BAND_OFFSET) for band, sigma in zip(bands, (2, 2, 3), strict=True)]
-    planes += [level(lab[..., k] - blur(lab[..., k], 6), 4, limits.JND) for k in (1, 2)]
+    planes = [lab[..., 0], lab[..., 1], lab[..., 2], _level(_blur(grain * grain, 1.5), limits.GRAIN_OFFSET)]
+    planes += [_level(_blur(band * band, sigma)) for band, sigma in zip(bands, (2, 2, 3), strict=True)]
+    planes += [_level(_blur((lab[..., k] - _blur(lab[..., k], 6)) ** 2, 4), limits.JND) for k in (1, 2)]
     return np.asarray(np.stack(planes, -1), np.float32)
 
 
@@ -81,25 +89,19 @@ def measure_detail(lab: Lab) -> NDArray[np.float32]:
     pixels lie on either.
     """
 
-    def level(energy: NDArray[Any]) -> NDArray[Any]:
-        return np.asarray(10 * np.log(energy + np.float32(limits.BAND_OFFSET**2)))
-
-    def blur(plane: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-        return np.asarray(gaussian_filter(plane, sigma, mode="reflect", truncate=3))
-
     def measure(octave: NDArray[np.float32]) -> tuple[NDArray[np.float32], list[NDArray[Any]]]:
-        low = blur(octave, 1.2)
+        low = _blur(octave, 1.2)
         band = octave - low
         down, right = (np.asarray(slope, np.float32) for slope in np.gradient(octave))
-        near, energy = blur(band * band, 1), blur(band * band, 2)
-        bright = blur(np.maximum(band, 0) ** 2, 2)
-        planes = [level(right**2) - level(down**2), level((right + down) ** 2 / 2) - level((right - down) ** 2 / 2)]
-        planes += [level(blur(near, 3)) - level(near), level(bright) - level(np.maximum(energy - bright, 0))]
+        near, energy = _blur(band * band, 1), _blur(band * band, 2)
+        bright = _blur(np.maximum(band, 0) ** 2, 2)
+        planes = [_level(right**2) - _level(down**2), _level((right + down) ** 2 / 2) - _level((right - down) ** 2 / 2)]
+        planes += [_level(_blur(near, 3)) - _level(near), _level(bright) - _level(np.maximum(energy - bright, 0))]
         return low, planes
 
     height, width = lab.shape[0] // 2, lab.shape[1] // 2
     low, fine = measure(lab[..., 0])
-    fine = [plane[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean((1, 3)) for plane in fine]
+    fine = [_halve(plane) for plane in fine]
     even, odd = (measure(low[start::2, start::2])[1] for start in (0, 1))
     coarse = [(a[:height, :width] + b[:height, :width]) / 2 for a, b in zip(even, odd, strict=True)]
     return np.stack([*fine, *coarse], -1)
@@ -114,13 +116,11 @@ def measure_levels(lab: Lab) -> NDArray[np.float32]:
     height, width = lab.shape[0] // 2, lab.shape[1] // 2
     octave, planes = lab[..., 3], []
     for number in range(3):
-        low = np.asarray(gaussian_filter(octave, 1.2, mode="reflect", truncate=3))
+        low = _blur(octave, 1.2)
         down, right = (np.asarray(slope, np.float32) for slope in np.gradient(octave - low))
         for slope in (right, down, (right + down) * np.float32(0.5**0.5), (right - down) * np.float32(0.5**0.5)):
-            energy = gaussian_filter(slope * slope, 1.2, mode="reflect", truncate=3)
-            if number == 0:
-                energy = energy[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean((1, 3))
-            level = 10 * np.log(energy + np.float32(limits.BAND_OFFSET**2))
+            energy = _blur(slope * slope, 1.2)
+            level = _level(_halve(energy) if number == 0 else energy)
             planes.append(level.repeat(2, 0).repeat(2, 1)[:height, :width] if number == 2 else level[:height, :width])
         octave = low[::2, ::2]
     return np.asarray(np.stack(planes, -1), np.float32)
