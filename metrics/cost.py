@@ -46,8 +46,7 @@ class Cost:
         """Return the measurements, and a reason for each one that is missing."""
         height, width = observation.output.shape[:2]
         seconds, cost = observation.seconds, observation.cost
-        measured = ("cpu_seconds", "detection_seconds", "prepare_seconds", "peak_mib")
-        values: dict[str, Value] = {name: cost.get(name) for name in measured}
+        values: dict[str, Value] = {name: cost.get(name) for name in self.columns}
         values["seconds"] = seconds
         values["px_per_second"] = height * width / seconds if seconds else None
         values["reliable"] = None if seconds is None else not cost.get("side_by_side")
@@ -56,4 +55,4 @@ class Cost:
             reasons["prepare_seconds"] = "the method does not prepare for a sample"
         if seconds == 0:
             reasons["px_per_second"] = "not measured: the synthesis took less time than the clock resolves"
-        return Score({name: values[name] for name in self.columns}, reasons)
+        return Score(values, reasons)

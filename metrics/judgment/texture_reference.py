@@ -86,28 +86,19 @@ class TextureReference:
         return max(float(np.median(misfits)), seen / 2), max(margin * float(np.quantile(misfits, top)), seen)
 
     @cached_property
-    def usual_contrast(self) -> float:
-        """Median contrast of the windows of the reference."""
-        return float(np.median(np.concatenate([picture.contrast[picture.valid] for picture in self.pictures])))
-
-    @cached_property
     def slip_limit(self) -> float:
         """Difference in s between two sides of a line beyond which they have slipped."""
         least = limits.SLIP * (limits.LOOSE if self.from_sample else 1)
         return max(least, limits.OF_SLIP * max(float(picture.slip.max(initial=0)) for picture in self.pictures))
 
     @cached_property
-    def misplaced(self) -> NDArray[np.float64]:
-        """Share of each picture, or of each strip, that is out of place."""
-        if self.strips is None:
-            return np.array([self.misplacement(picture)[picture.valid].mean() for picture in self.pictures])
-        (picture,) = self.pictures
-        return self.strips.share_out(self.misplacement(picture), picture)
-
-    @cached_property
     def most_misplaced(self) -> float:
-        """Share out of place that chance explains."""
-        return explain_share(self.misplaced, self.from_sample)
+        """Share out of place that chance explains, by the pictures or the strips."""
+        bad = [self.misplacement(picture) for picture in self.pictures]
+        if self.strips is not None:
+            return explain_share(self.strips.share_out(bad[0], self.pictures[0]), True)
+        shares = [each[picture.valid].mean() for each, picture in zip(bad, self.pictures, strict=True)]
+        return explain_share(np.array(shares), False)
 
     @cached_property
     def residuals(self) -> list[tuple[Values, Mask]]:
@@ -152,7 +143,8 @@ class TextureReference:
 
     def find_blank(self, picture: FollowedPicture) -> Mask:
         """Return the nodes whose windows show no pattern, ``(R, C)``: they fit equally well everywhere."""
-        return np.asarray(picture.contrast < limits.BLANK * self.usual_contrast)
+        usual = np.concatenate([own.contrast[own.valid] for own in self.pictures])
+        return np.asarray(picture.contrast < limits.BLANK * float(np.median(usual)))
 
 
 @lru_cache(maxsize=2)

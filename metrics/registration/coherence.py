@@ -128,8 +128,7 @@ class MatchedPicture(LatticeNodes):
         sigma = 2 / 3 * limits.GOOD_MATCH * net.s / np.linalg.norm(net.vectors, axis=1) * _BINS
         spread = ndimage.gaussian_filter(sums.reshape(*sums.shape[:2], _BINS, _BINS), (0, 0, *sigma), mode="wrap")
         count = sum_boxes(np.bincount(block, minlength=blocks).reshape(shape).astype(float), 2 * self.size)
-        whole = self.size**2 * abs(float(np.linalg.det(net.vectors))) / self.grid.step**2
-        return find_least(-spread), count > 0.9 * whole
+        return find_least(-spread), count > 0.9 * self.size**2 * net.area / self.grid.step**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,14 +183,14 @@ class SampleMatches:
         is expected there where the cell repeats, and all of them where it does not. The limit is the geometric mean.
         """
         moved = self._displace(self.grid, self._own) @ self.net.vectors @ np.linalg.inv(basis)
-        denser = abs(float(np.linalg.det(self.net.vectors) / np.linalg.det(basis)))
+        denser = self.net.area / abs(float(np.linalg.det(basis)))
         near = float((find_lengths(moved, basis) < limits.GOOD_MATCH * self.net.s).mean()) - denser * self.chance
         return bool((self.right.mean() - self.chance) ** 2 * denser > max(near, 0.0) ** 2)
 
     @property
     def chance(self) -> float:
         """Share of matches that are right by chance."""
-        return float(np.pi * (limits.GOOD_MATCH * self.net.s) ** 2 / self._cell_area)
+        return float(np.pi * (limits.GOOD_MATCH * self.net.s) ** 2 / self.net.area)
 
     @cached_property
     def trust(self) -> NDArray[np.float64]:
@@ -206,18 +205,10 @@ class SampleMatches:
 
         None if it shows fewer than four cells, or if its places do not match at one phase of the lattice.
         """
-        if self._cells < limits.FEWEST_CELLS or self.right.mean() < self.chance + limits.COHERENT:
+        if self.net.shown < limits.FEWEST_CELLS or self.right.mean() < self.chance + limits.COHERENT:
             return None
         own, sides = self._place(self.grid, self._own), range(1, min(WIDEST, int(self.net.cells.min())) + 1)
         return next(iter(choose_windows(lambda size: [replace(own, size=size)], sides, True)), None)
-
-    @property
-    def _cell_area(self) -> float:
-        return abs(float(np.linalg.det(self.net.vectors)))
-
-    @property
-    def _cells(self) -> float:
-        return self.net.shape[0] * self.net.shape[1] / self._cell_area
 
     @cached_property
     def slip_limit(self) -> float:
@@ -236,14 +227,14 @@ class SampleMatches:
             return 1.0
         bad = self.picture.misplacement(self.slip_limit)
         shares = Strips.across(self.net.shape, STRIPS).share_out(bad, self.picture)
-        return max(explain_share(shares, True), (self._cells * float(shares.mean()) + 1) / (self._cells + 2))
+        return max(explain_share(shares, True), (self.net.shown * float(shares.mean()) + 1) / (self.net.shown + 2))
 
     def follow(self, lab: Lab) -> MatchedPicture | None:
         """Follow the lattice through an output by matches.
 
         None if it shows fewer than four cells, or if the sample cannot be followed.
         """
-        shown = lab.shape[0] * lab.shape[1] / self._cell_area
+        shown = replace(self.net, shape=(lab.shape[0], lab.shape[1])).shown
         if self.picture is None or self.most_misplaced > limits.MOST_OWN or shown < limits.FEWEST_CELLS:
             return None
         rows, matrix = self._features

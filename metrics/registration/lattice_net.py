@@ -44,6 +44,16 @@ class LatticeNet:
         return float(np.linalg.norm(self.vectors, axis=1).min())
 
     @cached_property
+    def area(self) -> float:
+        """Area of a cell, px^2."""
+        return abs(float(np.linalg.det(self.vectors)))
+
+    @property
+    def shown(self) -> float:
+        """Number of cells that the picture shows, by its area."""
+        return self.shape[0] * self.shape[1] / self.area
+
+    @cached_property
     def samples(self) -> NDArray[np.intp]:
         """(n1, n2): samples of a cell along each vector, a multiple of the number of places."""
         most = limits.MOST_SAMPLES // limits.PLACES
@@ -97,7 +107,6 @@ class LatticeNet:
     def half_cells(self, planes: NDArray[Any], known: Mask) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the means of planes over half cells, where a point is unknown as 0, and the known share of each."""
         half = self.samples // 2
-
         return average_blocks(np.where(known[..., np.newaxis], planes, 0), half), average_blocks(known, half)
 
 

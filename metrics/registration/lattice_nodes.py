@@ -219,22 +219,18 @@ def find_least(costs: NDArray[Any]) -> Field:
 
     It lies between the samples by a parabola, in cell coordinates modulo the lattice.
     """
-    samples = costs.shape[2:]
-    best = costs.reshape(*costs.shape[:2], -1).argmin(-1)
-    i, j = np.unravel_index(best, samples)
-    rows, columns = np.indices(best.shape)
-
-    def at(di: int, dj: int) -> Values:
-        return np.asarray(costs[rows, columns, (i + di) % samples[0], (j + dj) % samples[1]])
-
-    def refine(before: Values, after: Values) -> Values:
-        bend = before - 2 * at(0, 0) + after
-        return np.where(bend > 1e-9, np.clip((before - after) / (2 * np.maximum(bend, 1e-9)), -0.5, 0.5), 0)
-
-    place = np.stack(
-        [(i + refine(at(-1, 0), at(1, 0))) / samples[0], (j + refine(at(0, -1), at(0, 1))) / samples[1]], -1
-    )
-    return np.asarray(place - np.rint(place), np.float64)
+    samples = np.array(costs.shape[2:])
+    least = np.stack(np.unravel_index(costs.reshape(*costs.shape[:2], -1).argmin(-1), costs.shape[2:]), -1)
+    rows, columns = np.indices(costs.shape[:2])
+    place = least.astype(np.float64)
+    for axis, step in enumerate(np.eye(2, dtype=np.intp)):
+        near = [np.moveaxis((least + k * step) % samples, -1, 0) for k in (-1, 0, 1)]
+        before, here, after = (costs[rows, columns, i, j] for i, j in near)
+        bend = before - 2 * here + after
+        away = np.clip((before - after) / (2 * np.maximum(bend, 1e-9)), -0.5, 0.5)
+        place[..., axis] += np.where(bend > 1e-9, away, 0)
+    place /= samples
+    return place - np.rint(place)
 
 
 def find_lengths(difference: Field, vectors: Points) -> Values:
