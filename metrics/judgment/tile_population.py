@@ -180,14 +180,17 @@ class Population:
         """Return the score of the energy of tiles: the smaller over the larger, beyond what chance explains.
 
         Chance explains a difference of three standard deviations over parts of the references, or of a mean over as
-        many independent tiles as the output or the sample has, if that is more. From the interval between the
-        references and the sample from which a method has made the tiles, only the number of these tiles counts.
+        many independent tiles as the output or the sample has, or of the lines of tiles of a sample and an output, if
+        that is more. From the interval between the references and the sample from which a method has made the tiles,
+        only the number of these tiles counts.
         """
         level, spread = self.rate_energy(features), float(np.std([self.rate_energy(part) for part in self._cut()] or 0))
         own = ((self.features - self.features.mean(0)) ** 2).mean(1)
         single = float(own.std() / max(own.mean(), 1e-9))
         spread = max(
-            spread / (self.parts if self.from_sample else 1), single / math.sqrt(min(len(features), self.sources))
+            spread / (self.parts if self.from_sample else 1),
+            single / math.sqrt(min(len(features), self.sources)),
+            self._scatter_lines(own, len(features)) / max(own.mean(), 1e-9) if self.from_sample else 0,
         )
         change = abs(level) - max(limits.TOLERANCE, limits.DEVIATIONS * spread)
         if sample is not None:
@@ -195,6 +198,18 @@ class Population:
             away = max(level - max(shown, 0.0), min(shown, 0.0) - level)
             change = min(change, away - max(limits.TOLERANCE, limits.DEVIATIONS * single / math.sqrt(len(features))))
         return math.exp(-max(change, 0.0))
+
+    def _scatter_lines(self, energies: NDArray[np.float64], count: int) -> float:
+        """Return the deviation by which mean energies of a sample and of ``count`` tiles differ if only lines scatter.
+
+        A line of cells along a lattice vector may be a thread, whose tiles are alike.
+        """
+        found = []
+        for number in np.argwhere(self.tiles[0].grid[1]).T:
+            held = np.bincount(number)
+            means = (np.bincount(number, energies) / np.maximum(held, 1))[held > 0]
+            found.append(float(means.std(ddof=1)) / math.sqrt(len(means)) if len(means) > 1 else 0.0)
+        return max(found) * math.sqrt(1 + len(energies) / count)
 
     @cached_property
     def _usual(self) -> tuple[NDArray[np.float64], float]:
