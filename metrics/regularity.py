@@ -170,7 +170,7 @@ def _measure(
     examination: Examination, values: dict[str, Value], reasons: dict[str, str], records: dict[str, Any]
 ) -> None:
     """Enter all but the share, the score and the verdict, measured by registration."""
-    followed, reference = examination.followed, examination.reference
+    followed, reference = examination.traced, examination.reference
     distances = followed.away[followed.valid]
     for name, level in (("misplacement_median", 0.5), ("misplacement_p95", 0.95)):
         far = float(np.quantile(distances, level))

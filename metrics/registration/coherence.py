@@ -203,9 +203,12 @@ class SampleMatches:
     def picture(self) -> MatchedPicture | None:
         """The sample itself, followed by matches with its other parts.
 
-        None if it shows fewer than four cells, or if its places do not match at one phase of the lattice.
+        None if it shows fewer than four cells, if its cells are too small for the steps of the grid, or if its places
+        do not match at one phase of the lattice.
         """
-        if self.net.shown < limits.FEWEST_CELLS or self.right.mean() < self.chance + limits.COHERENT:
+        if self.net.shown < limits.FEWEST_CELLS or limits.GOOD_MATCH * self.net.s < self.grid.step / 2:
+            return None
+        if self.right.mean() < self.chance + limits.COHERENT:
             return None
         own, sides = self._place(self.grid, self._own), range(1, min(WIDEST, int(self.net.cells.min())) + 1)
         return next(iter(choose_windows(lambda size: [replace(own, size=size)], sides, True)), None)
