@@ -29,6 +29,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
@@ -58,6 +59,8 @@ OUTPUT = ["set", "suite", "texture", "method", "lattice_source", "replicate", "p
 """The columns that identify an output of a set."""
 ANSWER = ["labeled_by", "labeler", "question", "answer"]
 GRADE = "grade"
+REASON = "integrity.reason"
+"""The column of the reason why integrity has no score."""
 LEADING = ("fftm-patch", "graph-cuts", "regularized-patch", "rsgf", "tile-set")
 """The methods of the highest quality on ``default`` when the labels were given."""
 FAR = {"high": (0.85, 2.5), "low": (0.4, 4.0)}
@@ -145,7 +148,8 @@ def score_output(sample: Sample, again: Again, output: Image) -> dict[str, Any]:
     assert sample.texture is not None
     seen = Observation(sample.texture.image, output, sample.texture, again=again if sample.recipe.procedural else None)
     scores = {name: score_observation(seen, name) for name in ("regularity", "integrity", "quality")}
-    return {f"{name}.{column}": value for name, score in scores.items() for column, value in score.values.items()}
+    values = {f"{name}.{column}": value for name, score in scores.items() for column, value in score.values.items()}
+    return values | {REASON: scores["integrity"].reasons.get("score", "")}
 
 
 @contextlib.contextmanager
@@ -272,9 +276,9 @@ def print_set(labels: pd.DataFrame, table: pd.DataFrame) -> None:
     """Print the agreement of one set of labels."""
     answers = labels.pivot(index=OUTPUT, columns=["question", "labeler"], values="answer")
     answers = answers.reindex(pd.MultiIndex.from_frame(table[OUTPUT]))
-    scores = table.to_dict("records")
+    records = [SimpleNamespace(values=row, reasons={ELEMENTS.column: row[REASON]}) for row in table.to_dict("records")]
     asked = [question for question in (LATTICE, ELEMENTS) if question.name in answers and question.rule]
-    print_kappas(answers, {q.name: [q.rule(values) for values in scores] for q in asked if q.rule})
+    print_kappas(answers, {q.name: [q.rule(record) for record in records] for q in asked if q.rule})
     if LATTICE.name in answers:
         print_steps(table, answers[LATTICE.name])
     grade = GRADE if GRADE in answers else MORE.name
