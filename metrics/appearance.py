@@ -19,7 +19,15 @@ from .judgment.color_classes import measure_new_colors
 from .judgment.examination import examine
 from .judgment.texture_reference import FIRST_DRAW, STRIPS, CannotTell, perceive_draws
 from .perception import limits
-from .perception.visible import Lab, measure_detail, measure_levels, measure_looks, measure_plateaus, perceive
+from .perception.visible import (
+    Lab,
+    SeenSample,
+    measure_detail,
+    measure_levels,
+    measure_looks,
+    measure_plateaus,
+    perceive_sample,
+)
 from .registration.coarse_plane import CoarsePlane
 from .registration.lattice_net import (
     LatticeNet,
@@ -131,7 +139,7 @@ class _Maps(NamedTuple):
         """Measure a picture."""
         return cls(measure_looks(lab), measure_detail(lab), measure_levels(lab), measure_plateaus(lab))
 
-    def wholes(self, net: LatticeNet, rows: int = 1, columns: int = 1) -> dict[str, Looks]:
+    def measure_parts(self, net: LatticeNet, rows: int = 1, columns: int = 1) -> dict[str, Looks]:
         """Return the features of ``rows`` x ``columns`` parts of the picture, of each kind in :func:`_scales`."""
         thin, samples = net.points[::2, ::2], net.samples // 2
         planes = np.concatenate([sample_planes(self.levels, thin / 2), sample_planes(self.looks, thin)[..., :3]], -1)
@@ -237,9 +245,9 @@ class LooksModel:
     Parameters
     ----------
     means
-        The mean features of windows and whole (9,), of detail (8,), surface (24,) and contrast (12,).
+        The mean features of windows and whole (9,), of detail (8,), surface (24,), contrast (12,) and tones (1,).
     kinds
-        The windows of each size, quarters, whole, detail, surface and contrast.
+        The windows of each size, quarters, light, whole, detail, surface, contrast and tones.
     least, most_lacked
         (2,): least levels of the octaves of any window of one cell, and how far a window may lie below them, 20 ln.
     net
@@ -257,7 +265,7 @@ class LooksModel:
         maps = _Maps.of(lab)
         net = LatticeNet((lab.shape[0], lab.shape[1]), self.net.vectors, self.net.origin)
         planes = sample_planes(maps.looks, net.points)
-        wholes = maps.wholes(net)
+        wholes = maps.measure_parts(net)
         found = {name: _window_means(planes, net, size) - self.means["whole"] for name, size in _SIZES.items()}
         found |= {"quarters": _cut_means(maps.looks, 2, 2) - wholes["whole"], "light": _measure_light(planes, net)}
         return found | {name: whole - self.means[name] for name, whole in wholes.items()}
@@ -307,7 +315,7 @@ def _learn_looks(maps: Sequence[_Maps], net: LatticeNet, sample_shape: Shape, fr
     """Learn how a texture looks from the features of fresh draws, or of its sample alone."""
     planes = [sample_planes(each.looks, net.points) for each in maps]
     windows = {name: _group_windows(planes, net, size, from_sample) for name, size in _SIZES.items()}
-    every = [each.wholes(net) for each in maps]
+    every = [each.measure_parts(net) for each in maps]
     means = {name: np.mean([whole[name][0] for whole in every], 0) for name in every[0]}
     if from_sample:
         margin, unseen = limits.OF_SAMPLE_LOOKS, limits.UNSEEN_TONES
@@ -366,7 +374,7 @@ def _wholes_of_draws(maps: Sequence[_Maps], net: LatticeNet, means: Mapping[str,
         "quarters": _learn_kind(_looks_scale(), quarters, limits.LEAST_WHOLE, limits.OF_MEANS),
         "light": _learn_kind(step, light, limits.LEAST_WHOLE, limits.OF_MEANS),
     }
-    cut = {count: [each.wholes(net, count, count) for each in maps] for count in {side, max(side, 2)}}
+    cut = {count: [each.measure_parts(net, count, count) for each in maps] for count in {side, max(side, 2)}}
     for name, scale in _scales().items():
         spread = name in ("surface", "contrast", "tones")
         groups = [part[name] - means[name] for part in cut[max(side, 2) if spread else side]]
@@ -376,7 +384,7 @@ def _wholes_of_draws(maps: Sequence[_Maps], net: LatticeNet, means: Mapping[str,
 
 def _wholes_of_sample(maps: _Maps, net: LatticeNet) -> dict[str, _Kind]:
     """Return the kinds of quarters and wholes, as far as the strips of a sample show how its means vary."""
-    strips = [maps.wholes(net, *cut) for cut in ((_PARTS, 1), (1, _PARTS))]
+    strips = [maps.measure_parts(net, *cut) for cut in ((_PARTS, 1), (1, _PARTS))]
     kinds, looks = {}, _looks_scale()
     few = net.inside.sum() < _FEWEST_CELLS * net.samples.prod()
     for name, scale in _scales().items():
@@ -439,15 +447,14 @@ def _measure_draws(again: Again, shape: Shape) -> list[_Maps]:
 
 
 @lru_cache(maxsize=2)
-def _looks_of_sample(pixels: bytes, shape: tuple[int, ...], lattice: Lattice | None) -> LooksModel:
-    maps, sides = _Maps.of(perceive(np.frombuffer(pixels, np.float32).reshape(shape))), (shape[0], shape[1])
-    return _learn_looks([maps], _make_net(lattice, sides), sides, True)
+def _looks_of_sample(sample: SeenSample, lattice: Lattice | None) -> LooksModel:
+    return _learn_looks([_Maps.of(sample.lab)], _make_net(lattice, sample.shape), sample.shape, True)
 
 
 @lru_cache(maxsize=2)
-def _depart_sample(model: LooksModel, pixels: bytes, shape: tuple[int, ...]) -> Mapping[str, Looks]:
+def _depart_sample(model: LooksModel, sample: SeenSample) -> Mapping[str, Looks]:
     """Return how the sample departs from the mean of fresh draws."""
-    return model.depart(perceive(np.frombuffer(pixels, np.float32).reshape(shape)))
+    return model.depart(sample.lab)
 
 
 def _make_net(lattice: Lattice | None, shape: Shape) -> LatticeNet:
@@ -458,13 +465,12 @@ def _make_net(lattice: Lattice | None, shape: Shape) -> LatticeNet:
 def _compare_looks(observation: Observation) -> dict[str, float]:
     """Return the largest distances of an output, over those that are allowed."""
     lab, lattice = examine(observation).lab, examine(observation).known_lattice.lattice
-    sample, output = observation.sample, observation.output
-    pixels = np.ascontiguousarray(sample, np.float32).tobytes()
+    sample, output = perceive_sample(observation.sample), observation.output
     if observation.again is None:
-        return _looks_of_sample(pixels, sample.shape, lattice).measure(lab, {})
+        return _looks_of_sample(sample, lattice).measure(lab, {})
     shape = (min(max(output.shape[0], 128), 384), min(max(output.shape[1], 128), 384))
-    model = _looks_of_draws(observation.again, lattice, shape, (sample.shape[0], sample.shape[1]))
-    return model.measure(lab, _depart_sample(model, pixels, sample.shape))
+    model = _looks_of_draws(observation.again, lattice, shape, sample.shape)
+    return model.measure(lab, _depart_sample(model, sample))
 
 
 def _column(meaning: str, unit: str = "", better: str = "lower") -> Column:
@@ -478,14 +484,15 @@ class Appearance:
     Nine features of what an eye sees (:func:`~nrbench.metrics.perception.visible.measure_looks`) are averaged over
     windows of one and of two cells, over quarters of the picture and over the whole; eight features of its detail
     (:func:`~nrbench.metrics.perception.visible.measure_detail`) over the whole, where each place of the cell counts
-    alike. The largest distance of each kind
-    from the references (:class:`LooksModel`) is divided by the largest one that these show: ``local``, ``local_wide``,
-    ``quarters``, ``whole`` and ``detail``. ``lack`` is how far the levels of two octaves, in a window of one cell, lie
-    below the least ones of all windows of the references, over what is allowed: it sees a hole where the distances are
-    wide. Where the colors of the elements come in classes, ``colors`` is the share of elements whose color belongs to
-    none, over what chance explains (:mod:`~nrbench.metrics.judgment.color_classes`). A ratio up to 1 has the score 1, a
-    ratio of 1.5 has 0, and the worst of the seven counts. Fresh draws are the
-    references; for a photograph they are four strips of the sample, each compared with the others.
+    alike. ``surface`` and ``contrast`` compare how the levels of oriented detail, and L*, a* and b*, vary over the cell
+    and from cell to cell; ``light`` the light of 3 x 3 parts, and ``tones`` the share of plateaus. The largest distance
+    of each kind from the references (:class:`LooksModel`) is divided by the largest one that these show. ``lack`` is
+    how far the levels of two octaves, in a window of one cell, lie below the least ones of all windows of the
+    references, over what is allowed: it sees a hole where the distances are wide. Where the colors of the elements come
+    in classes, ``colors`` is the share of elements whose color belongs to none, over what chance explains
+    (:mod:`~nrbench.metrics.judgment.color_classes`). A ratio up to 1 has the score 1, a ratio of 1.5 has 0, and the
+    worst ratio counts. Fresh draws are the references; for a photograph they are four strips of the sample, each
+    compared with the others, which do not show ``contrast`` and ``light``.
 
     Seams are searched on every straight line of at least half the image's side, in every direction, because the places
     where a method has cut are unknown. A tile that claims to be seamless when it is repeated is also measured across

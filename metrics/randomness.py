@@ -16,7 +16,7 @@ from .judgment.examination import Examination, examine
 from .judgment.texture_reference import CannotTell, TextureReference
 from .judgment.tile_population import LEAST_PAIRS, LEAST_TILES, SAME, Population, Tiles, gather_tiles, square_distances
 from .perception import limits
-from .perception.visible import perceive
+from .perception.visible import SeenSample, perceive_sample
 from .registration.coarse_plane import CoarsePlane
 
 
@@ -89,8 +89,7 @@ def _score(observation: Observation) -> Score:
         return Score.missing(Randomness.columns, str(reason))
     values: dict[str, Value] = dict.fromkeys(Randomness.columns)
     values["variation"] = math.exp(population.rate_energy(tiles.features))
-    sample = np.ascontiguousarray(observation.sample, np.float32)
-    source = _cut_sample(reference, sample.tobytes(), sample.shape)
+    source = _cut_sample(reference, perceive_sample(observation.sample))
     known = source is not None and not reference.from_sample and len(source.features) >= LEAST_TILES
     shown = source.features if source and known else None
     parts = {"variation": population.rate_variation(tiles.features, shown)}
@@ -193,10 +192,10 @@ def _find_copies(sources: Tiles, tiles: Tiles, population: Population) -> float 
 
 
 @lru_cache(maxsize=2)
-def _cut_sample(reference: TextureReference, pixels: bytes, shape: tuple[int, ...]) -> Tiles | None:
-    """Return the tiles of a sample, None if it cannot be followed; cached, because many outputs have one sample."""
+def _cut_sample(reference: TextureReference, sample: SeenSample) -> Tiles | None:
+    """Return the tiles of a sample, None if it cannot be followed."""
     try:
-        followed = reference.follow(perceive(np.frombuffer(pixels, np.float32).reshape(shape)))
+        followed = reference.follow(sample.lab)
     except CannotTell:
         return None
     return Tiles(CoarsePlane(*followed.residual, followed.net.samples))

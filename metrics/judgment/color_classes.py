@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.cluster.vq import ClusterError, kmeans2
+from scipy.spatial.distance import cdist
 
 from ..perception import limits
 from ..registration.coarse_plane import CoarsePlane
@@ -167,11 +169,11 @@ def find_classes(colors: Colors) -> PlaceClasses | None:
         return None
     whole, best, found = _log_size(colors - colors.mean(0)), limits.DECISIVE, None
     for count in range(2, min(_MOST_CLASSES, len(colors) // 2) + 1):
-        centers, labels = _cluster(colors, count)
-        counts = np.bincount(labels, minlength=count)
-        if not counts.all():
+        try:
+            centers, labels = _cluster(colors, count)
+        except ClusterError:  # fewer different colors than clusters
             break
-        rest = colors - centers[labels]
+        counts, rest = np.bincount(labels, minlength=count), colors - centers[labels]
         gain = 2 * (counts * np.log(counts / len(colors))).sum() + len(colors) * (whole - _log_size(rest))
         gain -= 4 * (count - 1) * math.log(len(colors))
         if found is not None and gain < best:
@@ -194,13 +196,8 @@ def _cluster(colors: Colors, count: int) -> tuple[Colors, NDArray[np.intp]]:
     centers = colors[((colors - colors.mean(0)) ** 2).sum(1).argmax()][np.newaxis]
     while len(centers) < count:
         centers = np.concatenate([centers, colors[_square_distances(colors, centers).min(1).argmax()][np.newaxis]])
-    for _ in range(_ROUNDS):
-        labels = _square_distances(colors, centers).argmin(1)
-        member = (labels[:, np.newaxis] == np.arange(count)).astype(np.float64)
-        counts = np.maximum(member.sum(0), 1)
-        centers = member.T @ colors / counts[:, np.newaxis]
-    return centers, labels
+    return kmeans2(colors, centers, _ROUNDS, minit="matrix", missing="raise")
 
 
 def _square_distances(a: Colors, b: Colors) -> NDArray[np.float64]:
-    return np.asarray(((a[:, np.newaxis] - b) ** 2).sum(-1))
+    return np.asarray(cdist(a, b, "sqeuclidean"))

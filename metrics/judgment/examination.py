@@ -8,7 +8,7 @@ from functools import cached_property
 from nrbench.plugins.forms import Observation
 
 from ..perception import limits
-from ..perception.visible import Lab, perceive
+from ..perception.visible import Lab, perceive, perceive_sample
 from ..registration.coherence import SampleMatches, match_sample
 from ..registration.followed import FollowedPicture
 from .known_lattice import KnownLattice, find_known_lattice
@@ -47,7 +47,7 @@ class Examination:
         if known.origin == "model" and seen.again is not None:
             vectors, output = (known.lattice.t1, known.lattice.t2), (seen.output.shape[0], seen.output.shape[1])
             return reference_from_draws(seen.again, vectors, output, sample)
-        return reference_from_sample(seen.sample, known.lattice)
+        return reference_from_sample(perceive_sample(seen.sample), known.lattice)
 
     @cached_property
     def traced(self) -> FollowedPicture:
@@ -68,7 +68,7 @@ class Examination:
         known = self.known_lattice
         if known.lattice is None or known.origin == "model":
             return None
-        return match_sample(self.observation.sample, known.lattice)
+        return match_sample(perceive_sample(self.observation.sample), known.lattice)
 
     @cached_property
     def misplaced(self) -> float:

@@ -10,12 +10,11 @@ from typing import Literal
 import numpy as np
 
 from nrbench.detectors.dominance import Dominance
-from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points, reduce_basis
 from nrbench.plugins.forms import NoLatticeFound, Observation
 
 from ..perception import limits
-from ..perception.visible import Lab, perceive
+from ..perception.visible import Lab, SeenSample, perceive_sample
 from ..registration.coherence import SampleMatches
 from ..registration.lattice_net import LatticeNet, Values, fold_cells, sample_planes, split_cells
 
@@ -62,7 +61,9 @@ def find_known_lattice(observation: Observation) -> KnownLattice:
     if truth is not None and truth.lattice is not None:
         if again is not None and truth.ideal is not None:
             return KnownLattice(canonical_lattice(truth.lattice), "model")
-        return KnownLattice(split_supercell(observation.sample, canonical_lattice(truth.lattice)), "given")
+        return KnownLattice(
+            split_supercell(perceive_sample(observation.sample), canonical_lattice(truth.lattice)), "given"
+        )
     if again is not None or (truth is not None and truth.kind == "stochastic"):
         return KnownLattice(None, "model", NO_LATTICE)
     try:
@@ -79,7 +80,8 @@ def canonical_lattice(lattice: Lattice) -> Lattice:
     return Lattice(canonical.t1, canonical.t2, (x, y))
 
 
-def split_supercell(sample: Image, lattice: Lattice) -> Lattice:
+@lru_cache(maxsize=2)
+def split_supercell(sample: SeenSample, lattice: Lattice) -> Lattice:
     """Return the smallest lattice, with up to nine points in the given cell, by which the mean cell repeats.
 
     A half or a third of a cell is a lattice vector if the mean cell m, folded again from there as m', is the same. The
@@ -88,15 +90,9 @@ def split_supercell(sample: Image, lattice: Lattice) -> Lattice:
     a wall whose courses wander is smeared along them, and seems to repeat by thirds. So thirds must be matched, too
     (:meth:`~.registration.coherence.SampleMatches.prefers`).
     """
-    return _split(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, lattice)
-
-
-@lru_cache(maxsize=2)
-def _split(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> Lattice:
-    """Split a supercell; cached, because many outputs have one sample."""
-    lab = perceive(np.frombuffer(pixels, np.float32).reshape(shape))[..., :3]
+    lab = sample.lab[..., :3]
     for _ in range(_MOST_SPLITS):
-        net = LatticeNet((shape[0], shape[1]), reduce_basis(lattice.matrix), np.array(lattice.origin))
+        net = LatticeNet(sample.shape, reduce_basis(lattice.matrix), np.array(lattice.origin))
         mean, error = _fold(lab, net)
         steps = [np.array(k) / parts @ net.vectors for parts, k in _FRACTIONS]
         ratios = [_compare_cells(mean, error, *_fold(lab, replace(net, origin=net.origin + step))) for step in steps]

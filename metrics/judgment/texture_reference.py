@@ -14,7 +14,7 @@ from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Again, Observation, Shape, Texture
 
 from ..perception import limits
-from ..perception.visible import Lab, perceive
+from ..perception.visible import Lab, SeenSample, perceive
 from ..registration.followed import CellModel, FollowedPicture
 from ..registration.lattice_net import LatticeNet, Mask, Values, fold_cells, sample_planes
 from ..registration.lattice_nodes import STRIPS as STRIPS
@@ -193,7 +193,8 @@ def reference_from_draws(
     return _learn(labs, lattice, None if first.ideal is None else perceive(first.ideal), None, sample_shape)
 
 
-def reference_from_sample(sample: Image, lattice: Lattice) -> TextureReference:
+@lru_cache(maxsize=2)
+def reference_from_sample(sample: SeenSample, lattice: Lattice) -> TextureReference:
     """Learn a texture from its sample. Each of four strips is judged by a model of the cell from the other three.
 
     Raises
@@ -201,14 +202,7 @@ def reference_from_sample(sample: Image, lattice: Lattice) -> TextureReference:
     CannotTell
         If the sample is too small.
     """
-    return _reference_of(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, lattice)
-
-
-@lru_cache(maxsize=2)
-def _reference_of(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> TextureReference:
-    """Learn a texture from the pixels of its sample; cached, because many outputs have one sample."""
-    lab, sides = perceive(np.frombuffer(pixels, np.float32).reshape(shape)), (shape[0], shape[1])
-    return _learn([lab], lattice, None, Strips.across(sides, STRIPS), sides)
+    return _learn([sample.lab], lattice, None, Strips.across(sample.shape, STRIPS), sample.shape)
 
 
 def _learn(

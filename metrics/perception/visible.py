@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from nrbench.imaging.convert import Image, gray
+from nrbench.plugins.forms import Shape
 
 from . import limits
 
@@ -36,6 +39,28 @@ def perceive(image: Image) -> Lab:
     sigmas = (limits.BLUR, limits.CHROMA_BLUR, limits.CHROMA_BLUR)
     seen = [gaussian_filter(lab[..., k], sigma, mode="nearest", truncate=3) for k, sigma in enumerate(sigmas)]
     return np.stack([*seen, lab[..., 0]], -1)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSample:
+    """What is seen of a sample. Equal samples give one object, so that what is learned from it can be cached."""
+
+    lab: Lab
+
+    @property
+    def shape(self) -> Shape:
+        """Shape of the sample."""
+        return self.lab.shape[0], self.lab.shape[1]
+
+
+def perceive_sample(sample: Image) -> SeenSample:
+    """Return what is seen of a sample; cached, because many outputs have one sample."""
+    return _perceive_pixels(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape)
+
+
+@lru_cache(maxsize=4)
+def _perceive_pixels(pixels: bytes, shape: tuple[int, ...]) -> SeenSample:
+    return SeenSample(perceive(np.frombuffer(pixels, np.float32).reshape(shape)))
 
 
 def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> Image:

@@ -15,12 +15,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Shape
 
 from ..perception import limits
-from ..perception.visible import Lab, perceive
+from ..perception.visible import Lab, SeenSample
 from .lattice_net import LatticeNet, Mask, Values, sum_boxes
 from .lattice_nodes import (
     STRIPS,
@@ -41,7 +40,7 @@ _MOST_POINTS = 4096, 12544
 _ROWS = 128
 """Number of points that are matched at once."""
 _BINS = 16
-"""Number of displacements along each vector that are told apart before interpolation."""
+"""Number of displacements along each vector at which votes are counted, before interpolation."""
 _ROUGHLY = 0.2
 """Largest departure in s of a node in its place before the limit is set."""
 
@@ -256,15 +255,10 @@ class SampleMatches:
         return MatchedPicture(net, _ROUGHLY, 1, grid, moved, self.trust[match])
 
 
-def match_sample(sample: Image, lattice: Lattice) -> SampleMatches:
-    """Return the matches of a sample; cached, because many outputs have one sample."""
-    return _match(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, lattice)
-
-
 @lru_cache(maxsize=2)
-def _match(pixels: bytes, shape: tuple[int, ...], lattice: Lattice) -> SampleMatches:
-    net = LatticeNet((shape[0], shape[1]), lattice.matrix, np.array(lattice.origin))
-    return SampleMatches(perceive(np.frombuffer(pixels, np.float32).reshape(shape)), net)
+def match_sample(sample: SeenSample, lattice: Lattice) -> SampleMatches:
+    """Return the matches of a sample."""
+    return SampleMatches(sample.lab, LatticeNet(sample.shape, lattice.matrix, np.array(lattice.origin)))
 
 
 def _find_nearest(rows: Values, others: Values, excluded: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:

@@ -87,7 +87,7 @@ def bound_sign(record: CellRecord) -> str:
 def name_silence(record: CellRecord, peril: str) -> str:
     """Return ``no peril`` or ``cannot tell`` if a cell has a quality but no score of a peril; else nothing.
 
-    A quality of 0 is no upper bound. What it hides is not looked for, and neither is told.
+    A quality of 0 is no upper bound, because no other peril can lower it: nothing is returned.
     """
     if peril not in PERILS or record.values.get(QUALITY) is None or record.values.get(peril) is not None:
         return ""

@@ -25,6 +25,7 @@ from .conftest import Case, case, scored
 from .edits import blur, light_half
 
 appearance = partial(scored, Appearance)
+RATIOS = ("local", "local_wide", "quarters", "whole", "detail", "surface", "contrast", "light", "tones", "lack")
 
 
 @pytest.mark.parametrize("model", [True, False])
@@ -32,18 +33,7 @@ def test_a_fresh_draw_looks_like_one(own: Case, model: bool) -> None:
     """Fresh draws have ratios of at most about 1, and a score near 1."""
     found = [appearance(own.observe(own.fresh(k=k), model)).values for k in range(4)]
     assert np.mean([values["score"] for values in found]) >= 0.95
-    for column in (
-        "local",
-        "local_wide",
-        "quarters",
-        "whole",
-        "detail",
-        "surface",
-        "contrast",
-        "light",
-        "tones",
-        "lack",
-    ):
+    for column in RATIOS:
         assert max(values[column] or 0 for values in found) < 1.15
     assert not model or np.mean([values["seam"] for values in found]) == pytest.approx(1, abs=0.35)
 
@@ -288,19 +278,7 @@ def test_basis_and_origin_of_the_truth_do_not_matter() -> None:
     )
     moved = appearance(replace(observation, truth=replace(case("hexagon").texture, lattice=other))).values
     own = appearance(observation).values
-    for column in (
-        "score",
-        "local",
-        "local_wide",
-        "quarters",
-        "whole",
-        "detail",
-        "surface",
-        "contrast",
-        "light",
-        "tones",
-        "lack",
-    ):
+    for column in ("score", *RATIOS):
         assert moved[column] == pytest.approx(own[column], abs=0.05), column
 
 

@@ -14,7 +14,7 @@ from nrbench.datasets_procedural.squares import Squares
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.judgment.known_lattice import canonical_lattice
-from nrbench.metrics.perception.visible import perceive
+from nrbench.metrics.perception.visible import perceive, perceive_sample
 from nrbench.metrics.quality import Quality
 from nrbench.metrics.registration.coherence import MatchedPicture, match_sample
 from nrbench.metrics.registration.lattice_net import sample_planes
@@ -52,7 +52,7 @@ def slip(image: Image, share: float, own: Case) -> Image:
 
 def follow(own: Case, output: Image) -> MatchedPicture:
     """Return an output followed by matches."""
-    followed = match_sample(own.texture.image, canonical_lattice(own.lattice)).follow(perceive(output))
+    followed = match_sample(perceive_sample(own.texture.image), canonical_lattice(own.lattice)).follow(perceive(output))
     assert followed is not None
     return followed
 
@@ -87,7 +87,7 @@ def test_four_cells_are_enough_and_three_are_not() -> None:
     score = Quality().score(small.observe(own.fresh(256), model=False))
     assert score.values["regularity"] is not None and score.values["complete"] is False
     tiny = np.ascontiguousarray(own.texture.image[:146, :100])
-    assert match_sample(tiny, canonical_lattice(own.lattice)).picture is None
+    assert match_sample(perceive_sample(tiny), canonical_lattice(own.lattice)).picture is None
 
 
 def test_smooth_bending_and_unseen_edits_keep_the_lattice() -> None:
@@ -105,7 +105,7 @@ def test_smooth_bending_and_unseen_edits_keep_the_lattice() -> None:
 def test_a_sample_without_the_lattice_is_undecided() -> None:
     """Places of white noise match at no phase: nothing can be told."""
     noise = quantize(np.random.default_rng(1).random((160, 160, 3), np.float32))
-    assert match_sample(noise, Lattice((30.0, 0.0), (0.0, 30.0))).picture is None
+    assert match_sample(perceive_sample(noise), Lattice((30.0, 0.0), (0.0, 30.0))).picture is None
 
 
 def test_with_a_model_registration_decides_alone() -> None:

@@ -16,7 +16,7 @@ from nrbench.lattice.relation import lattice_error
 from nrbench.metrics.judgment.examination import examine
 from nrbench.metrics.judgment.known_lattice import canonical_lattice, find_known_lattice, split_supercell
 from nrbench.metrics.perception.limits import JND
-from nrbench.metrics.perception.visible import measure_detail, measure_looks, perceive
+from nrbench.metrics.perception.visible import measure_detail, measure_looks, perceive, perceive_sample
 from nrbench.metrics.quality import Quality
 from nrbench.plugins.forms import Texture
 
@@ -73,7 +73,7 @@ def test_features_of_a_picture_follow_its_light_and_its_contrast() -> None:
 @pytest.mark.parametrize("numbers", SUPERCELLS)
 def test_the_primitive_lattice_is_found_in_a_supercell(own: Case, numbers: list[list[int]]) -> None:
     """A rectangle of running bond, and cells of two to four tiles, give the lattice of one tile."""
-    found = split_supercell(own.texture.image, combine(own.lattice, numbers))
+    found = split_supercell(perceive_sample(own.texture.image), combine(own.lattice, numbers))
     assert found.area == pytest.approx(own.lattice.area, rel=1e-6)
     assert lattice_error(found, own.lattice, (192, 192)).relation == "exact"
 
@@ -81,7 +81,7 @@ def test_the_primitive_lattice_is_found_in_a_supercell(own: Case, numbers: list[
 def test_a_primitive_lattice_is_left(own: Case) -> None:
     """The lattice of one tile is not divided."""
     lattice = canonical_lattice(own.lattice)
-    assert split_supercell(own.texture.image, lattice) == lattice
+    assert split_supercell(perceive_sample(own.texture.image), lattice) == lattice
 
 
 def test_rough_bricks_of_two_tones_are_not_split() -> None:
@@ -91,7 +91,9 @@ def test_rough_bricks_of_two_tones_are_not_split() -> None:
     for seed in (1, 3):
         grain = gaussian_filter(np.random.default_rng(seed).standard_normal((96, 96)), 3)
         wall = (tone + 0.15 * grain / grain.std()).clip(0, 1).astype(np.float32)[..., np.newaxis].repeat(3, 2)
-        assert split_supercell(quantize(wall), Lattice((32.0, 0.0), (0.0, 16.0))).area == pytest.approx(512)
+        assert split_supercell(
+            perceive_sample(quantize(wall)), Lattice((32.0, 0.0), (0.0, 16.0))
+        ).area == pytest.approx(512)
 
 
 @pytest.mark.parametrize("numbers", [*BASES, *SUPERCELLS])
