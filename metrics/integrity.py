@@ -77,7 +77,7 @@ class ElementModel:
     tear
         The novelty of parts that lie elsewhere in their cells.
     unlike
-        How much a joint stands out from the detail of the elements (:class:`Steps`).
+        How much a joint stands out from the detail of the elements (:meth:`Steps.rate_joints`).
     """
 
     joint: LimitedTest
@@ -199,8 +199,8 @@ def learn_elements(reference: TextureReference) -> ElementModel:
     mean = net.tile(reference.model.mean)
     torn = [novelty.weigh(tear_cells(plane, mean, net, rng)) for plane in (planes * _SHUFFLES)[:_SHUFFLES]]
     tear = _set_limit(LimitedTest("torn", novelty), Weighed(own.whole, torn), limits.WHOLE_SHARES[-1], pooled, True)
-    unlike = next(test.unlike for test in tests if isinstance(test, Steps))
-    return ElementModel(max(tried, key=_rate), tear, unlike)
+    steps = next(test for test in tests if isinstance(test, Steps))
+    return ElementModel(max(tried, key=_rate), tear, steps.rate_joints(planes))
 
 
 def _rate(test: LimitedTest) -> tuple[bool, float]:

@@ -232,31 +232,30 @@ class Steps:
     ----------
     mean, deviation
         ``(2, n1, n2)``: of the levels of the lines across the two vectors.
-    unlike
-        Squared differences, with JND^2, where a cell is joined to an unrelated one, over those in the references:
-        geometric mean over all lines.
     """
 
     mean: NDArray[np.float64]
     deviation: NDArray[np.float64]
-    unlike: float
 
     @classmethod
     def learn(cls, planes: Sequence[CoarsePlane]) -> Steps:
         """Learn the levels of lines in the references."""
-        n = planes[0].samples
-        own, unlike = [], []
-        for axis in (0, 1):
-            own.append(_average_cells([_measure_steps(plane, axis, (0, 0)) for plane in planes], n))
-            cells = [
-                _measure_steps(plane, axis, (i * n[0], j * n[1]))
-                for plane in planes
-                for i, j in ((1, 0), (0, 1), (1, 1))
-            ]
-            unlike.append(_average_cells(cells, n)[0])
+        own = [_average_cells([_measure_steps(p, axis, (0, 0)) for p in planes], planes[0].samples) for axis in (0, 1)]
         mean, square = np.stack(own, 1)
-        deviation = np.sqrt(np.maximum(square - mean**2, 0) + limits.LEAST_LEVEL**2)
-        return cls(mean, deviation, float(np.exp(np.mean(np.stack(unlike) - mean))))
+        return cls(mean, np.sqrt(np.maximum(square - mean**2, 0) + limits.LEAST_LEVEL**2))
+
+    def rate_joints(self, planes: Sequence[CoarsePlane]) -> float:
+        """Return the squared differences where a cell is joined to an unrelated one over those in the references.
+
+        JND^2 is added to both; the geometric mean over all lines.
+        """
+        n = planes[0].samples
+        beyond = [(int(i * n[0]), int(j * n[1])) for i, j in ((1, 0), (0, 1), (1, 1))]
+        joined = [
+            _average_cells([_measure_steps(plane, axis, lag) for plane in planes for lag in beyond], n)[0]
+            for axis in (0, 1)
+        ]
+        return float(np.exp(np.mean(np.stack(joined) - self.mean)))
 
     def weigh(self, plane: CoarsePlane) -> Evidence:
         """Return the evidence of each cell."""

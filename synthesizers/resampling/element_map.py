@@ -39,6 +39,8 @@ _SMALL = 0.15
 """Regions smaller than this share of the largest one are ground."""
 _STILL = 0.05
 """The largest region is looked for among those whose color varies at least this share of the largest variance."""
+_FLAT = 1e-6
+"""Root mean squared gradient, in values a pixel, of a cell without any step: it is one region."""
 _SHOWN = 0.5
 """Least share of an element that the sample must show, for its color to count."""
 _LEAST_SHARE = 0.02
@@ -223,6 +225,8 @@ def _watersheds(sample: Values, lattice: Lattice) -> tuple[ElementMap, NDArray[n
     relief = np.sqrt(sample_tile(fold(power.astype(np.float32), lattice).values, uv)[..., 0].astype(np.float64))
     relief = scipy.ndimage.gaussian_filter(relief, max(1.0, 0.04 * GRID * lattice.s), mode="wrap")
     minima = np.argwhere(scipy.ndimage.minimum_filter(relief, 5, mode="wrap") == relief)
+    if relief.max() < _FLAT:  # its minima are rounding errors
+        minima = minima[:1]
     # Three by three copies of the cell: the copy of a minimum whose basin holds a place tells the cell of its instance.
     markers = np.zeros((3 * v, 3 * u), np.int64)
     for j, i in np.ndindex(3, 3):
