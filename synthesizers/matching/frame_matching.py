@@ -261,7 +261,7 @@ def fit_deformation(read: Callable[[Array], Image], old: Image, weight: Array, l
     amounts, field = np.zeros(2 * WAVES**2), np.zeros((*weight.shape, 2))
     for _ in range(DEFORMATION_STEPS):
         new = read(field)
-        slopes = np.stack(np.gradient(new.astype(np.float64), axis=(1, 0)))
+        slopes = np.array(np.gradient(new.astype(np.float64), axis=(1, 0)))
         tensor = np.einsum("ahwc,bhwc->abhw", slopes, slopes).reshape(2, 2, -1) * share
         pull = np.einsum("ahwc,hwc->ahw", slopes, old - new).reshape(2, -1) * share
         matrix = np.block([[(basis * tensor[a, b]) @ basis.T for b in (0, 1)] for a in (0, 1)])
