@@ -113,7 +113,8 @@ def test_the_errors_of_both_lattices_stand_in_the_table(make_cell: Make, make_ru
         run.cells.append(make_cell(f"t{number}", "m", values=values))
     rows = compare_methods(run).summary_rows
     assert {row.title: _numbers(row)[0][0] for row in rows if row.name.startswith("lattice")} == {
-        "lattice used px": "0.40", "lattice used s": "0.040", "lattice used drift": "2.00", "lattice used exact": "67 %",
+        "lattice used px": "0.40", "lattice used s": "0.040",
+        "lattice used drift": "2.00", "lattice used exact": "67 %",
         "lattice of output px": "1.00", "lattice of output s": "0.10", "lattice of output exact": "33 %",
     }  # fmt: skip
 
