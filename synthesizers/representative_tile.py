@@ -86,7 +86,8 @@ class RepresentativeTile:
     Parameters
     ----------
     continuity_weight
-        alpha, the weight of continuity beside that of resemblance, which is 1: 0 to 1e6 (the paper: 1, 30 or 0).
+        alpha, the weight of continuity beside that of resemblance, which is 1: 0 to 1e6. The paper uses 1, 30 or 0.
+        With 1, small tiles of strongly varying elements often show a line at the junction.
     rated_share
         p, the share in (0, 1] of the places, those of least h, that are rated (the paper: 0.0001 to 0.02). None: all.
     rescale
@@ -115,7 +116,7 @@ class RepresentativeTile:
            2005. Unverified: the text that was implemented names only the Université de Sherbrooke, Québec, Canada.
     """
 
-    continuity_weight: float = 1.0
+    continuity_weight: float = 30.0
     rated_share: float | None = None
     rescale: bool = True
     finder: Literal["ssdn:primitive=false", "ssdn:preset=paper"] = "ssdn:primitive=false"
@@ -128,7 +129,7 @@ class RepresentativeTile:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     family: ClassVar[str] = "tiles and patches on the lattice"
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "continuity_weight": 30.0,
@@ -244,7 +245,7 @@ class RepresentativeTile:
         total = np.round(self.continuity_weight * smooth + alike, 12)
         if self.rated_share is not None:
             allowed = preselect(np.where(allowed, smooth, np.inf), self.rated_share * float(allowed.sum()))
-        rating, best = np.where(allowed, total, np.inf), []
+        rating, best = np.where(allowed, total, np.inf), list[list[float]]()
         while len(best) < self.best_tiles and np.isfinite(rating.min()):
             y, x = np.unravel_index(rating.argmin(), rating.shape)
             best.append([x, y, smooth[y, x], alike[y, x], rating[y, x]])

@@ -67,15 +67,15 @@ class WangTiles:
         order = np.resize(np.arange(1, len(blocks)), 2 * colors + count**2).tolist()
         edges: list[list[Layer]] = []
         for along, across in ((1, 0), (0, 1)):
-            corners, show = _halve(blocks[0], blocks[0], along), border[along] & middle[across]
+            corners, show = _halve([blocks[0], blocks[0]], along), border[along] & middle[across]
             used = order[across * colors : (across + 1) * colors]
             edges.append([_join(blocks[k], corners, middle[along], show) for k in used])
         cycle, tiles = [*pair_cycle(colors), 0], []
         for i, j in np.ndindex(count, count):
             tile = blocks[order[2 * colors + i * count + j]]
             rows, columns = ([edges[axis][cycle[k]] for k in (at, at + 1)] for axis, at in ((0, i), (1, j)))
-            tile = _join(tile, _halve(*rows, 0), middle[0], border[0])
-            tiles.append(_join(tile, _halve(*columns, 1), middle[1] | (border[0] & ~border[1]), border[1]))
+            tile = _join(tile, _halve(rows, 0), middle[0], border[0])
+            tiles.append(_join(tile, _halve(columns, 1), middle[1] | (border[0] & ~border[1]), border[1]))
         return cls(colors, np.stack(tiles).reshape(count, count, *blocks[0].shape))
 
     @property
@@ -150,9 +150,9 @@ def pair_cycle(colors: int) -> list[int]:
     return [color for i in range(colors) for color in [i, *(k for j in range(i + 1, colors) for k in (i, j))]]
 
 
-def _halve(before: Layer, after: Layer, axis: int) -> Layer:
+def _halve(layers: Sequence[Layer], axis: int) -> Layer:
     """Return the second half of one layer and the first half of another one, side by side along an axis."""
-    return np.concatenate([np.split(before, 2, axis)[1], np.split(after, 2, axis)[0]], axis)
+    return np.concatenate([np.split(layer, 2, axis)[1 - k] for k, layer in enumerate(layers)], axis)
 
 
 def _join(old: Layer, new: Layer, stay: Mask, show: Mask) -> Layer:
