@@ -248,7 +248,7 @@ class RepresentativeTile:
         rating, best = np.where(allowed, total, np.inf), list[list[float]]()
         while len(best) < self.best_tiles and np.isfinite(rating.min()):
             y, x = np.unravel_index(rating.argmin(), rating.shape)
-            best.append([x, y, smooth[y, x], alike[y, x], rating[y, x]])
+            best.append([float(each) for each in (x, y, smooth[y, x], alike[y, x], rating[y, x])])
             rows, columns = (max(side // 2, 1) for side in frame.size)
             rating[max(y - rows, 0) : y + rows + 1, max(x - columns, 0) : x + columns + 1] = np.inf
         return total, np.array(best, np.float64)
