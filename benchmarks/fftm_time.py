@@ -1,4 +1,4 @@
-"""What a pixel of `fftm-pixel` costs, by neighborhood, with and without principal components: table 2 of its paper.
+"""What a pixel of `fftm-pixel` costs, with and without principal components (table 2 of its paper).
 
     python benchmarks/fftm_time.py [--sides 128 239] [--repeats 3]
 
@@ -24,7 +24,7 @@ PAPER = {
     128: {2: (160, 70), 3: (420, 120), 4: (900, 210), 5: (1650, 370)},
     239: {2: (420, 100), 3: (1440, 140), 4: (3220, 210), 5: (None, 300)},
 }
-"""Microseconds per output pixel, without and with principal components, by side of the sample and of the neighborhood."""
+"""Microseconds per output pixel, without and with components, by the sides of the sample and of the neighborhood."""
 
 
 def measure_pixel(side: int, neighborhood: int, dimensions: int, repeats: int) -> float:
