@@ -140,6 +140,7 @@ class TileSet:
     cells: int | None = None
     margin: float | None = None
     quantile: float = 0.75
+    accepting: float = 1.0
     threshold: float | None = None
     overlap_measure: OverlapMeasure = "mean"
     registration: float | None = None
@@ -158,13 +159,14 @@ class TileSet:
         "paper": {
             "tile": "upright",
             "cells": 1,
-            "margin": 0.0,
+            "margin": 2.0,
             "quantile": 0.0,
+            "accepting": 0.5,
             "overlap_measure": "sum",
             "registration": 1.0,
             "parts": 1,
             "stitch": "dynamic",
-            "anchor": "given",
+            "anchor": "quiet",
             "finder": "dominance",
             "geometry": "as-is",
         }
@@ -183,7 +185,7 @@ class TileSet:
 }"""
 
     def __post_init__(self) -> None:
-        require_ranges(self, quantile=(0, 1), registration=(0, np.inf), margin=(0, np.inf))
+        require_ranges(self, quantile=(0, 1), accepting=(0, 1), registration=(0, np.inf), margin=(0, np.inf))
         require(self.threshold is None or self.threshold >= 0, f"threshold {self.threshold}; choose 0 or more")
         require_ranges(self, cells=(1, 64), parts=(1, 16))
 
@@ -249,7 +251,9 @@ class TileLaying:
         """Lay every tile that touches the output, row by row (step 2)."""
         threshold = self.method.threshold
         if threshold is None:
-            threshold = self.stock.estimate_threshold(self.method.quantile, self.method.overlap_measure)
+            threshold = self.stock.estimate_threshold(
+                self.method.quantile, self.method.accepting, self.method.overlap_measure
+            )
         numbers = self.tile_numbers()
         places = self.lattice.origin + numbers @ self.tile.steps
         for done, ((i, j), place) in enumerate(zip(numbers.tolist(), places, strict=True)):

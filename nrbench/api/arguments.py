@@ -78,6 +78,8 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
         return Lattice.parse(lattice)
     try:
         made = lattice if isinstance(lattice, Lattice) else Lattice(*lattice)
+        if made is not lattice and len(lattice) == 3 and made.origin == (0, 0):  # known, see Lattice.parse
+            made = made.shifted(made.t1)
     except TypeError:
         raise BadInput(
             f"lattice {lattice!r}: give two vectors, e.g. ((32, 0), (0, 24)), or three with the origin"
