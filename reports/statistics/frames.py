@@ -224,7 +224,7 @@ def claim_tests_table(results: Sequence[ClaimResult]) -> pd.DataFrame:
 
 
 def published_tables(published: PublishedComparison) -> dict[str, pd.DataFrame]:
-    """Return the verdicts, the rates, the agreement by class with kappa on the last row, and tables 2 and 3."""
+    """Return the verdicts, the rates, the agreement by class with its kappa, and tables 2 and 3."""
     rates = [
         {"figures": one.words, **_name_method(one.method, reference=False)}
         | one.published.columns("published", "published_", ("low", "high", "n"))
@@ -234,13 +234,14 @@ def published_tables(published: PublishedComparison) -> dict[str, pd.DataFrame]:
         for one in published.rates
     ]
     classes = pd.DataFrame(
-        {**row, **row["agreement"].columns("agreement", parts=("low", "high", "n"))}
+        {
+            **{"class": row["class"], "pairs": row["pairs"]},
+            **row["agreement"].columns("agreement", parts=("low", "high", "n")),
+            **row["kappa"].columns("kappa", "kappa_", ("low", "high")),
+            **dict(zip(("chance_mean", "chance_95"), row["chance"] or (None, None), strict=True)),
+        }
         for row in published.classes.to_dict("records")
     ).rename(columns={"n": "figures"})
-    chance = published.chance or (None, None)
-    kappa = published.kappa.columns("kappa", "kappa_", ("low", "high"))
-    for name, value in {**kappa, "chance_mean": chance[0], "chance_95": chance[1]}.items():
-        classes[name] = pd.Series([value], [len(classes) - 1], dtype=object)
     return {
         "published": published.verdicts,
         "published_rates": pd.DataFrame(rates),
