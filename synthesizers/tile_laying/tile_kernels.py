@@ -269,8 +269,8 @@ def error_surface(
     Returns
     -------
     surface
-        ``(rows, columns)``; 0 where nothing is known. In the last column of the upper band, the sum from there downward:
-        a seam that ends above the band's last row leaves the tile's own border as the cut below.
+        ``(rows, columns)``; 0 where nothing is known. In the last column of the upper band, the sum from there
+        downward: a seam that ends above the band's last row leaves the tile's own border as the cut below.
     bands
         How far what is known reaches from the left in rows that are not completely known, and from the top in columns
         that are not; the largest numbers of cells.

@@ -52,13 +52,10 @@ class TileShape:
         is a lattice vector.
     sides
         ``(2, 2)``: the two sides of the maximum tile, a parallelogram around its middle.
-    core
-        ``(2, 2)``: the two sides of the minimum tile.
     """
 
     steps: Points
     sides: Points
-    core: Points
 
     def set_offsets(self, lattice: Lattice) -> list[tuple[int, int]]:
         """Return, for each set of tiles, the steps (in the row, to the next row) from a lattice point to its middles.
@@ -157,19 +154,17 @@ def tile_shape(lattice: Lattice, kind: TileKind, cells: int = 1, margin: float =
         px by which the tile is longer at both ends of each side. The steps do not change.
     """
     t1, t2 = _shortest_vectors(lattice)
-    core = np.stack([t1, t2])
     if kind == "cell":
-        core = _across_and_down(t1, t2)
-        steps = core / 2
+        steps = _across_and_down(t1, t2) / 2
     elif kind == "rectangle":
-        core, steps = _across_and_down(t1, t2), _across_and_down(2 * t1, t2) / 2
+        steps = _across_and_down(2 * t1, t2) / 2
     else:
         steps = _across_and_down(t1 + t2, t2 - t1) / 2
-    sides = cells * (np.diag(np.abs(core).sum(0)) if kind == "upright" else 2 * steps)
+    sides = cells * (np.diag(np.abs([t1, t2]).sum(0)) if kind == "upright" else 2 * steps)
     sides = sides * (1 + 2 * margin / np.hypot(*sides.T))[:, np.newaxis]
     if kind == "upright":
         sides = np.diag(_whole_pixels(np.diag(sides)))
-    return TileShape(cells * steps, sides, cells * core)
+    return TileShape(cells * steps, sides)
 
 
 def _whole_pixels(lengths: Points) -> Points:
@@ -236,10 +231,10 @@ def anchor_lattice(sample: Image, lattice: Lattice, tile: TileShape, kind: Ancho
 def border_costs(sample: Image, lattice: Lattice, tile: TileShape) -> tuple[Array, Points]:
     """Return the mean variance from tile to tile along the borders of tiles for each anchor, ``(n,)``, and the anchors.
 
-    Liu, Tsin and Lin 2005, section 3.1, stage 1: the anchor can "make the boundary of the tiles align with low frequency
-    regions for the benefit of better blending results". What blending shows is how two tiles differ, so that the
-    regions are those of least :func:`element_variance`, joints and gaps: in the mean tile, the inside of a brick is as
-    smooth as a joint. The borders are those of the maximum tiles of every set, because these are joined. The
+    Liu, Tsin and Lin 2005, section 3.1, stage 1: the anchor can "make the boundary of the tiles align with low
+    frequency regions for the benefit of better blending results". What blending shows is how two tiles differ, so that
+    these regions are those of least :func:`element_variance`, joints and gaps: in the mean tile, the inside of a brick
+    is as smooth as a joint. The borders are those of the maximum tiles of every set, because these are joined. The
     costs of all anchors are one circular correlation with the borders: O(n log n) for a tile of n px.
     """
     lattice = lattice.reduced()
@@ -498,11 +493,11 @@ class TileStock:
         return positions
 
     def estimate_threshold(self, quantile: float, accepting: float, measure: OverlapMeasure) -> float:
-        """Return the least threshold at which a share of the sample's tiles, ``accepting``, accepts a share of the others.
+        """Return the least threshold at which enough tiles of the sample accept enough of the others.
 
-        Two tiles of a set (unmoved) are compared over the usual overlap: the left and the upper half
-        of a tile. For each tile the quantile of its differences from the others is taken, and the quantile
-        ``accepting`` of these is the threshold. A single quantile over all pairs would leave the oddest tile no successor but its own, so that
+        Two tiles of a set (unmoved) are compared over the usual overlap: the left and the upper half of a tile. For
+        each tile the quantile of its differences from the others is taken, and the quantile ``accepting`` of these is
+        the threshold. A single quantile over all pairs would leave the oddest tile no successor but its own, so that
         the sample would be copied on and on. Infinite if no set holds two tiles.
         """
         rows, columns = self.tile.grid
