@@ -414,7 +414,7 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
         for row in known.to_dict("records")
         for method in methods
     )
-    verdicts = verdicts.astype({name: object for name in _SHARES}).where(verdicts.notna(), None)
+    verdicts = verdicts.astype(dict.fromkeys(_SHARES, object)).where(verdicts.notna(), None)
     pairs = verdicts.dropna(subset="published").astype(dict.fromkeys(_SHARES, float))
     pairs["published"] = pairs["published"].eq("preserved").astype(float)
     alone = pairs.assign(measured_share=pairs["lattice_share"])

@@ -101,18 +101,20 @@ def test_failures_count_zero_or_not_at_all(make_cell: Make, make_run: Make) -> N
 
 
 def test_the_errors_of_both_lattices_stand_in_the_table(make_cell: Make, make_run: Make) -> None:
-    """Medians in px and in s and the share exact, of the lattice used and of the output; torn outputs are not exact."""
+    """Medians in px, s and drift, and the share exact, of the lattices used and of output; torn ones are not exact."""
     run = make_run([])
     for number, (used, output) in enumerate([(0.2, 0.5), (0.4, 1.5), (2.0, None)]):
         values: dict[str, float | bool | None] = {}
         for start, error in (("lattice_recovery.", used), ("regularity.lattice_", output)):
             values |= {f"{start}vector_error": error, f"{start}exact": None if error is None else error < 1}
             values[f"{start}vector_error_in_s"] = None if error is None else error / 10
+        values["lattice_recovery.drift"] = 5 * used
         run.columns.update(dict.fromkeys(values, Column("An error.", "px", (0.0, math.inf), "lower")))
         run.cells.append(make_cell(f"t{number}", "m", values=values))
     rows = compare_methods(run).summary_rows
     assert {row.title: _numbers(row)[0][0] for row in rows if row.name.startswith("lattice")} == {
-        "lattice used px": "0.40", "lattice used s": "0.040", "lattice used exact": "67 %",
+        "lattice used px": "0.40", "lattice used s": "0.040",
+        "lattice used drift": "2.00", "lattice used exact": "67 %",
         "lattice of output px": "1.00", "lattice of output s": "0.10", "lattice of output exact": "33 %",
     }  # fmt: skip
 
