@@ -78,7 +78,7 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
         return Lattice.parse(lattice)
     try:
         made = lattice if isinstance(lattice, Lattice) else Lattice(*lattice)
-        if not isinstance(lattice, Lattice) and len(lattice) == 3 and made.origin == (0, 0):  # see Lattice.parse
+        if not isinstance(lattice, Lattice) and lattice[2:] and not any(made.origin):  # see Lattice.parse
             made = made.shifted(made.t1)
     except TypeError:
         raise BadInput(
