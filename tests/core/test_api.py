@@ -38,7 +38,7 @@ def test_an_origin_of_zero_is_known() -> None:
     ("given", "message"),
     [
         (((32, 0),), r"lattice \(\(32, 0\),\): give two vectors"),
-        ((32, 0, 0, 24), "give two vectors"),
+        ((32, 0, 0, 24, 1), "give two vectors"),
         (32, "lattice 32: give two vectors"),
         ((32, 24), "t1 is 32; give two numbers"),
         (((1.5, 0), (0, 24)), "repeats every 1.5 px"),
