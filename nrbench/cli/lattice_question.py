@@ -50,6 +50,8 @@ class LatticeQuestion:
         For a folder: replace truth.csv.
     straighten
         Follow the lattice through a bent image, and write the image with its deformation undone.
+    symmetry
+        Print the wallpaper group and the symmetries; -o draws them.
     as_json
         Print JSON on standard output.
     """
@@ -65,6 +67,7 @@ class LatticeQuestion:
     keep: Switch = False
     force: Switch = False
     straighten: OutputPicture = None
+    symmetry: Switch = False
     as_json: Json = False
 
     @property
@@ -79,7 +82,7 @@ class LatticeQuestion:
 
     def _check_folder(self) -> None:
         given: dict[str, object] = {"--all": self.every, "--pick": self.pick, "--lattice": self.lattice}
-        given |= {"--diagnostics": self.diagnostics, "--straighten": self.straighten}
+        given |= {"--diagnostics": self.diagnostics, "--straighten": self.straighten, "--symmetry": self.symmetry}
         for name in filter(given.get, given):
             raise BadInput(f"{name}: needs one picture, and {self.image} is a folder; pass a picture in it")
         choose_one({"--keep": self.keep, "--force": self.force})
@@ -93,6 +96,8 @@ class LatticeQuestion:
         others: dict[str, object] = {"--all": self.every, "--pick": self.pick, "--lattice": self.lattice}
         for name in filter(others.get, others) if self.diagnostics else ():
             raise BadInput(f"--diagnostics: draws how one detector works; leave {name} out")
+        if self.symmetry and (self.every or self.straighten):
+            raise BadInput("--symmetry: needs one lattice of the picture as it is; leave --all and --straighten out")
         if self.straighten and (self.every or self.pick or self.diagnostics):
             raise BadInput("--straighten: follows one lattice; leave --all, --pick and --diagnostics out")
         written = {os.path.realpath(self.image): "is the picture itself, which would be lost; choose another name"}
