@@ -130,13 +130,14 @@ def draw_known(choosing: bool, jitter: float = 0.0) -> Iterator[Known]:
     """Yield draws of the textures of two suites, those on which limits are chosen, or the others."""
     for suite in map(load_suite, ("core", "report2004")):
         for row in suite.texture:
-            given = dict(row.parameters) | ({"jitter": jitter} if jitter else {})
-            varies = (given.get("color") or given.get("intensity")) and not (
-                row.parameters.get("jitter") or row.parameters.get("bend")
-            )
+            parameters, shape = dict(row.parameters), row.sample or suite.sample
+            if row.figure:  # the figures of the report are nearly regular in geometry, and their samples hold few tiles
+                parameters, shape = parameters | {"jitter": 0.0, "bend": 0.0}, (160, 160)
+            moved = parameters.get("jitter") or parameters.get("bend")
+            varies = (parameters.get("color") or parameters.get("intensity")) and not moved
             if (row.dataset in CHOOSING) != choosing or not varies:
                 continue
-            shape, model = row.sample or suite.sample, build("datasets", row.dataset, given)
+            model = build("datasets", row.dataset, parameters | ({"jitter": jitter} if jitter else {}))
             for seed in SEEDS[choosing]:
                 made = model.render(shape, np.random.default_rng(seed))
                 if made.lattice and shape[0] * shape[1] >= 8 * made.lattice.area:

@@ -171,7 +171,10 @@ def subjects(suite: str, patterns: Sequence[str]) -> Iterator[Subject]:
 
 
 def models(patterns: Sequence[str]) -> Iterator[Subject]:
-    """Draw a texture of every model with a lattice: the first one in ``core``, ``report2004`` or ``default``."""
+    """Draw a texture of every model with a lattice: the first one in ``core``, ``report2004`` or ``default``.
+
+    Those of ``report2004`` are drawn with exact geometry, and larger than in the suite, where samples hold few tiles.
+    """
     found: dict[str, tuple[str, str]] = {}
     for suite in ("core", "report2004", "default"):
         for row in load_suite(suite).texture:
@@ -179,7 +182,11 @@ def models(patterns: Sequence[str]) -> Iterator[Subject]:
     for model in sorted(set(plugins.names("datasets")) - {"images", "noise"}):
         suite, name = found[model]
         if not patterns or any(Path(model).match(pattern) for pattern in patterns):
-            yield replace(next(subjects(suite, [name])), name=model)
+            recipe = draw_samples(load_suite(suite), [name])[0].recipe
+            if suite == "report2004":
+                exact = {**recipe.parameters, "jitter": 0.0, "bend": 0.0}
+                recipe = replace(recipe, parameters=exact, shape=(160, 160))
+            yield replace(subject_of(recipe), name=model)
 
 
 def print_table(*columns: str) -> Callable[..., None]:

@@ -83,7 +83,11 @@ class Rsgf:
         tolerance, to where it agrees best with its border. False: whole pixels, off by at most half a pixel.
     seam
         How the patch of a gap is joined. ``"graphcut"``: along the least visible closed seam, which may run up to half
-        a block inside the neighbors. ``"blend"``: by linear blending over the border.
+        a block inside the neighbors. ``"quilting"``: in the same region along the path of least squared difference of
+        each side, as in image quilting. ``"blend"``: by linear blending over the border.
+    deform
+        Largest displacement in px, at most ``border``, by which the patch of a gap is deformed to agree with what it
+        overlaps: smooth displacements, fitted to the border and continued inward. 0: none (the paper).
     candidate_fraction
         Fraction of the equal places, best first, from which a gap's patch is drawn, for ``search="lattice"``. 0: only
         the best place (the paper). 1: all places, each with its best match nearby. None: one half.
@@ -112,6 +116,7 @@ class Rsgf:
     tolerance: float | None = None
     subpixel: bool = True
     seam: SeamMethod = "graphcut"
+    deform: float = 0.0
     candidate_fraction: float | None = None
     prefer_unused: bool = True
     finder: Finder = "consensus"
@@ -131,6 +136,7 @@ class Rsgf:
             "tolerance": 3.0,
             "subpixel": False,
             "seam": "blend",
+            "deform": 0.0,
             "candidate_fraction": 0.0,
             "prefer_unused": False,
             "finder": "gncc:preset=paper",
@@ -144,7 +150,7 @@ class Rsgf:
 
     def __post_init__(self) -> None:
         check_border(self.block, self.border)
-        require_ranges(self, candidate_fraction=(0, 1))
+        require_ranges(self, candidate_fraction=(0, 1), deform=(0, self.border))
         require(self.tolerance is None or self.tolerance >= 0, f"tolerance {self.tolerance}; choose 0 px or more")
         for name in ("tolerance", "candidate_fraction"):
             effective = getattr(self, name) is None or self.search == "lattice"
@@ -201,7 +207,7 @@ class GapFiller:
     def __init__(self, method: Rsgf, task: Task, lattice: Lattice | None) -> None:
         self.method, self.task, self.lattice = method, task, lattice
         self.grid = method.block_grid(task)
-        self.placer = BlockPlacer(Patches(task.sample), self.grid, method.seam)
+        self.placer = BlockPlacer(Patches(task.sample), self.grid, method.seam, method.deform)
         self.matcher = FrameMatcher(task.sample, self.grid.size, method.match)
         self.sampler = PlaceSampler(task.rng, self.grid.size, method.prefer_unused)
 
@@ -287,7 +293,7 @@ class GapFiller:
         The search starts from the equal place if that is less than a pixel away.
         """
         last = np.array(self.matcher.search_shape[::-1]) - 0.5
-        weight = self.placer.border_mask(gap).astype(np.float64)
+        weight = self.placer.border_mask(gap, gap.box).astype(np.float64)
 
         def cut(place: Points) -> Image:
             return self.placer.cut_patch(np.clip(place, -0.5, last), gap.box)[0]

@@ -399,6 +399,9 @@ class Synthesis:
         Wall seconds of the detection of the lattice.
     note
         One sentence that the tables show beside the row, for example about a fallback.
+    files
+        Texts by the names of their files, which are kept beside the pictures of ``extras``. A picture in them is called
+        NAME.png; ``nrbench synth`` replaces this by the name that it gets.
 
     Examples
     --------
@@ -414,6 +417,7 @@ class Synthesis:
     extras: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     detection_seconds: float = 0.0
     note: str = ""
+    files: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""

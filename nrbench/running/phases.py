@@ -48,7 +48,7 @@ from nrbench.plugins.parameters import leave_user_folder
 from nrbench.plugins.registry import bent_finders, in_role
 from nrbench.running.guard import MIB, Message, cpu_seconds, peak_bytes
 from nrbench.runs.store import CellFolder, Result, metric_key
-from nrbench.storage import read_arrays, read_json, write_arrays, write_json
+from nrbench.storage import read_arrays, read_json, write_arrays, write_json, write_text
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.cell import RESULTS_VERSION, Cell, Recipe, reader_of
 from nrbench.suites.plan import draw_texture
@@ -306,6 +306,8 @@ def _write(where: CellFolder, synthesis: Synthesis) -> None:
         write_arrays(where.extras / f"{Path(name).name}.npz", array=array)
         if is_picture(array):
             write_image(where.extras / f"{Path(name).name}.png", array)
+    for name, text in synthesis.files.items():
+        write_text(where.extras / Path(name).name, text)
     write_image(where.output, synthesis.image)
 
 

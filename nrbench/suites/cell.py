@@ -18,7 +18,7 @@ from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
 from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.streams import stream
 
-RESULTS_VERSION = 18
+RESULTS_VERSION = 19
 """Increased whenever a change of the code changes an output or a score. Results of other versions are never reused."""
 
 Size = Annotated[Shape, BeforeValidator(parse_size), PlainSerializer(size_text)]
@@ -109,8 +109,9 @@ class Cell:
         The recipe of the sample.
     method, version, parameters
         The synthesizer, its version, and its parameters, including defaults.
-    label
-        The method with those parameters that differ from their defaults.
+    label, preset
+        The name of the method in tables, and its preset. Neither is part of the key, so methods that differ in nothing
+        else share a result.
     reference
         Whether the method calibrates the scores and is never ranked.
     lattice_source
@@ -168,6 +169,7 @@ class Cell:
     again_hash: str = ""
     fault: str = ""
     fault_status: str = "refused"
+    preset: str = ""
 
     @cached_property
     def key(self) -> str:
@@ -175,7 +177,7 @@ class Cell:
         decides: dict[str, Any] = {
             "results": RESULTS_VERSION,
             "method": [self.method, self.version, dict(self.parameters)],
-            "lattice": [self.lattice_source, self.detector, self.finder],
+            "lattice": [None if self.detector else self.lattice_source, self.detector, self.finder],
             "truth": self.lattice_truth.as_dict() if self.lattice_truth else None,
             "sample": self.sample_hash,
             "shape": list(self.shape),

@@ -60,6 +60,9 @@ LATTICES: Mapping[str, tuple[str, ...]] = {
 """The sources of the lattice as in the report, preferred one first: tile-set found its own, and the user drew that of
 the regularized patch-based method."""
 _SHUFFLES = 2000
+BROKEN = 0.5
+"""A method breaks at the first level at which its quality is lower. An output whose integrity is lower counts as lost
+beside the report of 2004: most of its elements are broken."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,7 @@ def evaluate_claims(run: Run) -> list[ClaimResult]:
     suite = validated_suite(content, "suite")
     cells = tabulate_cells(run).assign(
         method=[record.method for record in run.cells],
+        parameters=pd.Series([(record.cell.method, dict(record.parameters)) for record in run.cells], dtype=object),
         family=[record.family or record.texture for record in run.cells],
     )
     return [_evaluate(claim, cells, run.columns.get(claim.score)) for claim in suite.claim]
@@ -178,11 +182,14 @@ def _evaluate(claim: Claim, cells: pd.DataFrame, column: Column | None) -> Claim
 def _select(claim: Claim, series: Series, level: float, cells: pd.DataFrame) -> pd.DataFrame:
     """Return the cells of a series at a level; none if its method is not installed."""
     try:
-        label = PlannedMethod.parse(series.method_at(level)).label
+        method = PlannedMethod.parse(series.method_at(level))
     except BadInput:
         return cells.iloc[:0]
     textures = cells["texture"].map(lambda name: claim.uses(series, level, name))
-    return cells[textures.astype(bool) & cells["method"].eq(label)]
+    named = cells["method"].eq(method.label)
+    if not named.any():  # an older run has other names
+        named = cells["parameters"].map(lambda one: one == (method.name, method.parameters)).astype(bool)
+    return cells[textures.astype(bool) & named]
 
 
 def _estimate(claim: Claim, cells: pd.DataFrame) -> Estimate:
@@ -248,11 +255,15 @@ class PublishedEntry:
     published
         ``preserved`` or ``lost``; None if the report did not run the method.
     measured
-        Share of the replicates that preserve the lattice, in [0, 1]; None without a verdict.
+        Share of the replicates that preserve the regularity (:attr:`PublishedComparison.rule`), in [0, 1]; None without
+        a verdict.
+    lattice
+        Share of the replicates that preserve the lattice.
     """
 
     published: str | None
     measured: float | None
+    lattice: float | None
 
     kind: ClassVar[str] = "published"
 
@@ -273,21 +284,20 @@ class PublishedComparison:
     methods
         The methods that the report ran and the run has.
     verdicts
-        One row a figure and method: the published verdict and the measured share of preserved replicates.
+        One row a figure and method: the published verdict, the measured share of preserved replicates, and the share
+        whose lattice is preserved, whole elements or not.
     rates
         The published and the measured success rates over groups of figures.
     classes
-        One row a class of textures, and "all": the number of published ``pairs`` with a measured verdict, and the
-        ``agreement``, the mean over figures of the share of agreeing verdicts, with a bootstrap interval over figures.
+        One row a class of textures, the figures of odd and of even number, all by their lattices alone, and "all": the
+        number of published ``pairs`` with a measured verdict; the ``agreement``, the mean over figures of the share of
+        agreeing verdicts, with a bootstrap interval over figures; ``kappa``, Cohen's kappa of measured and published
+        verdicts, figure by figure, with such an interval, in which a share of one half or more counts as preserved; and
+        ``chance``, mean and 95th percentile of kappa if the published verdicts are paired at random with measured ones
+        of figures of the same description. Kappa has no value, and chance is None, if a rater gave a single answer.
     types
         For textures of type II (irregular geometry, regular colors) and III (both irregular), which are analogues of no
         figure: for each method the number that preserve the lattice, and the number with a verdict.
-    kappa
-        Cohen's kappa of measured and published verdicts, figure by figure, with a bootstrap interval over figures. A
-        share of one half or more counts as preserved. It has no value if a rater gave a single answer throughout.
-    chance
-        Mean and 95th percentile of kappa if the published verdicts are paired at random with measured ones of figures
-        of the same description; None if kappa has no value.
     """
 
     methods: Sequence[Method]
@@ -295,28 +305,45 @@ class PublishedComparison:
     rates: Sequence[ExpectationResult]
     classes: pd.DataFrame
     types: Mapping[str, Sequence[tuple[float, int]]]
-    kappa: Estimate
-    chance: tuple[float, float] | None
 
     sentence: ClassVar[str] = (
         "The textures are analogues, not the report's images: they were drawn from the descriptions of its figures. "
         "They are a fixed list and no sample of a population of textures."
+    )
+    rule: ClassVar[str] = (
+        "As the report counts broken elements, an output is preserved if its lattice is and, where its integrity is "
+        f"known, at least {BROKEN:.0%} of its elements are whole."
     )
     titles: ClassVar[Mapping[bool, str]] = {
         True: "Table 2: regular textures", False: "Table 3: near-regular textures"
     }  # fmt: skip
 
     @property
+    def kappa(self) -> Estimate:
+        """Kappa over all figures."""
+        return cast(Estimate, self.classes["kappa"].iloc[-1])
+
+    @property
+    def chance(self) -> tuple[float, float] | None:
+        """Kappa of random pairings over all figures: its mean and its 95th percentile."""
+        return cast("tuple[float, float] | None", self.classes["chance"].iloc[-1])
+
+    @property
     def agreement(self) -> str:
-        """Kappa and its chance as a sentence."""
+        """Kappa and its chance as sentences: over all figures, over those of odd and even number, by the lattice."""
         if self.chance is None:
             return "There is no kappa, because one of the two raters gave a single answer throughout."
         value, mean, most = map(format_number, (self.kappa.value, *self.chance))
-        ends = f", 95 % interval over figures {format_interval(self.kappa)}" if self.kappa.ends else ""
+        interval = format_interval(self.kappa)
+        ends = f", 95 % interval over figures {interval}" if interval else ""
+        parts = (
+            f"{row['class']}: {format_number(row['kappa'].value)} {format_interval(row['kappa'])}".rstrip()
+            for row in self.classes.iloc[-4:-1].to_dict("records")
+        )
         return (
             f"Kappa of published and measured verdicts: {value}{ends}. If the published verdicts are paired at random "
             f"with those of figures of the same description: {mean} on average, and {most} or less in 95 % of the "
-            "pairings."
+            f"pairings. Kappa of {'; '.join(parts)}. {self.rule}"
         )
 
     def table(self, regular: bool) -> list[tuple[int, str, str, list[PublishedEntry]]]:
@@ -327,25 +354,29 @@ class PublishedComparison:
         found: dict[tuple[int, str, str], list[PublishedEntry]] = {}
         for row in self.verdicts[self.verdicts["figure"].le(7) == regular].to_dict("records"):
             figure = (row["figure"], row["description"], row["class"])
-            entry = PublishedEntry(*_known((row["published"], row["measured_share"])))
+            entry = PublishedEntry(*_known(row[name] for name in ("published", *_SHARES)))
             found.setdefault(figure, []).append(entry)
         return [(*figure, entries) for figure, entries in found.items()]
 
     def footers(self, regular: bool) -> dict[str, list[tuple[str, str]]]:
         """Return the bottom rows of table 2 or 3 by their names: for each method the published and the measured rate.
 
-        Below the success rate of table 3, which is that of textures of type I, stand those of types II and III.
+        The rate of the lattice alone follows. Below the rates of table 3, which are those of textures of type I, stand
+        those of types II and III.
 
         A figure without a verdict does not count. The share of a figure's replicates counts as so much of a figure.
         """
-        pairs = []
+        pairs, alone = [], []
         for column in zip(*(entries for *_, entries in self.table(regular)), strict=True):
             words = [one.published for one in column if one.published]
             shares = [one.measured for one in column if one.measured is not None]
+            lattices = [one.lattice for one in column if one.lattice is not None]
             pairs.append((_rate_text(words.count("preserved"), len(words)), _rate_text(sum(shares), len(shares))))
+            alone.append(("–", _rate_text(sum(lattices), len(lattices))))
         others = {} if regular else self.types
         return {
             "success rate": pairs or [("–", "–")] * len(self.methods),
+            "lattice alone": alone or [("–", "–")] * len(self.methods),
             **{f"type {kind}": [("–", _rate_text(*rate)) for rate in rates] for kind, rates in others.items()},
         }
 
@@ -382,18 +413,18 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
         {
             **{"figure": row["figure"], "description": row["description"], "class": row["class"]},
             **{"texture": names[row["figure"]], "method": method.name, "lattice_source": method.lattice_source},
-            **{"published": row[method.base], "measured_share": shares.get((method.label, names[row["figure"]]))},
+            **{"published": row[method.plugin]},
+            **shares.get((method.label, names[row["figure"]]), dict.fromkeys(_SHARES)),
         }
         for row in known.to_dict("records")
         for method in methods
     )
-    verdicts["measured_share"] = (
-        verdicts["measured_share"].astype(object).where(verdicts["measured_share"].notna(), None)
-    )
-    pairs = verdicts.dropna(subset="published").astype({"measured_share": float})
+    verdicts = verdicts.astype(dict.fromkeys(_SHARES, object)).where(verdicts.notna(), None)
+    pairs = verdicts.dropna(subset="published").astype(dict.fromkeys(_SHARES, float))
     pairs["published"] = pairs["published"].eq("preserved").astype(float)
-    observed, chance = _compare_cells(pairs)
-    kinds = [*dict.fromkeys(known["class"]), "all"]
+    alone = pairs.assign(measured_share=pairs["lattice_share"])
+    parts = {kind: pairs[pairs["class"] == kind] for kind in known["class"].unique()}
+    parts |= {name: pairs[pairs["figure"] % 2 == odd] for name, odd in (("odd figures", 1), ("even figures", 0))}
     others = cells[~cells["texture"].isin(list(names.values()))]
     return PublishedComparison(
         methods=methods,
@@ -402,24 +433,25 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
             _compare_rates(group, method, part)
             for group, (first, last, names_of_group) in GROUPS.items()
             for method in methods
-            if method.base in names_of_group
+            if method.plugin in names_of_group
             and not (part := pairs[pairs["figure"].between(first, last) & pairs["method"].eq(method.name)]).empty
         ],
-        classes=pd.DataFrame([_class_agreement(kind, known, pairs) for kind in kinds]),
+        classes=pd.DataFrame(
+            _class_agreement(kind, part) for kind, part in {**parts, "all, lattice alone": alone, "all": pairs}.items()
+        ),
         types=_count_types(run, others, shares, methods),
-        kappa=observed,
-        chance=chance,
     )
 
 
 def _count_types(
-    run: Run, cells: pd.DataFrame, shares: Mapping[tuple[str, str], float], methods: Sequence[Method]
+    run: Run, cells: pd.DataFrame, shares: Mapping[tuple[str, str], Mapping[str, Any]], methods: Sequence[Method]
 ) -> dict[str, list[tuple[float, int]]]:
     """Return for each of the types II and III how many textures each method preserves, and how many have a verdict."""
     found = {}
     for kind in ("II", "III"):
         names = sorted(set(cells["texture"]) & {record.texture for record in run.cells if record.cell.kind == kind})
-        known = [[shares[one.label, name] for name in names if (one.label, name) in shares] for one in methods]
+        counted = [[shares.get((one.label, name)) for name in names] for one in methods]
+        known = [[share["measured_share"] for share in one if share] for one in counted]
         if any(known):
             found[kind] = [(sum(one), len(one)) for one in known]
     return found
@@ -433,14 +465,24 @@ def _find_method(name: str, methods: Sequence[Method]) -> Method | None:
         source = method.lattice_source
         return method.name != name, sources.index(source) if source in sources else len(sources)
 
-    return min((method for method in methods if method.base == name), key=preference, default=None)
+    return min((method for method in methods if method.plugin == name), key=preference, default=None)
 
 
-def _measured_shares(cells: pd.DataFrame) -> dict[tuple[str, str], float]:
-    """Return the share of preserved replicates by method and texture; failures and refusals count as lost."""
+_SHARES = ("measured_share", "lattice_share")
+
+
+def _measured_shares(cells: pd.DataFrame) -> dict[tuple[str, str], dict[str, float]]:
+    """Return the shares of replicates that are preserved by method and texture; failures and refusals count as lost.
+
+    The report calls its figure 16 not preserved because of single wrong cans. So an output with a preserved lattice
+    counts as lost if its integrity is known and below :data:`BROKEN`. The second share counts lattices alone.
+    """
     decided = cells[cells["verdict"].isin(["preserved", "lost", "failed", "refused"])]
-    shares = decided["verdict"].eq("preserved").groupby([decided["label"], decided["texture"]]).mean()
-    return cast(dict[tuple[str, str], float], shares.to_dict())
+    lattice = decided["verdict"].eq("preserved")
+    broken = decided["integrity.score"].lt(BROKEN) if "integrity.score" in decided else False
+    kept = pd.DataFrame({"measured_share": lattice & ~broken, "lattice_share": lattice})
+    shares = kept.groupby([decided["label"], decided["texture"]]).mean()
+    return cast(dict[tuple[str, str], dict[str, float]], shares.to_dict("index"))
 
 
 def _compare_rates(group: str, method: Method, pairs: pd.DataFrame) -> ExpectationResult:
@@ -455,28 +497,28 @@ def _compare_rates(group: str, method: Method, pairs: pd.DataFrame) -> Expectati
     )
 
 
-def _class_agreement(kind: str, figures: pd.DataFrame, pairs: pd.DataFrame) -> dict[str, object]:
-    known = pairs[pairs["class"].eq(kind) | (kind == "all")].dropna()
+def _class_agreement(kind: str, pairs: pd.DataFrame) -> dict[str, object]:
+    """Return the row of some pairs in :attr:`PublishedComparison.classes`."""
+    known, of = pairs.dropna(), pairs["figure"].nunique()
     means = (1 - (known["published"] - known["measured_share"]).abs()).groupby(known["figure"]).mean()
-    of = int((figures["class"].eq(kind) | (kind == "all")).sum())
-    return {"class": kind, "pairs": len(known), "agreement": estimate_mean(means, of)}
+    observed, chance = _compare_cells(known)
+    return {
+        **{"class": kind, "pairs": len(known), "agreement": estimate_mean(means, of)},
+        **{"kappa": observed, "chance": chance},
+    }
 
 
-def _compare_cells(pairs: pd.DataFrame) -> tuple[Estimate, tuple[float, float] | None]:
+def _compare_cells(known: pd.DataFrame) -> tuple[Estimate, tuple[float, float] | None]:
     """Return kappa figure by figure, and its mean and 95th percentile under random pairing within a description."""
-    known = pairs.dropna()
     published, measured = known["published"].to_numpy() > 0, known["measured_share"].to_numpy() >= 0.5
     of_figure = known["figure"].to_numpy() == known["figure"].unique()[:, np.newaxis]
     observed = mean_kappa(np.einsum("fn,ni,nj->fij", of_figure, *_one_hot(published, measured))[np.newaxis])
     if observed.value is None:
         return observed, None
     rng = stream("bootstrap", "published")
-    stratum = known.groupby(["description", "method"], sort=False).ngroup().to_numpy()
-    groups = [np.flatnonzero(stratum == i) for i in range(stratum.max() + 1)]
-    shuffled = np.empty((_SHUFFLES, len(known)), bool)
-    for row in shuffled:
-        for group in groups:
-            row[group] = published[rng.permutation(group)]
+    shuffled = np.tile(published, (_SHUFFLES, 1))
+    for group in known.groupby(["description", "method"], sort=False).indices.values():
+        shuffled[:, group] = rng.permuted(shuffled[:, group], axis=1)
     values = kappa(np.einsum("bni,nj->bij", *_one_hot(shuffled, measured)))
     values = values[np.isfinite(values)]
     return observed, (float(values.mean()), float(np.quantile(values, 0.95)))
@@ -487,8 +529,6 @@ def _one_hot(*verdicts: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
     return [np.stack([words, ~words], -1).astype(np.float64) for words in verdicts]
 
 
-BROKEN = 0.5
-"""A method breaks at the first level at which its quality is lower."""
 _REFERENCES = ("oracle", "copier")
 
 
@@ -574,7 +614,7 @@ def compare_levels(run: Run, comparison: Comparison) -> list[LevelPanel]:
     for row in rows:
         if row.get("departure") and row.get("level") is not None and cells["texture"].eq(row["name"]).any():
             groups.setdefault(row["departure"], {}).setdefault(float(row["level"]), []).append(row["name"])
-    methods = [method for method in comparison.methods if not method.reference or method.base in _REFERENCES]
+    methods = [method for method in comparison.methods if not method.reference or method.plugin in _REFERENCES]
     panels = [
         LevelPanel(departure, list(names), [_level_series(method, names, cells) for method in methods])
         for departure, names in groups.items()

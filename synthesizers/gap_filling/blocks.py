@@ -2,7 +2,8 @@
 
 Every other block is *placed* first; the others are *gaps*. The patch of a placed block reaches beyond its square and
 shows a border in the gaps beside it. Where two borders meet in a corner of a gap, the diagonal divides them, so that
-each has the shape of a wedge. The patch of a gap is joined to the borders by blending or along seams.
+each has the shape of a wedge. The patch of a gap is joined to the borders by blending or along seams, and may be
+deformed to meet them.
 """
 
 from __future__ import annotations
@@ -22,16 +23,17 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Refused
 
-from ..canvas.canvas import Box, Canvas, Mask, Patch, Sides, Source, Window, cut_closed_seam, edge_mask
+from ..canvas.canvas import Box, Canvas, Mask, Patch, Sides, Source, Window, cut_closed_seam, edge_mask, find_paths
 from ..canvas.seam_kernels import link_costs
-from ..lattice_places.equal_places import SearchShape, search_shape
+from ..lattice_places.equal_places import SearchShape, pixel_grid, search_shape
+from ..matching.frame_matching import fit_deformation
 from ..sample_reading.patches import Patches
 
 _STEPS: Final = ((-1, 0), (0, -1), (1, 0), (0, 1))
 """(x, y) from a block to each neighbor, in blocks."""
 OWN: Final = 4
 """The layer of a gap's own patch; 0 to 3 are the neighbors'."""
-SeamMethod = Literal["blend", "graphcut"]
+SeamMethod = Literal["blend", "graphcut", "quilting"]
 Places = NDArray[np.float64]
 """``float64 (rows, columns, 2)``: the real-valued (x, y) in the sample of every block's first pixel."""
 Layers = tuple[Image, Source]
@@ -273,7 +275,10 @@ class BlockPlacer:
         The blocks.
     seam
         ``"blend"``: linear blending. ``"graphcut"``: cut along the least visible closed seam
-        (:func:`~nrbench.synthesizers.canvas.canvas.cut_closed_seam`).
+        (:func:`~nrbench.synthesizers.canvas.canvas.cut_closed_seam`). ``"quilting"``: cut along the path of least
+        squared difference of each side (:func:`~nrbench.synthesizers.canvas.canvas.find_paths`).
+    deform
+        Largest displacement of a pixel of a gap's patch, px. 0: patches are not deformed.
 
     Attributes
     ----------
@@ -283,8 +288,8 @@ class BlockPlacer:
         The output.
     """
 
-    def __init__(self, patches: Patches, grid: BlockGrid, seam: SeamMethod = "blend") -> None:
-        self.patches, self.grid, self.seam = patches, grid, seam
+    def __init__(self, patches: Patches, grid: BlockGrid, seam: SeamMethod = "blend", deform: float = 0.0) -> None:
+        self.patches, self.grid, self.seam, self.deform = patches, grid, seam, deform
         self.places: Places = np.zeros((*grid.counts, 2))
         channels, beyond = patches.sample.shape[2], (grid.size, grid.size)
         self.canvas = Canvas(grid.shape, channels, margin=beyond, wrap=grid.wrap is not None)
@@ -307,7 +312,7 @@ class BlockPlacer:
         """Fill a gap with the patch whose first pixel lies at a place (x, y), and join it to what is known around."""
         self.places[gap.row, gap.column] = place
         box = self._patch_box(gap, place)
-        patch = self.cut_patch(place, box)
+        patch = self._deformed(gap, place, box) if self.deform else self.cut_patch(place, box)
         if self.seam == "blend":
             self.canvas.place(gap.window(), self._blended(gap, patch))
         else:
@@ -329,16 +334,32 @@ class BlockPlacer:
             min(size + right, math.floor(width - 0.5 - x) + 1),
         )
 
-    def border_mask(self, gap: Block) -> Mask:
-        """Return where something is known in a gap, outside the hole."""
-        mask: Mask = self.canvas.known[self.canvas.pixels(gap.window())].copy()
-        mask[box_slices(gap.border.hole)] = False
+    def border_mask(self, gap: Block, box: Box) -> Mask:
+        """Return where something is known in a box, px from a gap's first pixel, outside the hole."""
+        mask: Mask = self.canvas.known[self.canvas.pixels(gap.window(box))].copy()
+        mask[box_slices(_hole_in(gap, box))] = False
         return mask
 
     def cut_patch(self, place: Points, box: Box) -> Patch:
         """Return what the patch at a place shows over a box, and its source map."""
         y0, y1, x0, x1 = box
         return self.patches.cut_patch(np.add(place, (x0, y0)), (y1 - y0, x1 - x0))
+
+    def _deformed(self, gap: Block, place: Points, box: Box) -> Patch:
+        """Return a gap's patch over a box, deformed so that it agrees best with what the output shows around the hole.
+
+        A pixel that the displacement moves out of the sample shows the sample's edge.
+        """
+        y0, y1, x0, x1 = box
+        points = np.add(place, (x0, y0)) + pixel_grid(x1 - x0, y1 - y0)
+        last = np.array(self.patches.sample.shape[1::-1]) - 0.5
+        field = fit_deformation(
+            lambda moves: self.patches.read_points(np.clip(points + moves, -0.5, last)),
+            self.canvas.image[self.canvas.pixels(gap.window(box))],
+            self.border_mask(gap, box).astype(np.float64),
+            self.deform,
+        )
+        return self.patches.read_with_source(np.clip(points + field, -0.5, last))
 
     def _layers(self, gap: Block) -> Layers:
         size = self.grid.size
@@ -364,16 +385,20 @@ class BlockPlacer:
         return image, source
 
     def _cut_in(self, gap: Block, box: Box, patch: Patch) -> None:
-        """Cut a patch into the canvas along a closed seam around the hole of a gap.
+        """Cut a patch into the canvas along a closed seam, or a path at each side, around the hole of a gap.
 
         The outermost pixels of the box beside a neighbor stay old. The hole must be new, at least 2 px of it if
         possible: a small block at the sample's edge has a narrower one.
         """
         canvas, window = self.canvas, gap.window(box)
         pixels = canvas.pixels(window)
+        if self.seam == "quilting":
+            old, known = canvas.image[pixels], canvas.known[pixels]
+            canvas.place(window, patch, cut_paths(old, patch[0], known, _hole_in(gap, box)))
+            return
         known, seams, ends = canvas.known[pixels], canvas.seams[:, *pixels], []
         for axis in (0, 1):
-            start, stop = (end - box[2 * axis] for end in gap.border.hole[2 * axis : 2 * axis + 2])
+            start, stop = _hole_in(gap, box)[2 * axis : 2 * axis + 2]
             if stop - start < 2:
                 first, last = int(gap.sides[1 - axis]), known.shape[axis] - int(gap.sides[3 - axis])
                 start, stop = max(start - 1, first), min(stop + 1, last)
@@ -393,6 +418,26 @@ class BlockPlacer:
         seams[0, :, :-1] = _costs_between_neighbors(owners[:, 1:], owners[:, :-1], costs[0, :, :-1])
         seams[1, :-1] = _costs_between_neighbors(owners[1:], owners[:-1], costs[1, :-1])
         self.canvas.seams[:, *pixels] = seams
+
+
+def _hole_in(gap: Block, box: Box) -> Box:
+    """Return the hole of a gap, px from the first pixel of a box."""
+    y0, y1, x0, x1 = gap.border.hole
+    return y0 - box[0], y1 - box[0], x0 - box[2], x1 - box[2]
+
+
+def cut_paths(old: Image, new: Image, known: Mask, hole: Box) -> Mask:
+    """Return where a patch is shown if it is cut along a path of least squared difference at each side of a hole.
+
+    The paths of the left and of the top meet, and those of the right and of the bottom (Efros and Freeman 2001, section
+    2.1). At the other two corners the patch is shown where it lies inside both paths. A pixel that is not known counts
+    as the largest difference.
+    """
+    error = np.einsum("hwc,hwc->hw", old - new, old - new).astype(np.float64)
+    error[~known] = error[known].max(initial=0)
+    (y0, y1, x0, x1), (height, width) = hole, error.shape
+    before, after = find_paths(error, x0, y0), find_paths(error[::-1, ::-1].copy(), width - x1, height - y1)
+    return before.mask() & after.mask()[::-1, ::-1]
 
 
 def _costs_between_neighbors(

@@ -1,4 +1,4 @@
-"""Find where a patch agrees best with what surrounds it: at whole pixels, and between pixels.
+"""Find where a patch agrees best with what surrounds it: at whole pixels, between pixels, and deformed.
 
 :class:`FrameMatcher` compares 8-bit whole numbers, so that its sums are exact: direct summation and the Fourier domain
 give the same bits, and equally good places tie. It is our own for that reason, and for speed: the masked
@@ -29,6 +29,10 @@ Spectra = NDArray[np.complex128]
 """``(C, rows, columns)``: the spectra of some planes, padded with zeros."""
 DAMPING: Final = 1e-4
 """Added to the mean squared gradient, in squared values (0 to 1) per px: noise of a gray level moves nothing."""
+WAVES: Final = 4
+"""Cosines along each side of a deformed patch: the shortest has half a period on a third of the side."""
+DEFORMATION_STEPS: Final = 5
+"""Gauss-Newton steps."""
 
 
 class FourierProducts:
@@ -225,3 +229,43 @@ def align_patch(cut: Callable[[Points], Image], place: Points, old: Image, weigh
     )
     matrix = np.array([[xx + DAMPING, xy], [xy, yy + DAMPING]])
     return np.asarray(place + np.clip(np.linalg.solve(matrix, [ex, ey]), -0.5, 0.5))
+
+
+def fit_deformation(read: Callable[[Array], Image], old: Image, weight: Array, limit: float) -> Array:
+    """Compute the smooth displacements with which a patch agrees best with its surroundings.
+
+    The displacements along x and along y are sums of the :data:`WAVES` x :data:`WAVES` lowest cosines over the patch,
+    so that what fits the surroundings continues smoothly into the rest. Gauss-Newton steps minimize the weighted mean
+    of the squared differences, plus a penalty on steep displacements. The displacement of a pixel is then shortened to
+    the limit.
+
+    Parameters
+    ----------
+    read
+        Returns the patch under a displacement (x, y) px of each pixel, ``(h, w, 2)``: ``(h, w, C)``.
+    old, weight
+        ``(h, w, C)`` and ``(h, w)``, as in :func:`align_patch`.
+    limit
+        Largest displacement, px.
+
+    Returns
+    -------
+    Array
+        ``(h, w, 2)``: (x, y) px.
+    """
+    down, across = (scipy.fft.idct(np.eye(WAVES, side), axis=1, norm="ortho") * side**0.5 for side in weight.shape)
+    basis = np.einsum("ih,jw->ijhw", down, across).reshape(WAVES**2, -1)
+    order = np.arange(WAVES) ** 2
+    penalty = DAMPING * np.tile((1 + np.add.outer(order, order)).ravel(), 2)
+    share = (weight / max(weight.sum(), 1e-12)).ravel()
+    amounts, field = np.zeros(2 * WAVES**2), np.zeros((*weight.shape, 2))
+    for _ in range(DEFORMATION_STEPS):
+        new = read(field)
+        slopes = np.array(np.gradient(new.astype(np.float64), axis=(1, 0)))
+        tensor = np.einsum("ahwc,bhwc->abhw", slopes, slopes).reshape(2, 2, -1) * share
+        pull = np.einsum("ahwc,hwc->ahw", slopes, old - new).reshape(2, -1) * share
+        matrix = np.block([[(basis * tensor[a, b]) @ basis.T for b in (0, 1)] for a in (0, 1)])
+        amounts += np.linalg.solve(matrix + np.diag(penalty), (pull @ basis.T).ravel() - penalty * amounts)
+        field = np.moveaxis((amounts.reshape(2, -1) @ basis).reshape(2, *weight.shape), 0, -1)
+        field *= np.minimum(1, limit / np.maximum(np.hypot(*np.moveaxis(field, -1, 0)), 1e-12))[..., np.newaxis]
+    return field

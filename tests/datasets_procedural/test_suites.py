@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 from nrbench import plugins
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.imaging.convert import to_bytes
+from nrbench.lattice.geometry import Lattice
 from nrbench.streams import pixels_hash
 from nrbench.suites.plan import Sample, draw_samples
 from nrbench.suites.suite import Suite, TextureRow, load_suite
@@ -22,6 +24,8 @@ from nrbench.suites.suite import Suite, TextureRow, load_suite
 SPECTRA = ("white", "pink", "brown", "blobs", "grass")
 SHARES = {"mild": (0.9, 1.0), "middle": (0.6, 0.9), "strong": (0.3, 0.6), "inks": (0.5, 0.7)}
 FROZEN_SUITES = ("core", "default", "integer", "spectrum", "report2004")
+TILES = 12
+"""Area of a sample of the report's near-regular textures, in tiles."""
 FROZEN = Path(__file__).with_name("frozen_samples.json")
 ROWS = [pytest.param(row, id=row.name) for row in load_suite("core").texture]
 
@@ -30,6 +34,12 @@ def _model(row: TextureRow) -> Model:
     model = plugins.build("datasets", row.dataset, row.parameters)
     assert isinstance(model, Model)
     return model
+
+
+@cache
+def drawn(name: str) -> list[Sample]:
+    """Draw the samples of a suite once."""
+    return draw_samples(load_suite(name))
 
 
 def test_families_by_shares() -> None:
@@ -140,7 +150,7 @@ def test_integer_is_lucky(row: TextureRow) -> None:
 
 def test_spectrum_is_graded() -> None:
     """The knob goes from perfectly regular to no lattice in at least 8 steps, each less regular than the last."""
-    samples = draw_samples(load_suite("spectrum"))
+    samples = drawn("spectrum")
     textures = [sample.texture for sample in samples if sample.texture is not None]
     shares = [texture.regular_share for texture in textures]
     assert len(textures) == len(samples) >= 8 and shares[0] == 1.0 and shares == sorted(shares, reverse=True)
@@ -150,25 +160,36 @@ def test_spectrum_is_graded() -> None:
         assert f"{sample.texture.regular_share:.2f}" in sample.row.description or sample.row.dataset == "noise"
 
 
-@pytest.fixture(scope="module")
-def report() -> list[Sample]:
-    """Draw the samples of the report's analogues."""
-    return draw_samples(load_suite("report2004"))
-
-
-def test_report_rows(report: list[Sample]) -> None:
-    """Figures 3 to 45 stand row for row: 3 to 7 perfectly regular, the others of type I; types II and III follow."""
-    assert [sample.row.figure for sample in report] == [*range(3, 46), *[None] * 4]
-    kinds = [sample.texture.kind for sample in report if sample.texture is not None]
-    assert kinds == ["0"] * 5 + ["I"] * 38 + ["II"] * 2 + ["III"] * 2
-    for sample in report[:43]:
+def test_report_rows() -> None:
+    """Each of figures 3 to 45 has a row: 3 to 7 are exact, the others nearly regular in places and colors."""
+    rows = {sample.row.figure: sample for sample in drawn("report2004") if sample.row.figure}
+    assert sorted(rows) == [*range(3, 46)] and len(drawn("report2004")) == 47
+    kinds = [rows[figure].texture.kind for figure in sorted(rows)]  # type: ignore[union-attr]
+    assert kinds == ["0"] * 5 + ["III"] * 38
+    others = [sample.texture.kind for sample in drawn("report2004") if not sample.row.figure and sample.texture]
+    assert others == ["II", "II", "III", "III"]
+    for sample in rows.values():
         description, colon, hard = sample.row.description.partition(": ")
         assert colon and len(hard) > 20 and description.replace(" ", "-").replace("&", "-") in sample.row.name
 
 
-def test_report_facts(report: list[Sample]) -> None:
+def test_report_doses() -> None:
+    """The name of the object decides the dose, a sample has the area of 12 tiles, an output is twice as wide."""
+    doses: dict[str, tuple[float, float]] = {}
+    for row in load_suite("report2004").texture:
+        if row.figure and row.figure > 7:
+            dose = row.parameters.get("bend", 0.0), row.parameters.get("jitter", 0.0)
+            assert doses.setdefault(row.description.partition(":")[0], dose) == dose
+            lattice = Lattice(*_model(row).vectors).reduced()
+            side = max(72, round(math.sqrt(TILES * lattice.area)), math.ceil(2.2 * np.hypot(*lattice.matrix.T).max()))
+            assert row.sample == ((side, side) if row.figure not in (31, 33) else (160, 160))
+            assert row.size == (2 * row.sample[0], 2 * row.sample[1])
+    assert len(set(doses.values())) == 3
+
+
+def test_report_facts() -> None:
     """What the report says of single figures is so."""
-    figures = {sample.row.figure: sample for sample in report}
+    figures = {sample.row.figure: sample for sample in drawn("report2004")}
     models = {
         figure: plugins.build("datasets", each.row.dataset, each.row.parameters) for figure, each in figures.items()
     }
@@ -185,7 +206,7 @@ def test_report_facts(report: list[Sample]) -> None:
 def _signature(suite: Suite) -> dict[str, dict[str, object]]:
     """Return of each sample the hash of its pixels, and the mean of each of 8 x 8 blocks of them, in [0, 255]."""
     found: dict[str, dict[str, object]] = {}
-    for sample in draw_samples(suite):
+    for sample in drawn(suite.name):
         assert sample.texture is not None, sample.fault
         pixels = to_bytes(sample.texture.image).mean(-1)
         rows, columns = (np.linspace(0, side, 9).astype(int) for side in pixels.shape)

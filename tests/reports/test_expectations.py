@@ -221,7 +221,9 @@ def test_a_run_that_repeats_the_report_agrees_with_it(make_report: Make) -> None
     assert {one.value for one in published.classes["agreement"]} == {1}
     assert (published.kappa.value, *published.kappa.ends) == pytest.approx((1, 1, 1))
     assert published.chance is not None and published.chance[0] < 0.9
-    assert published.classes["class"].tolist() == ["motif", "tiles", "brick", "woven", "damaged", "all"]
+    kinds = ["motif", "tiles", "brick", "woven", "damaged"]
+    rows = ["odd figures", "even figures", "all, lattice alone", "all"]
+    assert published.classes["class"].tolist() == [*kinds, *rows]
 
 
 def test_rates_rest_on_the_same_figures(make_report: Make) -> None:
@@ -266,9 +268,25 @@ def test_kappa_has_an_interval_over_figures(make_report: Make, tmp_path: Path) -
     CsvTables().write(run, tmp_path)
     table = pd.read_csv(tmp_path / "published_classes.csv")
     assert table["kappa_low"].iloc[-1] == pytest.approx(low)
+    odd, even, *alike = table["pairs"].iloc[-4:]
+    assert alike == [odd + even] * 2 and (table["kappa"].iloc[-4:-2] < 1).all()
     words = published.agreement.partition(", ")[0]
     for text in (HtmlReport().render(run, tmp_path), MarkdownTables().render(run), TextTable(width=200).render(run)):
         assert words in text.replace("\n", " ")
+
+
+def test_an_output_of_broken_elements_is_lost(make_report: Make) -> None:
+    """An output with its lattice counts as lost if under half of its elements are whole; if unknown, as kept."""
+    run = make_report(lambda *_: True, methods=("graph-cuts",))
+    run.columns["integrity.score"] = run.columns["quality.integrity"]
+    for record, value in zip(run.cells, (0.49, 0.5, None), strict=False):
+        record.values["integrity.score"] = value
+    published = compare(run)
+    assert published.verdicts["measured_share"].tolist() == [0, *[1] * 42]
+    assert published.verdicts["lattice_share"].tolist() == [1] * 43
+    assert published.footers(True)["success rate"][0][1] == "80% (4/5)"
+    assert published.footers(True)["lattice alone"] == [("–", "100% (5/5)")]
+    assert published.classes["pairs"].iloc[-2:].tolist() == [43, 43]
 
 
 def test_random_pairing_keeps_what_descriptions_explain(make_report: Make) -> None:
@@ -292,7 +310,7 @@ def test_types_two_and_three_stand_below_type_one(make_report: Make, make_cell: 
         run.cells.append(make_cell(f"t{number}", "quilting", lattice_source="none", preserved=number > 0, kind=kind))
     rows = {line[0]: line[2:] for line in print_published(compare(run))[1].frame().to_numpy().tolist()[-2:]}
     assert rows == {"type II": ["–, –", "–, 50% (1/2)"], "type III": ["–, –", "–, 100% (1/1)"]}
-    assert list(compare(run).footers(True)) == ["success rate"]
+    assert list(compare(run).footers(True)) == ["success rate", "lattice alone"]
 
 
 def test_only_figures_that_ran_are_shown(make_report: Make) -> None:
@@ -301,8 +319,8 @@ def test_only_figures_that_ran_are_shown(make_report: Make) -> None:
     run.cells[:] = [record for record in run.cells if record.cell.texture in ("f4", "f9", "f10")]
     published = compare(run)
     regular, near = (table.frame() for table in print_published(published))
-    assert near["figure"].tolist() == ["9", "10", "success rate"]
-    assert regular.iloc[-1, 2:].tolist() == ["100% (1/1), 100% (1/1)"] * 4 + ["–, 100% (1/1)"]
+    assert near["figure"].tolist() == ["9", "10", "success rate", "lattice alone"]
+    assert regular.iloc[-2, 2:].tolist() == ["100% (1/1), 100% (1/1)"] * 4 + ["–, 100% (1/1)"]
 
 
 def test_every_report_shows_the_comparison(make_report: Make, tmp_path: Path) -> None:

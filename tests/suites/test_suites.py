@@ -130,7 +130,7 @@ def test_bad_grids(grid: Any, message: str) -> None:
     ("name", "content"),
     [
         ("core", "c041f4a38412f8b9"),
-        ("default", "f18f591643fc8082"),
+        ("default", "168674524b60da81"),
         ("detectors", "fd5456d95e2150ed"),
         ("frontier", "e4e5965bfe1e7eea"),
         ("integer", "4b1554bbac1f0b58"),

@@ -12,8 +12,8 @@ from synthesis_cases import noise
 
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.synthesizers.canvas.canvas import Box, Mask, Sides, cut_closed_seam, edge_mask
-from nrbench.synthesizers.gap_filling.blocks import OWN, BlockGrid, BlockPlacer, SeamMethod, gap_border
-from nrbench.synthesizers.matching.frame_matching import FrameMatcher, Match, align_patch
+from nrbench.synthesizers.gap_filling.blocks import OWN, BlockGrid, BlockPlacer, SeamMethod, cut_paths, gap_border
+from nrbench.synthesizers.matching.frame_matching import FrameMatcher, Match, align_patch, fit_deformation
 from nrbench.synthesizers.sample_reading.patches import Patches
 
 ALL: Sides = (True, True, True, True)
@@ -99,7 +99,7 @@ def test_a_blended_patch_stays_in_its_gap_and_a_cut_one_does_not() -> None:
         changed[seam] = sum(int(moved[canvas.pixels(block.window())].sum()) for block in placer.grid.placed())
         assert not moved[canvas.pixels((24, 25, 24, 25))].any()
     assert changed["blend"] == 0
-    assert changed["graphcut"] > 0
+    assert changed["graphcut"] > 0 and changed["quilting"] > 0
 
 
 def joint(shape: tuple[int, int], sides: Sides = ALL, depth: int = 16) -> tuple[Mask, tuple[Mask, Mask]]:
@@ -169,6 +169,16 @@ def test_recorded_seams_follow_the_cut() -> None:
     assert across[20, 19] == 0
     assert (across[changes] > 0).all()
     assert across[~changes].sum() in (0.0, 3.0)
+
+
+def test_quilting_paths_follow_the_pixels_that_agree() -> None:
+    """Where two pictures agree along a rectangle around the hole alone, the patch is shown inside it."""
+    old = np.zeros((40, 40, 1), np.float32)
+    new = np.ones_like(old)
+    new[5, 4:37] = new[33, 4:37] = new[5:34, 4] = new[5:34, 36] = 0
+    mask = np.zeros((40, 40), np.bool_)
+    mask[5:34, 4:37] = True
+    np.testing.assert_array_equal(cut_paths(old, new, np.ones_like(mask), (12, 28, 12, 28)), mask)
 
 
 SIZE = 9
@@ -269,3 +279,26 @@ def test_flat_pictures_move_nothing() -> None:
     """Flat pictures give no displacement, even if they differ in brightness."""
     flat = np.full((48, 48, 1), 0.3, np.float32)
     assert align_patch(lambda at: flat + 0.1, np.array([3.0, 4.0]), flat, FRAME).tolist() == [3, 4]
+
+
+BULGE = 1.5 * np.stack([np.cos(math.pi * (Y + 0.5) / 48), np.cos(math.pi * (X + 0.5) / 48)], -1)
+"""A smooth displacement of up to 1.5 px along x and along y."""
+
+
+def moved(field: NDArray[np.float64]) -> Image:
+    """Return the texture under a displacement of each pixel."""
+    return texture(X + field[..., 0], Y + field[..., 1])
+
+
+def test_a_deformation_is_found_by_the_frame_alone() -> None:
+    """A smooth displacement is found to 0.1 px, also inside the hole; the limit shortens it."""
+    found = fit_deformation(moved, moved(BULGE), FRAME, 3)
+    assert np.abs(found - BULGE).max() < 0.1
+    assert np.hypot(*np.moveaxis(fit_deformation(moved, moved(BULGE), FRAME, 0.5), -1, 0)).max() <= 0.5 + 1e-9
+
+
+def test_nothing_deforms_where_nothing_differs_or_nothing_is_seen() -> None:
+    """Equal pictures, flat pictures of other brightness, and a frame without weight give no displacement."""
+    old = moved(np.zeros_like(BULGE))
+    for new, weight in ((old, FRAME), (np.full_like(old, 0.1), FRAME), (old[::-1], 0 * FRAME)):
+        assert not fit_deformation(lambda _, new=new: new, old, weight, 3).any()  # type: ignore[misc]

@@ -41,6 +41,8 @@ COPYING = {
     "rsgf:block=2,border=1": 0.25,
     "rsgf:block=3,border=1,seam=blend": 1 / 12,
     "rsgf:block=15,border=7,subpixel=false": 1,
+    "rsgf:block=15,border=7,subpixel=false,seam=quilting": 1,
+    "rsgf:block=15,border=7,deform=3": 0.25,
     "rsgf:block=15,border=7,subpixel=false,seam=blend": 1 / 3,
     "scatter:block=12,border=3": 0,
     "shuffle": 0,
@@ -76,7 +78,8 @@ ANY_LATTICE = [
     "tile-set:preset=paper,registration=0", "shuffle",
 ]  # fmt: skip
 UPRIGHT_LATTICE = [
-    "rsgf", "rsgf:match=ncc", "rsgf:search=everywhere", "rsgf:seam=blend", "rsgf:subpixel=false",
+    "rsgf", "rsgf:match=ncc", "rsgf:search=everywhere", "rsgf:seam=blend", "rsgf:seam=quilting",
+    "rsgf:deform=2", "rsgf:subpixel=false",
     "rsgf:subpixel=false,seam=blend", "tiling", "representative-tile", "representative-tile:rescale=false",
     "regularized-patch", "regularized-patch:texel=quadrilateral", "regularized-patch:texel=given",
 ]  # fmt: skip
@@ -169,6 +172,7 @@ def test_any_basis_of_the_lattice_gives_the_same_bytes(spec: str, lattice: Latti
         "texture-optimization",
         "gpnn",
         *(f"rsgf:block=8,border=2,match={m},seam={s}" for m in ("ncc", "color") for s in ("graphcut", "blend")),
+        "rsgf:block=8,border=2,seam=quilting,deform=2",
     ],
 )
 def test_a_flat_sample_gives_a_flat_output(spec: str) -> None:
@@ -189,7 +193,7 @@ CHANGES = {
     "representative-tile": "continuity_weight=0 rated_share=1e-4 rescale=false",
     "resample": "variation=0.5",
     "rsgf": "block=36 border=8 match=ncc search=everywhere search=stochastic tolerance=0 subpixel=false seam=blend "
-    "candidate_fraction=0 candidate_fraction=1 prefer_unused=false",
+    "seam=quilting deform=2 candidate_fraction=0 candidate_fraction=1 prefer_unused=false",
     "texture-optimization": "neighborhood=16 levels=1 iterations=2 exponent=2",
     "tile-set": "tile=upright tile=rectangle tile=cell cells=2 quantile=0.1 threshold=30 registration=3 parts=3 "
     "margin=0 stitch=dynamic anchor=quiet anchor=given threshold=40,overlap_measure=sum",
@@ -210,8 +214,8 @@ def test_every_parameter_changes_something(name: str) -> None:
 BAD = {
     "ann-pixel": "neighborhood=1 neighborhood=11 coherence=0.5 coherence=nan dimensions=-1",
     "auto": "threshold=2",
-    "fftm-patch": "weight=-1 weight=100.5 weight=nan patch=-1 patch=2 overlap=-0.1 overlap=0.95 overlap=nan reach=2.5 "
-    "reach=nan randomness=-1 randomness=inf randomness=nan refinements=-1 threshold=-1 "
+    "fftm-patch": "weight=-1 weight=100.5 weight=nan patch=-1 patch=2 overlap=-0.1 overlap=0.95 overlap=nan "
+    "randomness=-1 randomness=inf randomness=nan refinements=-1 threshold=-1 "
     "threshold=255 threshold=nan tileable=true,harmonics=free",
     "fftm-pixel": "neighborhood=1 neighborhood=7 weight=-1 weight=nan weight=101 coherence=0.5 coherence=inf "
     "coherence=nan dimensions=-1 weight=2,match=cluster tileable=true,harmonics=free threshold=-1",
@@ -226,7 +230,8 @@ BAD = {
     "regularized-patch": "zone=-1 zone=nan tolerance=-0.1 tolerance=1e300",
     "representative-tile": "continuity_weight=-1 continuity_weight=1e308 rated_share=0 rated_share=1.5 tolerance=0.5",
     "rsgf": "border=0 border=21 block=1 tolerance=-1 tolerance=3,search=everywhere tolerance=3,search=stochastic "
-    "candidate_fraction=-0.1 candidate_fraction=1.5 candidate_fraction=nan candidate_fraction=0.5,search=everywhere",
+    "candidate_fraction=-0.1 candidate_fraction=1.5 candidate_fraction=nan candidate_fraction=0.5,search=everywhere "
+    "deform=-1 deform=nan deform=11 deform=3,border=2",
     "scatter": "border=11,block=20",
     "texture-optimization": "neighborhood=7 levels=0 iterations=0 exponent=0 exponent=2.5 exponent=nan",
     "tile-set": "quantile=1.2 threshold=-1 threshold=nan registration=-1 margin=-1 registration=inf parts=0 parts=17 "
