@@ -24,6 +24,8 @@ from nrbench.suites.suite import Suite, TextureRow, load_suite
 SPECTRA = ("white", "pink", "brown", "blobs", "grass")
 SHARES = {"mild": (0.9, 1.0), "middle": (0.6, 0.9), "strong": (0.3, 0.6), "inks": (0.5, 0.7)}
 FROZEN_SUITES = ("core", "default", "integer", "spectrum", "report2004")
+TILES = 12
+"""Area of a sample of the report's near-regular textures, in tiles."""
 FROZEN = Path(__file__).with_name("frozen_samples.json")
 ROWS = [pytest.param(row, id=row.name) for row in load_suite("core").texture]
 
@@ -172,18 +174,16 @@ def test_report_rows() -> None:
 
 
 def test_report_doses() -> None:
-    """The name of the object decides the dose, samples hold 12 to 25 tiles (cords 65), outputs are twice as wide."""
+    """The name of the object decides the dose, a sample has the area of 12 tiles, an output is twice as wide."""
     doses: dict[str, tuple[float, float]] = {}
     for row in load_suite("report2004").texture:
         if row.figure and row.figure > 7:
             dose = row.parameters.get("bend", 0.0), row.parameters.get("jitter", 0.0)
             assert doses.setdefault(row.description.partition(":")[0], dose) == dose
-            side = row.sample[0]
-            assert row.sample == (side, side) and row.size == (2 * side, 2 * side) and side >= 128
             lattice = Lattice(*_model(row).vectors).reduced()
-            tiles, across = side**2 / lattice.area, side / np.hypot(*lattice.matrix.T).max()
-            assert row.figure in (19, 31, 33) or (11.5 < tiles < 25.5 and across > 2.1)
-            assert tiles < 1 if row.figure in (31, 33) else tiles < 65
+            side = max(72, round(math.sqrt(TILES * lattice.area)), math.ceil(2.2 * np.hypot(*lattice.matrix.T).max()))
+            assert row.sample == ((side, side) if row.figure not in (31, 33) else (160, 160))
+            assert row.size == (2 * row.sample[0], 2 * row.sample[1])
     assert len(set(doses.values())) == 3
 
 
