@@ -25,6 +25,7 @@ from .errors import BadInput as BadInput
 from .imaging.convert import Image as Image
 from .imaging.convert import gray as gray
 from .lattice.geometry import Lattice as Lattice
+from .lattice.vertices import Vertex as Vertex
 from .pictures.files import read_image as read_image
 from .pictures.files import write_image as write_image
 from .pictures.overlays import draw_lattice as draw_lattice
