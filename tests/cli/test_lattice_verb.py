@@ -108,7 +108,7 @@ def test_vertices_are_written(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("lattice brick.png --lattice 20,0,0,30,5,7 --vertices v.csv") == 0
     assert "v.csv: 18 vertices" in capsys.readouterr().err
     vertices = read_vertices(Path("v.csv"), (96, 112))
-    assert vertices == lay_vertices(Lattice((20.0, 0.0), (0.0, 30.0), (5.0, 7.0)), (96, 112))
+    assert set(vertices) == set(lay_vertices(Lattice((20.0, 0.0), (0.0, 30.0), (5.0, 7.0)), (96, 112)))
     assert call("lattice constant.png --vertices none.csv") == 0
     assert "not written, there is no lattice" in capsys.readouterr().err and not Path("none.csv").exists()
 
