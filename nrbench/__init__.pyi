@@ -28,6 +28,7 @@ from .imaging.convert import gray as gray
 from .imaging.wallpaper_group import FoundGroup as FoundGroup
 from .imaging.wallpaper_group import Symmetry as Symmetry
 from .lattice.geometry import Lattice as Lattice
+from .lattice.vertices import Vertex as Vertex
 from .pictures.files import read_image as read_image
 from .pictures.files import write_image as write_image
 from .pictures.overlays import draw_lattice as draw_lattice
