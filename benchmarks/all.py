@@ -23,6 +23,7 @@ BENCHMARKS = {
     "speed.py commands overhead": "the same",
     "speed.py pictures --sides 2000": "speed.py pictures --sides 500 1000 2000 4000 8000",
     "speed.py outputs --largest 1024 --methods rsgf tile-set representative-tile fftm-patch": "speed.py outputs",
+    "fftm_time.py --sides 128 --repeats 1": "fftm_time.py",
     "geometry.py --seeds 0 --bends 0.5 --models brick": "geometry.py",
     "peers.py --textures brick-middle weave-middle hexagon-middle": "peers.py",
     "resample.py rare": "resample.py elements",

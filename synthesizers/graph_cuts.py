@@ -26,8 +26,6 @@ MOST_RANDOM = 1e6
 """The largest k. It makes all translations almost equally probable."""
 LEAST_FEATHER = 0.1
 """px: the least width of feathering. At this width the weight of a pixel's neighbor is 2e-22."""
-LEAST_GAIN = 0.01
-"""A pass of refinement pays if it reduces the total cost of the seams by at least this share."""
 
 
 @dataclass(frozen=True)
@@ -143,12 +141,7 @@ class GraphCuts:
             If a region would be smaller than 3 px.
         """
         work, patches = self.prepare(task)
-        regions = math.prod(task.shape) / math.prod(patches.size)
-        filled = 1 / (1 + self.passes)
-        while (region := patches.find_unknown()) is not None:
-            patches.cover_region(region)
-            task.progress(filled * region[0] / task.shape[0])
-        self._refine(work, patches, task, math.ceil(regions), filled)
+        patches.assemble_output(self.passes, task.progress, lambda heat: self._choose_region(heat, task.rng), True)
         image, source = work.feathered(self.feather)
         task.progress(1.0)
         return Synthesis(image, source=source)
@@ -174,35 +167,9 @@ class GraphCuts:
         ring = 2 if task.tileable else 0
         return min(rows, task.shape[0] - ring), min(columns, task.shape[1] - ring)
 
-    def _refine(self, work: Patchwork, patches: WholePatches, task: Task, steps: int, filled: float) -> None:
-        """Cover regions again, pass by pass, until a pass does not pay."""
-        heat = SeamHeat(work, patches.size)
-        reach = max(whole - part for whole, part in zip(task.sample.shape[:2], patches.size, strict=True))
-        for number in range(self.passes):
-            before, kept = work.cost, [array.copy() for array in (work.image, work.source, work.seams)]
-            if before == 0:
-                return
-            for step in range(steps):
-                region = self._choose_region(heat, task.rng)
-                patches.cover_region(region, _costliest_pixel(work, region))
-                heat.update(region, reach)
-                task.progress(filled * (1 + number + step / steps))
-            after = work.cost
-            if after > before:
-                work.image, work.source, work.seams = kept
-            if before - after <= LEAST_GAIN * before:
-                return
-
     def _choose_region(self, heat: SeamHeat, rng: np.random.Generator) -> Window:
         if self.refine == "worst":
             return heat.find_worst()
         if self.refine == "random":
             return heat.draw_window(rng)
         return heat.draw_extreme(rng, maxima=self.refine == "extremes")
-
-
-def _costliest_pixel(work: Patchwork, region: Window) -> tuple[int, int]:
-    """Return the (y, x) of the pixel of a region whose links to the right and below cost most."""
-    pixels = work.pixels(region)
-    y, x = divmod(int(work.seams[:, pixels[0], pixels[1]].sum(0).argmax()), region[3] - region[2])
-    return region[0] + y, region[2] + x

@@ -7,6 +7,7 @@ Kwatra, Schödl, Essa, Turk, Bobick 2003 (Graphcut textures: image and video syn
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -32,6 +33,8 @@ Placement = Literal["entire", "sub-patch", "random"]
 LEAST_OVERLAP = 0.25
 """Least overlap with known pixels, as a share of the largest overlap of all translations that cover a region. The paper
 normalizes by the overlap and names no least one; the mean over a few pixels would then decide."""
+LEAST_GAIN = 0.01
+"""A pass of refinement pays if it reduces the total cost of the seams by at least this share."""
 BLOCKS_PER_SIDE = 6
 """Number of blocks along the shorter side of a window; the search for the worst window moves in steps of a block."""
 
@@ -231,9 +234,7 @@ class Patchwork(Canvas):
         """Return the (x, y) in the sample of a window's pixels, ``(h, w, 2)``; (0, 0) where nothing is known."""
         return np.ascontiguousarray(self.source[self.pixels(window)][..., :2], np.int64)
 
-    def lay_patch(
-        self, window: Window, place: tuple[int, int], reach: int = 0, forced_pixel: tuple[int, int] | None = None
-    ) -> int:
+    def lay_patch(self, window: Window, place: tuple[int, int], forced_pixel: tuple[int, int] | None = None) -> int:
         """Cut a patch into a window so that the seams cost least. All unknown pixels of the window are filled.
 
         Parameters
@@ -243,9 +244,6 @@ class Patchwork(Canvas):
             high and wide than the output.
         place
             (x, y) in the sample of the window's first pixel. The patch lies inside the sample.
-        reach
-            Distance beyond the window in px within which the patch may also replace known pixels, as far as the sample
-            extends.
         forced_pixel
             (y, x) inside the window: a pixel that must show the patch, even if the seams then cost more (section 3.2,
             "surrounded regions"). None: there is none.
@@ -255,8 +253,7 @@ class Patchwork(Canvas):
         int
             The number of pixels that now show the patch.
         """
-        extended = self._extend_window(window, place, reach)
-        around, ring = self._add_ring(extended)
+        around, ring = self._add_ring(window)
         pixels = self.pixels(around)
         known = np.ascontiguousarray(self.known[pixels])
         forced = np.zeros_like(known)
@@ -266,9 +263,8 @@ class Patchwork(Canvas):
         x, y = place[0] + around[2] - window[2], place[1] + around[0] - window[0]
         choices = link_choices(self._rule, self.origin(around), known, x, y)
         new = cut_links(choices, (ring | ~known) & ~forced, forced)
-        inner, (top, bottom, left, right) = _within(extended, around), extended
-        first = place[0] + left - window[2], place[1] + top - window[0]
-        self.place(extended, copy_patch(self.sample, first, (bottom - top, right - left)), new[inner])
+        size = window[1] - window[0], window[3] - window[2]
+        self.place(window, copy_patch(self.sample, place, size), new[_within(window, around)])
         self.seams[:, *pixels] = _record_links(self.seams[:, *pixels], choices, new)
         return int(new.sum())
 
@@ -282,19 +278,6 @@ class Patchwork(Canvas):
         ring = np.ones((around[1] - around[0], around[3] - around[2]), np.bool_)
         ring[_within(window, around)] = False
         return around, ring
-
-    def _extend_window(self, window: Window, place: tuple[int, int], reach: int) -> Window:
-        """Return a window extended by ``reach`` px on all sides, but not beyond the sample or the output."""
-        ends: list[int] = []
-        for axis in (0, 1):
-            start, stop, first = window[2 * axis], window[2 * axis + 1], window[2 * axis] - place[1 - axis]
-            side, last = self.shape[axis], first + self.sample.shape[axis]
-            if self.wrap:
-                more = max(min(reach, (side - 2 - (stop - start)) // 2), 0)
-                ends += [max(start - more, first), min(stop + more, last)]
-            else:
-                ends += [max(start - reach, first, 0), min(stop + reach, last, side)]
-        return ends[0], ends[1], ends[2], ends[3]
 
 
 def _record_links(seams: NDArray[np.int64], choices: NDArray[np.float64], new: Mask) -> NDArray[np.int64]:
@@ -442,8 +425,9 @@ class WholePatches:
     rng
         The generator that draws translations.
     guide
-        For ``"entire"``: values that are compared at all pixels of the output that the sample overlaps, known or not,
-        of the output and of the sample; their mean squared difference is added to C(t).
+        Values of the output and of the sample that are compared at all pixels, known or not, that the sample or the
+        window overlaps. For ``"entire"`` their mean squared difference is added to C(t). For ``"sub-patch"`` C(t) is
+        the sum of both squared differences over the number of the window's pixels.
     """
 
     work: Patchwork
@@ -484,6 +468,52 @@ class WholePatches:
         height, width = self.colors.shape[:2]
         window = self._inside((top, top + height, left, left + width), region)
         return self.work.lay_patch(window, (window[2] - left, window[0] - top), forced_pixel=forced_pixel)
+
+    def assemble_output(
+        self,
+        passes: int,
+        progress: Callable[[float], None],
+        choose: Callable[[SeamHeat], Window] = SeamHeat.find_worst,
+        forced: bool = False,
+    ) -> None:
+        """Fill the output line by line, then cover known regions again, pass by pass, until a pass does not pay.
+
+        A pass has as many steps as the output holds regions. It pays if it reduces the cost of all seams by at least
+        :data:`LEAST_GAIN`; one that increases the cost is undone.
+
+        Parameters
+        ----------
+        passes
+            The most passes after the filling.
+        progress
+            Is called with the share of the work that is done.
+        choose
+            Returns the next region of a pass.
+        forced
+            Whether the pixel of a region whose seams cost most must show the new patch (section 3.2). Otherwise no step
+            of a pass increases the cost.
+        """
+        work, filled = self.work, 1 / (1 + passes)
+        while (region := self.find_unknown()) is not None:
+            self.cover_region(region)
+            progress(filled * region[0] / work.shape[0])
+        heat = SeamHeat(work, self.size)
+        reach = max(whole - part for whole, part in zip(self.colors.shape[:2], self.size, strict=True))
+        steps = math.ceil(math.prod(work.shape) / math.prod(self.size))
+        for number in range(passes):
+            before, kept = work.cost, [array.copy() for array in (work.image, work.source, work.seams)]
+            if before == 0:
+                return
+            for step in range(steps):
+                region = choose(heat)
+                self.cover_region(region, _find_costliest_pixel(work, region) if forced else None)
+                heat.update(region, reach)
+                progress(filled * (1 + number + step / steps))
+            after = work.cost
+            if after > before:
+                work.image, work.source, work.seams = kept
+            if before - after <= LEAST_GAIN * before:
+                return
 
     def _inside(self, window: Window, region: Window) -> Window:
         """Return the part of a window around a region that lies inside the output, or does not meet itself."""
@@ -548,13 +578,17 @@ class WholePatches:
             more = min(self.margin[axis], (self.colors.shape[axis] - self.size[axis]) // 2)
             window += [start - more, stop + more]
         inside = self._inside((window[0], window[1], window[2], window[3]), region)
-        known = self.work.known[self.work.pixels(inside)]
-        sums = self._parts.compute_costs(self.work.read(self.colors, inside), known)
+        pixels = self.work.pixels(inside)
+        known, values = self.work.known[pixels], self.work.read(self.colors, inside)
+        compared = max(int(known.sum()), 1)
+        if self.guide is not None:
+            values, compared = np.concatenate([values, self.guide[0][pixels]], -1), known.size
+        sums = self._parts.compute_costs(values, known)
         costs = np.full(self._counts, np.inf)
         # A part that starts in row r of the sample lies there at translation y0 - r of the sample's first pixel.
         top, left = self._first(region)
         rows, columns = inside[0] - top - np.arange(sums.shape[0]), inside[2] - left - np.arange(sums.shape[1])
-        costs[np.ix_(rows, columns)] = sums / max(int(known.sum()), 1)
+        costs[np.ix_(rows, columns)] = sums / compared
         return costs
 
     def _shown(self, region: Window) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -582,11 +616,19 @@ class WholePatches:
 
     @cached_property
     def _parts(self) -> Translations:
-        return Translations(self.colors, self.colors.shape[2])
+        values = self.colors if self.guide is None else np.concatenate([self.colors, self.guide[1]], -1)
+        return Translations(values, self.colors.shape[2])
 
     @cached_property
     def _variance(self) -> float:
         return summed_variance(self.colors)
+
+
+def _find_costliest_pixel(work: Patchwork, region: Window) -> tuple[int, int]:
+    """Return the (y, x) of the pixel of a region whose links to the right and below cost most."""
+    pixels = work.pixels(region)
+    y, x = divmod(int(work.seams[:, pixels[0], pixels[1]].sum(0).argmax()), region[3] - region[2])
+    return region[0] + y, region[2] + x
 
 
 @dataclass(frozen=True, eq=False)

@@ -214,8 +214,8 @@ def test_every_parameter_changes_something(name: str) -> None:
 BAD = {
     "ann-pixel": "neighborhood=1 neighborhood=11 coherence=0.5 coherence=nan dimensions=-1",
     "auto": "threshold=2",
-    "fftm-patch": "weight=-1 weight=100.5 weight=nan patch=-1 patch=2 overlap=-0.1 overlap=0.95 overlap=nan reach=2.5 "
-    "reach=nan randomness=-1 randomness=inf randomness=nan refinements=-1 threshold=-1 "
+    "fftm-patch": "weight=-1 weight=100.5 weight=nan patch=-1 patch=2 overlap=-0.1 overlap=0.95 overlap=nan "
+    "randomness=-1 randomness=inf randomness=nan refinements=-1 threshold=-1 "
     "threshold=255 threshold=nan tileable=true,harmonics=free",
     "fftm-pixel": "neighborhood=1 neighborhood=7 weight=-1 weight=nan weight=101 coherence=0.5 coherence=inf "
     "coherence=nan dimensions=-1 weight=2,match=cluster tileable=true,harmonics=free threshold=-1",

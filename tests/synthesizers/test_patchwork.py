@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import quantize
 from nrbench.synthesizers.canvas.canvas import Window
-from nrbench.synthesizers.fftm_patch import PatchPlacer, scan_windows
 from nrbench.synthesizers.patchwork.patchwork import (
     EntirePatch,
     Features,
@@ -42,7 +41,7 @@ def cover(work: Patchwork, rng: np.random.Generator, size: tuple[int, int], coun
     for top, left in starts:
         bottom, right = top + size[0], left + size[1]
         window = (top, bottom, left, right) if work.wrap else (top, min(bottom, height), left, min(right, width))
-        work.lay_patch(window, anywhere(work, rng, window), reach=int(rng.integers(4)))
+        work.lay_patch(window, anywhere(work, rng, window))
 
 
 def anywhere(work: Patchwork, rng: np.random.Generator, window: Window) -> tuple[int, int]:
@@ -141,7 +140,7 @@ def test_a_bad_patch_is_covered_and_a_good_one_stays() -> None:
         work.source[10:16, 12:20, :2] = np.stack(np.meshgrid(np.arange(8), np.arange(6)), -1)
         work.seams[...] = np.rint(seams_of(work) * UNIT)
         assert work.cost > 0
-        assert work.lay_patch((11, 13, 14, 17), (18, 17), reach=20) == 48
+        assert work.lay_patch((0, 30, 0, 30), (4, 6)) == 48
         assert work.cost == 0
         assert work.lay_patch((5, 25, 8, 28), (0, 0)) == 0
 
@@ -172,87 +171,11 @@ def test_windows_at_extremes_cost_no_more_and_no_less_than_those_around() -> Non
     assert kinds == {(False, "minimum"), (True, "minimum"), (True, "maximum")}
 
 
-def test_a_patch_never_fills_more_than_its_window() -> None:
-    """However far it reaches: beyond, only what is known changes."""
-    rng = np.random.default_rng(2)
-    work = patchwork(rng, (30, 30), (60, 60))
-    work.lay_patch((10, 30, 10, 30), (0, 0))
-    work.lay_patch((20, 40, 20, 40), (5, 5), reach=50)
-    known = np.zeros((60, 60), bool)
-    known[10:30, 10:30] = known[20:40, 20:40] = True
-    np.testing.assert_array_equal(work.known, known)
-
-
 def gray_levels(
     rng: np.random.Generator | int, height: int, width: int, channels: int = 3, most: int = 255
 ) -> Features:
     """Return noise in whole gray levels."""
     return np.random.default_rng(rng).integers(0, most + 1, (height, width, channels)).astype(np.int32)
-
-
-def placement(
-    colors: Features, shape: tuple[int, int], randomness: float = 0.01, guided: bool = False, wrap: bool = False
-) -> PatchPlacer:
-    """Return an empty output, guided by a mask of period 8 both in the sample and beyond, or not."""
-    work = Patchwork(quantize((colors / 255).astype(np.float32)), colors, shape, wrap=wrap)
-    mask = np.tile(gray_levels(5, 8, 8), (40, 40, 1))
-    guide = mask[: shape[0], : shape[1]] * guided, mask[: len(colors), : colors.shape[1]] * guided
-    return PatchPlacer(work, colors, randomness, np.random.default_rng(1), guide)
-
-
-@settings(max_examples=60)
-@given(
-    st.tuples(st.integers(1, 60), st.integers(1, 60)),
-    st.tuples(st.integers(1, 20), st.integers(1, 20)),
-    st.tuples(st.floats(0.1, 1), st.floats(0.1, 1)),
-    st.booleans(),
-)
-def test_scan_windows_cover_the_output(
-    shape: tuple[int, int], size: tuple[int, int], share: tuple[float, float], wrap: bool
-) -> None:
-    """Every pixel is in a window, windows have at most the given size, and without wrapping they lie in the output."""
-    step = max(1, int(size[0] * share[0])), max(1, int(size[1] * share[1]))
-    covered = np.zeros(shape, bool)
-    for y0, y1, x0, x1 in scan_windows(shape, size, step, wrap):
-        assert 0 < y1 - y0 <= size[0] and 0 < x1 - x0 <= size[1]
-        assert wrap or (y1 <= shape[0] and x1 <= shape[1])
-        covered[np.ix_(np.arange(y0, y1) % shape[0], np.arange(x0, x1) % shape[1])] = True
-    assert covered.all()
-
-
-def test_where_nothing_is_known_the_guide_alone_places() -> None:
-    """On an empty output the patches drawn are those in phase with the guide, all of them."""
-    found = set()
-    for seed in range(60):
-        made = placement(gray_levels(0, 32, 32), (40, 40), guided=True)
-        PatchPlacer(made.work, made.colors, 0.01, np.random.default_rng(seed), made.guide).cover_window((3, 19, 5, 21))
-        found.add(tuple(made.work.source[3, 5, :2].tolist()))
-    assert found == {(x, y) for x in (5, 13) for y in (3, 11)}
-
-
-def test_what_is_known_is_continued() -> None:
-    """Without randomness a patch goes on where the sample does, when the sample shows it."""
-    made = placement(gray_levels(0, 40, 40), (30, 30), randomness=0.0)
-    made.work.lay_patch((0, 15, 0, 15), (2, 7))
-    made.cover_window((5, 25, 5, 25))
-    assert made.work.cost == 0
-    np.testing.assert_array_equal(made.work.source[24, 24, :2], (26, 31))
-
-
-@pytest.mark.parametrize("wrap", [False, True])
-@pytest.mark.parametrize("guided", [False, True])
-def test_improving_never_makes_seams_cost_more_and_often_less(wrap: bool, guided: bool) -> None:
-    """Step by step the cost of all seams falls or stays, and in the end it is less."""
-    made = placement(gray_levels(0, 40, 40), (64, 72), randomness=0.05, guided=guided, wrap=wrap)
-    for window in scan_windows(made.work.shape, (16, 16), (12, 12), wrap):
-        made.cover_window(window)
-    costs = [made.work.cost]
-    heat = SeamHeat(made.work, (16, 16))
-    for _ in range(40):
-        made.improve_worst_window(heat)
-        costs.append(made.work.cost)
-    assert (np.diff(costs) <= 0).all()
-    assert costs[-1] < 0.995 * costs[0]
 
 
 def output(shape: tuple[int, int], wrap: bool = False) -> Patchwork:
@@ -396,6 +319,43 @@ def whole_patches(
     return WholePatches(work, colors, placement=placement, rng=rng, **given)
 
 
+def guide_of(work: Patchwork) -> tuple[Features, Features]:
+    """Return a guide of period 8 px, of an output and of its sample."""
+    mask = np.tile(gray_levels(5, 8, 8), (40, 40, 1))
+    return mask[: work.shape[0], : work.shape[1]], mask[: work.sample.shape[0], : work.sample.shape[1]]
+
+
+@pytest.mark.parametrize("placement", ["entire", "sub-patch"])
+def test_where_nothing_is_known_the_guide_alone_places(placement: Placement) -> None:
+    """On an empty output the translations drawn are those in phase with the guide, all of them."""
+    work = patchwork(np.random.default_rng(0), (32, 32), (40, 40))
+    found = set()
+    for seed in range(60):
+        work.known[:] = False
+        rng = np.random.default_rng(seed)
+        WholePatches(work, work.features, (16, 16), placement, 0.01, 0.25, (0, 0), rng, guide_of(work)).cover_region(
+            (3, 19, 5, 21)
+        )
+        found.add(tuple(work.source[3, 5, :2].tolist()))
+    assert found == {(x, y) for x in (5, 13) for y in (3, 11)}
+
+
+@pytest.mark.parametrize("wrap", [False, True])
+@pytest.mark.parametrize("guided", [False, True])
+def test_refining_never_makes_seams_cost_more_and_often_less(wrap: bool, guided: bool) -> None:
+    """Pass by pass the cost of all seams falls or stays, and in the end it is less; forced pixels change the output."""
+    costs = []
+    for passes, forced in ((0, False), (1, False), (3, False), (1, True)):
+        work = patchwork(np.random.default_rng(0), (40, 40), (64, 72), wrap=wrap)
+        guide = guide_of(work) if guided else None
+        rng = np.random.default_rng(1)
+        made = WholePatches(work, work.features, (12, 12), "sub-patch", 0.05, 0.25, (2, 2), rng, guide)
+        made.assemble_output(passes, lambda done: None, forced=forced)
+        costs.append(work.cost)
+    assert costs[0] >= costs[1] >= costs[2] and costs[2] < 0.995 * costs[0]
+    assert costs[3] <= costs[0] and costs[3] != costs[1]
+
+
 def fill(patches: WholePatches) -> list[Window]:
     """Cover regions until nothing is unknown, and return them."""
     regions = []
@@ -436,10 +396,15 @@ def test_a_copy_is_continued(placement: Placement) -> None:
     np.testing.assert_array_equal(patches.work.source[19, 20, :2], (14, 12))
 
 
+@pytest.mark.parametrize("guided", [False, True])
 @pytest.mark.parametrize("placement", ["entire", "sub-patch"])
-def test_costs_are_means_over_what_is_compared(placement: Placement) -> None:
-    """C is the mean squared difference over the compared known pixels, for each translation that covers the region."""
+def test_costs_are_means_over_what_is_compared(placement: Placement, guided: bool) -> None:
+    """C is the mean squared difference over the compared known pixels, for each translation that covers the region.
+
+    A guide is compared at all pixels. For sub-patches the mean of both is over these.
+    """
     patches = whole_patches(placement, (30, 30), least_overlap=0.0)
+    patches.guide = guide_of(patches.work) if guided else None
     rng, (height, width) = np.random.default_rng(2), patches.colors.shape[:2]
     patches.work.source[..., :2] = rng.integers(0, 15, (30, 30, 2))
     patches.work.known = rng.random((30, 30)) < 0.6
@@ -460,7 +425,14 @@ def test_costs_are_means_over_what_is_compared(placement: Placement) -> None:
         a, b, c, d = inside
         shown = patches.work.read(patches.colors, inside).astype(np.int64)
         squares = ((patches.colors[a - top : b - top, c - left : d - left] - shown) ** 2).sum(-1)
-        assert costs[row, column] == pytest.approx(squares[patches.work.known[a:b, c:d]].mean(), rel=1e-12)
+        known, expected = patches.work.known[a:b, c:d], squares[patches.work.known[a:b, c:d]].mean()
+        if patches.guide is not None:
+            there, here = patches.guide[0][a:b, c:d], patches.guide[1][a - top : b - top, c - left : d - left]
+            apart = ((here - there) ** 2).sum(-1)
+            expected += apart.mean()
+            if placement == "sub-patch":
+                expected = (squares[known].sum() + apart.sum()) / known.size
+        assert costs[row, column] == pytest.approx(expected, rel=1e-12)
 
 
 def test_small_overlaps_are_not_considered() -> None:
