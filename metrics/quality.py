@@ -39,7 +39,7 @@ class Quality:
     on textures without a lattice.
     """
 
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     limits: ClassVar[tuple[Limit, ...]] = tuple(TABLE)
     columns: ClassVar[Mapping[str, Column]] = {

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
@@ -21,7 +21,7 @@ from .judgment.texture_reference import CannotTell
 from .perception import limits
 from .perception.visible import tint_places
 from .registration.followed import FollowedPicture
-from .registration.lattice_net import Mask
+from .registration.lattice_net import LatticeNet, Mask
 from .registration.lattice_nodes import LatticeNodes
 
 COLORS = ((1.0, 0.6, 0.0), (0.9, 0.1, 0.1))
@@ -48,6 +48,13 @@ class Regularity:
     does not count, nor does a drift within 2 %, the uncertainty of a lattice marked by hand: larger drifts lower the
     score, down to 0 at 6 %. Where the references drift more, because the texture bends, more is allowed.
 
+    A method is judged by the lattice that it declares (``lattice_used``): of the output's drifts from this lattice and
+    from the true one the smaller counts. The representative tile, for example, rounds its period to whole pixels and
+    says so. A declared lattice counts if it is the true one, or a supercell of it, to 1 px of the true vectors as in
+    ``lattice_recovery``, and stretches and turns them by at most 6 %. Any other lattice excuses nothing. A supercell
+    excuses no more than the true lattice stretched alike, because the places of the single tiles are measured as ever.
+    The distance of the declared lattice from the true one is ``lattice_recovery.drift``.
+
     Let b be the share of the output that is out of place beyond what chance explains in the references. A window whose
     departure lies between the limit of the references and a quarter of s counts in part. The score is 1 - 2 b: half of
     the tiles in another phase is no lattice. ``preserved`` is the verdict: a score of at least 0.85. It is undecided if
@@ -65,7 +72,7 @@ class Regularity:
     uneven for one of both, the other decides.
     """
 
-    version: ClassVar[str] = "12"
+    version: ClassVar[str] = "13"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "preserved": Column("Whether the output kept the lattice everywhere.", better="higher"),
@@ -113,11 +120,11 @@ class _Finding:
         """Share out of place, beyond what chance explains."""
         return float(max(0.0, self.bad[self.nodes.valid].mean() - self.usual) / (1 - self.usual))
 
-    @property
-    def straight(self) -> float:
-        """1 if the whole does not drift more than the references, falling to 0."""
+    def straightness(self, declared: Points) -> float:
+        """Return 1 if the drift is not more than the references', falling to 0; see :func:`declared_drift`."""
         wider = max(1.0, min(limits.OF_NOISE * self.usual_drift, limits.MOST_DRIFT) / limits.DRIFT)
-        most, drift = limits.MOST_DRIFT, float(np.linalg.norm(self.nodes.drift, 2))
+        most, own = limits.MOST_DRIFT, np.eye(2) + self.nodes.drift
+        drift = min(np.linalg.norm(np.linalg.solve(np.eye(2) + each, own) - np.eye(2), 2) for each in (declared, 0))
         return float(np.clip((most * wider - drift) / ((most - limits.DRIFT) * wider), 0, 1))
 
 
@@ -151,7 +158,8 @@ def _score(observation: Observation) -> Score:
         return Score(values, reasons, records=records)
     sure = [finding for finding in found if finding.by == "registration" and finding.nodes.size == 1]
     worst = max(sure or found, key=lambda finding: finding.share)
-    score = max(0.0, 1 - limits.SLOPE * worst.share) * max(finding.straight for finding in found)
+    declared = declared_drift(observation.lattice_used, worst.nodes.net)
+    score = max(0.0, 1 - limits.SLOPE * worst.share) * max(finding.straightness(declared) for finding in found)
     values |= {"misplaced_share": worst.share, "score": score, "preserved": score >= limits.PRESERVED}
     reasons = {name: reason for name, reason in reasons.items() if values[name] is None}
     records |= {
@@ -164,6 +172,16 @@ def _score(observation: Observation) -> Score:
     shown = [(finding.nodes, finding.bad) for finding in sure or found]
     pictures = {"defects": draw_misplaced(observation.output, shown)}
     return Score(values, reasons, pictures, records)
+
+
+def declared_drift(declared: Lattice | None, net: LatticeNet) -> Points:
+    """Return the drift of a declared lattice from the true one, ``(2, 2)``; 0 if there is none or it does not count."""
+    true, none = Lattice.from_basis(net.vectors), np.zeros((2, 2))
+    if declared is None or lattice_error(declared, true, net.shape).relation not in ("exact", "supercell"):
+        return none
+    change = np.rint(declared.matrix @ np.linalg.inv(true.matrix))
+    drift = np.linalg.solve(true.matrix, np.linalg.solve(change, declared.matrix)) - np.eye(2)
+    return np.asarray(drift) if np.linalg.norm(drift, 2) <= limits.MOST_DRIFT else none
 
 
 def _measure(

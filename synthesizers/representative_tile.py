@@ -19,6 +19,7 @@ from nrbench.plugins.registry import NamedDetector
 
 from .lattice_places.equal_places import PERIOD_SLACK, pixel_grid, require_two_periods
 from .sample_reading.patches import Patches, resample
+from .wang_tiling.wang_tiles import WangTiles
 
 Values = NDArray[np.float32]
 """``float32 (H, W, C)``, any range."""
@@ -33,6 +34,10 @@ _SEARCH_SHARE: Final = 0.4
 """Progress when the tile is chosen."""
 MAX_WEIGHT: Final = 1e6
 """Largest weight: beyond it the other term has no effect."""
+MOST_COLORS: Final = 3
+"""Largest number of colors of edges: a set then has 81 tiles."""
+MOST_BEST: Final = 99
+"""Largest number of best tiles, whose names have two digits."""
 EXACT = 1e-6
 """Share of s that a rectangle may miss a period by, whatever the tolerance: the effect of rounding."""
 _LEVELS = (0.0, 0.5, 1.0)
@@ -63,20 +68,26 @@ class RepresentativeTile:
     cells if necessary; its sides may miss lattice vectors by ``tolerance``. Without a given lattice the detector
     ``ssdn`` finds the period along the sample's axes, as in the paper.
 
-    The output is periodic: it keeps regularity and loses randomness, as the paper says.
+    The output is periodic: it keeps regularity and loses randomness, as the paper says. ``edge_colors`` keeps some of
+    it by Wang tiles, the future work of section 6: a complete set of tiles, each of 2 x 2 representative tiles of the
+    sample, that are laid at random so that the colors of their edges agree
+    (:class:`~nrbench.synthesizers.wang_tiling.wang_tiles.WangTiles`).
 
     ``preset=paper`` is the setting of figure 5: the period x_n / n, scaled down to whole pixels (section 3), and the
-    output repeats the pixels of the tile. In the paper a user may choose one of the m best tiles; here the best one is
-    taken.
+    output repeats the pixels of the tile. In the paper a user may choose one of the m best tiles; here the output shows
+    the best one, and the others with their tilings are extras.
 
     Extras: ``tile``; ``frame``, ``(3, 2)``: the tile's first pixel (x, y) in the sample, and the steps (x, y) in the
-    sample of one pixel along its rows and columns, of lengths r (equation 4); ``best``, ``(1, 5)``: x, y in the scaled
-    sample, h, SSDN and S of the tile.
+    sample of one pixel along its rows and columns, of lengths r (equation 4); ``best``, ``(m, 5)``: x, y in the scaled
+    sample, h, SSDN and S of the m best tiles; if m > 1, ``best-01``, ``tiling-01`` and so on: the tiles, and the scaled
+    sample as each reconstructs it. With Wang tiles ``atlas``, all tiles of the set in whole pixels, and the file
+    ``atlas.json``, which has their colors.
 
     Parameters
     ----------
     continuity_weight
-        alpha, the weight of continuity beside that of resemblance, which is 1: 0 to 1e6 (the paper: 1, 30 or 0).
+        alpha, the weight of continuity beside that of resemblance, which is 1: 0 to 1e6. The paper uses 1, 30 or 0.
+        With 1, small tiles of strongly varying elements often show a line at the junction.
     rated_share
         p, the share in (0, 1] of the places, those of least h, that are rated (the paper: 0.0001 to 0.02). None: all.
     rescale
@@ -88,6 +99,11 @@ class RepresentativeTile:
         number (equation 3), never refused.
     tolerance
         Largest distance of a side of the tile from a lattice vector, in shares of s, in [0, 0.5).
+    edge_colors
+        Number of colors of the horizontal and of the vertical edges of Wang tiles, 1 to 3: a set has 16 or 81 tiles.
+        1: one tile, without colors.
+    best_tiles
+        m, the number of best tiles that are extras, 1 to 99.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
         It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
@@ -96,22 +112,24 @@ class RepresentativeTile:
 
     References
     ----------
-    .. [1] "Extraction of a Representative Tile from a Near-Periodic Texture." Université de Sherbrooke, Québec, Canada.
-           The text that was implemented has no date, authors or venue.
+    .. [1] K. Djado, R. Egli, F. Deschênes, "Extraction of a Representative Tile from a Near-Periodic Texture." GRAPHITE
+           2005. Unverified: the text that was implemented names only the Université de Sherbrooke, Québec, Canada.
     """
 
-    continuity_weight: float = 1.0
+    continuity_weight: float = 30.0
     rated_share: float | None = None
     rescale: bool = True
     finder: Literal["ssdn:primitive=false", "ssdn:preset=paper"] = "ssdn:primitive=false"
     tolerance: float = 0.1
+    edge_colors: int = 1
+    best_tiles: int = 1
     geometry: Geometry = "straight"
 
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     family: ClassVar[str] = "tiles and patches on the lattice"
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "continuity_weight": 30.0,
@@ -131,6 +149,7 @@ class RepresentativeTile:
         share, tolerance = self.rated_share, self.tolerance
         require(share is None or 0 < share <= 1, f"rated_share {share}; choose above 0, at most 1, or leave it out")
         require(0 <= tolerance < 0.5, f"tolerance {tolerance}; choose a share of s from 0 to below 0.5")
+        require_ranges(self, edge_colors=(1, MOST_COLORS), best_tiles=(1, MOST_BEST))
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the synthesis; see :class:`RepresentativeTile`.
@@ -149,43 +168,90 @@ class RepresentativeTile:
             self._require_whole_tiles(frame, task.shape)
         patches = Patches(task.sample)
         image, known = frame.scale_sample(task.sample, patches)
-        best = self._find_best(image, known, frame)
+        rating, best = self._rate(image, known, frame)
         place = (int(best[0, 0]), int(best[0, 1]))
         task.progress(_SEARCH_SHARE)
         rest = replace(task, progress=lambda done: task.progress(_SEARCH_SHARE + (1 - _SEARCH_SHARE) * done))
-        output, source = repeat_tile(rest, frame, place, self.rescale, patches)
         corner = frame.to_sample(np.array(place, np.float64))
         extras = {"tile": _cut(image, frame, place), "frame": np.vstack([corner, frame.steps]), "best": best}
-        note = f"a tile holds {frame.cells} cells" if frame.cells > 1 else ""
+        for number, (x, y) in enumerate(best[:, :2].astype(int).tolist() if len(best) > 1 else [], 1):
+            extras[f"best-{number:02d}"] = tile = _cut(image, frame, (x, y))
+            extras[f"tiling-{number:02d}"] = _repeat(tile, (x, y), image.shape)
+        if self.edge_colors > 1:
+            tiles = self._cut_wang_tiles(frame, lattice, place, rating, patches)
+            extras["atlas"] = tiles.atlas
+        else:
+            shown = np.concatenate([extras["tile"], pixel_grid(*frame.size[::-1], *place)], -1, dtype=np.float32)
+            tiles = WangTiles(1, shown[np.newaxis, np.newaxis])
+        output, source = lay_tiles(rest, frame, tiles, place, self.rescale, patches)
+        note = f"a tile holds {frame.cells * self._periods**2} cells" if frame.cells * self._periods > 1 else ""
         laid = lattice if self.rescale else frame.lay_lattice(lattice, place)
-        return Synthesis(output, laid, source, extras, seconds, note)
+        files = {"atlas.json": tiles.describe("atlas.png")} if self.edge_colors > 1 else {}
+        return Synthesis(output, laid, source, extras, seconds, note, files)
+
+    @property
+    def _periods(self) -> int:
+        """Number of periods along each side of what is laid."""
+        return 1 if self.edge_colors == 1 else 2
+
+    def _cut_wang_tiles(
+        self, frame: TileFrame, lattice: Lattice, place: tuple[int, int], rating: Costs, patches: Patches
+    ) -> WangTiles:
+        """Return the Wang tiles of blocks of 2 x 2 tiles, those of the least S first.
+
+        With two periods, elements that cross an edge, and the joints around them, have room on either side of it.
+        """
+        size = np.array(frame.size)[::-1]
+        places = frame.lay_lattice(lattice, place).reduced()
+        equal = replace(places, origin=(float(place[0]), float(place[1]))).points(frame.shape)
+        ends = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * (2 * size - 1)
+        equal = equal[frame.holds(equal[:, np.newaxis] + ends, patches.sample.shape).all(1)]
+        if len(equal) <= self.edge_colors:
+            wide, tall = (2 * size).tolist()
+            raise Refused(
+                f"the sample holds {len(equal)} blocks of 2x2 tiles, {wide}x{tall} px, and {self.edge_colors} colors "
+                "of edges need more; choose a larger sample, or edge_colors=1"
+            )
+        x, y = np.minimum(np.rint(np.maximum(equal, 0)).astype(int), np.array(rating.shape[::-1]) - 1).T
+        equal = equal[np.argsort(rating[y, x], kind="stable")]
+        points = equal[:, np.newaxis, np.newaxis] + pixel_grid(*(2 * size))
+        blocks = np.concatenate([patches.read_points(frame.to_sample(points)), points], -1, dtype=np.float32)
+        return WangTiles.cut(list(blocks), self.edge_colors)
 
     def _require_whole_tiles(self, frame: TileFrame, shape: Shape) -> None:
-        height, width = frame.size
-        periods = frame.periods if self.rescale else np.diag([float(width), float(height)])
+        height, width = (self._periods * side for side in frame.size)
+        periods = frame.periods * self._periods if self.rescale else np.diag([float(width), float(height)])
         counts = np.diag(shape[::-1]) @ np.linalg.inv(periods)
         if np.abs(frame.periods[[0, 1], [1, 0]]).max() > self.tolerance * min(frame.size):
             raise Refused("the tile of this lattice is turned, so no upright output repeats; choose another method")
         if np.abs(counts - np.rint(counts)).max() > _WHOLE:
-            tall, wide = (max(round(side / part), 1) * part for side, part in zip(shape, frame.size, strict=True))
+            tall, wide = (max(round(side / part), 1) * part for side, part in zip(shape, (height, width), strict=True))
             raise Refused(
                 f"a tile takes {width}x{height} px, and {shape[1]}x{shape[0]} px hold no whole number of them; use "
                 f"rescale=false and --size {wide}x{tall}"
             )
 
-    def _find_best(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> Points:
-        """Return the best place, ``(1, 5)``: x, y, h, SSDN, S (section 4); of equal places the first."""
+    def _rate(self, image: Image, known: NDArray[np.bool_] | None, frame: TileFrame) -> tuple[Costs, Points]:
+        """Return S at all places, and the m best ones, ``(m, 5)``: x, y, h, SSDN, S (section 4); of equals the first.
+
+        Next to the best place lie others of nearly the same tile, among which nobody would choose. Within half a tile
+        of a better place, none is taken.
+        """
         smooth, alike = continuity(image, frame.size), resemblance(image, frame.size, known)
         allowed = np.isfinite(alike)
         if not allowed.any():
             size = f"{frame.size[1]}x{frame.size[0]} px"
             raise Refused(f"turned as the lattice is, a tile of {size} is larger than the sample")
+        total = np.round(self.continuity_weight * smooth + alike, 12)
         if self.rated_share is not None:
             allowed = preselect(np.where(allowed, smooth, np.inf), self.rated_share * float(allowed.sum()))
-        rating = np.full(alike.shape, np.inf)
-        rating[allowed] = np.round(self.continuity_weight * smooth[allowed] + alike[allowed], 12)
-        y, x = np.unravel_index(rating.argmin(), rating.shape)
-        return np.array([[x, y, smooth[y, x], alike[y, x], rating[y, x]]], np.float64)
+        rating, best = np.where(allowed, total, np.inf), list[list[float]]()
+        while len(best) < self.best_tiles and np.isfinite(rating.min()):
+            y, x = np.unravel_index(rating.argmin(), rating.shape)
+            best.append([float(each) for each in (x, y, smooth[y, x], alike[y, x], rating[y, x])])
+            rows, columns = (max(side // 2, 1) for side in frame.size)
+            rating[max(y - rows, 0) : y + rows + 1, max(x - columns, 0) : x + columns + 1] = np.inf
+        return total, np.array(best, np.float64)
 
 
 def preselect(smooth: Costs, number: float) -> NDArray[np.bool_]:
@@ -199,6 +265,12 @@ def _cut(image: Image, frame: TileFrame, place: tuple[int, int]) -> Image:
     """Return the tile at a place (x, y) of the scaled sample."""
     x, y = place
     return image[y : y + frame.size[0], x : x + frame.size[1]]
+
+
+def _repeat(tile: Image, place: tuple[int, int], shape: tuple[int, ...]) -> Image:
+    """Return a picture of ``shape`` that repeats a tile around the place (x, y) where it lies (figure 4)."""
+    rows, columns = ((np.arange(shape[axis]) - place[1 - axis]) % tile.shape[axis] for axis in (0, 1))
+    return tile[np.ix_(rows, columns)]
 
 
 def resemblance(image: Values, size: Size, known: Mask | None = None) -> Costs:
@@ -273,36 +345,45 @@ def _spread(classes: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.
     return np.asarray(wide[np.arange(shape[0]) % classes.shape[0]])
 
 
-def repeat_tile(
-    task: Task, frame: TileFrame, place: tuple[int, int], rescale: bool, patches: Patches
+def lay_tiles(
+    task: Task, frame: TileFrame, tiles: WangTiles, place: tuple[int, int], rescale: bool, patches: Patches
 ) -> tuple[Image, SourceMap]:
-    """Return the output, one tile side by side, and its source map.
+    """Return the output, tiles side by side, and its source map.
 
-    The output continues the sample's phase: the place in the sample where the tile's first pixel lies shows the tile's
+    The output continues the sample's phase: the place in the sample where the tile's first pixel lies shows a tile's
     first pixel in the output.
 
     Parameters
     ----------
     task
-        The sample and the output's shape.
+        The sample, the output's shape, and the stream that draws the colors of edges.
     frame
-        The tile's size, and where its pixels lie in the sample.
+        Where the pixels of a tile lie in the sample.
+    tiles
+        One tile, or a set.
     place
-        (x, y) of the tile's first pixel in the scaled sample.
+        (x, y) of the first pixel of a tile in the scaled sample.
     rescale
         True: the output has the sample's periods. False: it has those of the tile in whole pixels.
     patches
         Of the sample.
     """
-    size = np.array(frame.size[::-1])
+    size = np.array(tiles.shape[::-1])
     corner, steps = np.array(place, np.float64), np.eye(2)
     if rescale:
-        corner, steps = frame.to_sample(corner), frame.periods / size[:, np.newaxis]
+        corner, steps = frame.to_sample(corner), frame.periods / np.array(frame.size[::-1])[:, np.newaxis]
+    inverse = np.linalg.inv(steps)
+    ends = (np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * task.shape[::-1] - corner) @ inverse / size
+    columns, rows = np.rint(np.ptp(ends, axis=0)) if task.tileable else np.ceil(np.ptp(ends, axis=0)) + 1
+    row, column = tiles.lay((int(rows), int(columns)), task.rng)
 
     def points(pixels: Points) -> Points:
-        at = (pixels - corner) @ np.linalg.inv(steps)
+        at = (pixels - corner) @ inverse
         nearest = np.floor(at + 0.5)
-        return frame.to_sample(place + nearest % size + (at - nearest))
+        number, inside = np.divmod(nearest.astype(np.intp), size)
+        x, y = np.moveaxis(number % row.shape[::-1], -1, 0)
+        shown = tiles.layers[row[y, x], column[y, x], inside[..., 1], inside[..., 0], -2:]
+        return frame.to_sample(shown + (at - nearest))
 
     return resample(task, points, patches)
 

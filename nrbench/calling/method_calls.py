@@ -132,6 +132,7 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
         extras=extras,
         detection_seconds=float(seconds),
         note=str(synthesis.note or ""),
+        files={_checked_name(name): str(text) for name, text in synthesis.files.items()},
     )
 
 

@@ -42,11 +42,21 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
+from nrbench.lattice.vertices import Vertex, lay_vertices
 from nrbench.pictures.files import encode_png, read_image, write_image
-from nrbench.pictures.overlays import COLOR, contact_sheet, draw_lattice, draw_overlay, draw_segments, stack
+from nrbench.pictures.overlays import (
+    COLOR,
+    contact_sheet,
+    draw_lattice,
+    draw_overlay,
+    draw_segments,
+    draw_vertices,
+    stack,
+)
+from nrbench.pictures.truth import vertices_text
 from nrbench.plugins.forms import Alternative, Curve, Detection, NoLatticeFound, Surface
 from nrbench.plugins.parameters import parse_spec
-from nrbench.storage import write_aside
+from nrbench.storage import write_aside, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,6 +113,23 @@ class LatticeResult:
     def vectors(self) -> str:
         """The two vectors, and the origin where it is known, as text."""
         return ", ".join(vector_texts(self.lattice, self.has_origin)) if self.lattice else ""
+
+    def vertices(self, shape: tuple[int, int]) -> tuple[Vertex, ...]:
+        """Return where the points of the lattice lie in an image of ``shape``."""
+        if self.deformation is not None:
+            return self.deformation.lattice_points
+        followed = self.detection.vertices if self.detection else ()
+        return followed or (lay_vertices(self.lattice, shape) if self.lattice else ())
+
+    def finish(self, image: Image, options: LatticeQuestion) -> None:
+        """Print the result on standard output, and write the vertices where this was asked for."""
+        vertices = self.vertices(image.shape[:2])
+        if options.vertices is not None and not vertices:
+            click.echo(f"{options.vertices}: not written, there is no lattice in the picture", err=True)
+        elif options.vertices is not None:
+            write_text(options.vertices, vertices_text(vertices))
+            click.echo(f"{options.vertices}: {len(vertices)} vertices", err=True)
+        self.print(options.as_json)
 
     def print(self, as_json: bool) -> None:
         """Print the result on standard output."""
@@ -217,7 +244,7 @@ def _show_given(image: Image, options: LatticeQuestion) -> None:
         lattice, has_origin = Lattice.parse(options.lattice), options.lattice.count(",") == 5
     if options.output is not None:
         write_image(options.output, draw_overlay(image, lattice))
-    LatticeResult("given" if options.lattice else "picked", lattice, has_origin=has_origin).print(options.as_json)
+    LatticeResult("given" if options.lattice else "picked", lattice, has_origin=has_origin).finish(image, options)
 
 
 def _print_numbers(lattice: Lattice) -> None:
@@ -251,7 +278,7 @@ def _show_detection(image: Image, options: LatticeQuestion) -> None:
         _draw_diagnostics(detection.diagnostics if detection else {}, title, options.diagnostics)
     if options.output is not None:
         _draw_result(image, result, options.output)
-    result.print(options.as_json)
+    result.finish(image, options)
 
 
 def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
@@ -263,6 +290,8 @@ def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
         click.echo(f"{output}: not written, there is no lattice to draw", err=True)
     elif result.deformation is not None:
         write_image(output, draw_deformed_lattice(image, result.deformation))
+    elif result.detection is not None and result.detection.vertices:
+        write_image(output, draw_vertices(image, result.detection.vertices))
     else:
         drawn = draw_overlay(image, result.lattice)
         if len(result.candidates) > 1:
@@ -341,7 +370,7 @@ def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) ->
         write_image(options.output, draw_deformed_lattice(image, followed.deformation))
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
-    LatticeResult.of_followed("" if options.lattice else name, followed, straight_lattice).print(options.as_json)
+    LatticeResult.of_followed("" if options.lattice else name, followed, straight_lattice).finish(image, options)
 
 
 def find_bent_lattice(image: Image, detector: str) -> LatticeResult | None:

@@ -17,6 +17,7 @@ from nrbench.cli.progress import live_progress, waiting
 from nrbench.cli.verbs import check_output, choose_one, verb
 from nrbench.errors import BadInput
 from nrbench.flags import Flag, Json, Switch
+from nrbench.storage import write_text
 
 # The help of a command imports no more than this.
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def synth_command(
     the strain would be larger, the command stops, and the message names the nearest size that closes.
 
     Some methods return pictures beside the output: a tile, a mask, the elements. --extras writes them as OUT-NAME.png;
-    without it, their names are printed.
+    without it, their names are printed. Files that describe them are written too, as OUT-NAME.
 
     Parameters
     ----------
@@ -55,28 +56,33 @@ def synth_command(
         Also write the pictures that the method returns beside the output.
     """
     from nrbench import plugins
+    from nrbench.api.arguments import plugin_in
     from nrbench.calling.method_calls import is_picture
     from nrbench.pictures.files import read_image, write_image
-    from nrbench.plugins.parameters import parse_size, parse_spec
+    from nrbench.plugins.parameters import parse_size
 
-    name, parameters = parse_spec(method)
     check_output(output)
     if os.path.realpath(output) == os.path.realpath(image):
         raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
-    finder = getattr(plugins.build("synthesizers", name, parameters), "finder", "")
+    finder = getattr(plugin_in("synthesizers", method, {}), "finder", "")
     size, sample = parse_size(shape), read_image(image)
     given = _given_lattice(sample, lattice)
-    with waiting(f"{name}, {shape}") as progress:
+    with waiting(f"{method.partition(':')[0]}, {shape}") as progress:
         synthesis = call(image=sample, shape=size, lattice=given, progress=progress)
     write_image(output, synthesis.image)
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
     pictures = {title: array for title, array in synthesis.extras.items() if is_picture(array)}
     if pictures and not extras:
-        click.echo(f"not written: {', '.join(pictures)}; --extras writes them", err=True)
+        click.echo(f"not written: {', '.join([*pictures, *synthesis.files])}; --extras writes them", err=True)
     for title, array in pictures.items() if extras else ():
         click.echo(f"{write_image(output.with_name(f'{output.stem}-{title}.png'), array)} ({title})", err=True)
+    for name, text in synthesis.files.items() if extras else ():
+        for title in pictures:
+            text = text.replace(f'"{title}.png"', json.dumps(f"{output.stem}-{title}.png"))
+        write_text(output.with_name(f"{output.stem}-{name}"), text)
+        click.echo(f"{output.with_name(f'{output.stem}-{name}')} ({name})", err=True)
     if given is None and synthesis.lattice is not None and finder != plugins.in_role("detector"):
-        _warn_of_another_lattice(sample, name, synthesis.lattice)
+        _warn_of_another_lattice(sample, method.partition(":")[0], synthesis.lattice)
 
 
 def _given_lattice(sample: Image, text: str | None) -> Lattice | None:

@@ -87,8 +87,8 @@ class Ssdn:
 
     References
     ----------
-    .. [1] "Extraction of a Representative Tile from a Near-Periodic Texture." Université de Sherbrooke, Québec, Canada.
-           The text that was implemented has no date, authors or venue.
+    .. [1] K. Djado, R. Egli, F. Deschênes, "Extraction of a Representative Tile from a Near-Periodic Texture." GRAPHITE
+           2005. Unverified: the text that was implemented names only the Université de Sherbrooke, Québec, Canada.
     """
 
     depth: float = 0.8
@@ -103,11 +103,13 @@ class Ssdn:
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"depth": 0.8, "overlap": 0.1, "subpixel": False, "primitive": False, "reject": "none"}
     }
-    paper: ClassVar[str] = """@misc{representativetile,
-  title        = {Extraction of a Representative Tile from a Near-Periodic Texture},
-  howpublished = {Universit{\\'e} de Sherbrooke, Qu{\\'e}bec, Canada},
-  note         = {Title after its abstract. The text that was implemented has no date, authors or venue; it cites
-                  works to 2005},
+    paper: ClassVar[str] = """@inproceedings{representativetile,
+  author    = {Djado, Khalid and Egli, Richard and Desch{\\^e}nes, Fran{\\c{c}}ois},
+  title     = {Extraction of a Representative Tile from a Near-Periodic Texture},
+  booktitle = {GRAPHITE},
+  year      = {2005},
+  note      = {Unverified: the text that was implemented names the Universit{\\'e} de Sherbrooke only. Check authors,
+               venue and year before citing},
 }"""
 
     def __post_init__(self) -> None:

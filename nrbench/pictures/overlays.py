@@ -13,6 +13,7 @@ import skimage
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.vertices import Vertex
 from nrbench.pictures.files import to_pil
 
 COLOR = (1.0, 0.1, 0.6)
@@ -121,6 +122,13 @@ def draw_segments(image: Image, starts: Points, ends: Points) -> Image:
     for start, end in zip(starts, ends, strict=True):
         _draw_line(canvas, start, end)
     return canvas
+
+
+def draw_vertices(image: Image, vertices: Sequence[Vertex]) -> Image:
+    """Return the image in color with a line between each two vertices that are neighbors in a row or a column."""
+    at = {(vertex.row, vertex.column): (vertex.x, vertex.y) for vertex in vertices}
+    pairs = [(at[i, j], at[other]) for i, j in at for other in ((i, j + 1), (i + 1, j)) if other in at]
+    return draw_segments(image, *np.array(pairs, np.float64).reshape(-1, 2, 2).swapaxes(0, 1))
 
 
 def _draw_line(canvas: Image, start: Points, end: Points) -> None:

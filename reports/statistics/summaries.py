@@ -55,6 +55,8 @@ LATTICES: Mapping[str, tuple[str, str]] = {
     "lattice_of_output": ("regularity.lattice_", "the lattice of the output, fitted to its windows that are in place"),
 }
 """The lattices that are compared with the true one: the beginnings of the names of their columns, and their meaning."""
+LATTICE_ERRORS: Mapping[str, str] = {"px": "vector_error", "s": "vector_error_in_s", "drift": "drift"}
+"""The errors of a lattice, by the names of their rows; the last one only of the lattice that the method used."""
 _RATES = ("preserved", "preserved_refusals_left_out", *(f"{name}_exact" for name in LATTICES))
 RATE = Column("Share of outputs whose lattice is preserved.", better="higher")
 RATE_MEANING = (
@@ -76,19 +78,18 @@ class Method:
         Whether it calibrates the scores and is never ranked.
     parameters
         All parameters of the method.
+    plugin, preset
+        The name of its plugin, and of the preset that was chosen.
     """
 
     name: str
     lattice_source: str
     reference: bool
     parameters: Mapping[str, Any]
+    plugin: str
+    preset: str
 
     kind: ClassVar[str] = "plain method"
-
-    @property
-    def base(self) -> str:
-        """The name without parameters."""
-        return self.name.partition(":")[0]
 
     @property
     def label(self) -> str:
@@ -118,7 +119,7 @@ class MethodSummary:
     validity, validity_scored
         On how many textures a baseline is valid: of all, and of those with a quality.
     lattices
-        For each of :data:`LATTICES` the median error over outputs in px and in s, and the share that are exact.
+        For each of :data:`LATTICES` the medians over outputs of :data:`LATTICE_ERRORS`, and the share that are exact.
     silences
         On how many outputs a peril has no score, by the peril, and by ``no peril`` or ``cannot tell``.
     rank
@@ -321,12 +322,17 @@ def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
     return [point for point in points if point.structure.value is not None]
 
 
+def method_of(record: CellRecord) -> Method:
+    """Return the method of a cell."""
+    what = (record.method, record.lattice_source, record.reference, record.parameters)
+    return Method(*what, record.cell.method, record.cell.preset)
+
+
 def list_methods(run: Run) -> list[Method]:
     """Return the methods in the order of the suite, reference methods last."""
     methods: dict[tuple[str, str], Method] = {}
     for record in run.cells:
-        key = (record.method, record.lattice_source)
-        methods.setdefault(key, Method(*key, record.reference, dict(record.parameters)))
+        methods.setdefault((record.method, record.lattice_source), method_of(record))
     return sorted(methods.values(), key=lambda method: method.reference)
 
 
@@ -375,7 +381,9 @@ def compare_lattices(cells: pd.DataFrame) -> dict[str, Estimate]:
         if name == "lattice_of_output":
             exact = exact.where(exact.notna() | cells[SCORE].isna(), 0.0)
         outcomes = exact.dropna().astype(float) > 0
-        for unit, column in {"px": "vector_error", "s": "vector_error_in_s"}.items():
+        for unit, column in LATTICE_ERRORS.items():
+            if f"{columns}{column}" not in cells:
+                continue
             errors = cells[f"{columns}{column}"].dropna().astype(float)
             middle = float(errors.median()) if len(errors) else None
             found[f"{name}_{unit}"] = Estimate(middle, n=len(errors), of=len(outcomes))
@@ -410,12 +418,11 @@ def summary_rows(run: Run, summaries: Sequence[MethodSummary]) -> list[SummaryRo
             means.append(replace(answered, name="quality (without failures)", variant=True))
     for name, (_, lattice) in LATTICES.items():
         error = Column(f"Error of {lattice}: its worst generating vector.", "", (0.0, math.inf), "lower")
+        drift = f"Drift of {lattice}: its distance from the true one at a corner of the output if both meet at another."
+        errors = {unit: replace(error, unit=unit) for unit in ("px", "s")} | {"drift": Column(drift, "px", error.range)}
         share = Column(f"Share of outputs on which {lattice}, is the true one to 1 px.", better="higher")
         lines = [
-            *(
-                _row(f"{name}_{unit}", replace(error, unit=unit), "Median over outputs.", summaries)
-                for unit in ("px", "s")
-            ),
+            *(_row(f"{name}_{unit}", errors[unit], "Median over outputs.", summaries) for unit in LATTICE_ERRORS),
             _row(f"{name}_exact", share, "With Wilson's 95 % interval over outputs.", summaries),
         ]
         rates += [row for row in lines if any(number.estimate for number in row.numbers.values())]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import quantize
-from nrbench.metrics.regularity import Regularity
+from nrbench.lattice.geometry import Lattice
+from nrbench.metrics.registration.lattice_net import LatticeNet
+from nrbench.metrics.regularity import Regularity, declared_drift
 
 from .conftest import Case, case, scored
 from .edits import resample
@@ -87,6 +90,22 @@ def test_a_stretch_is_reported_and_forgiven_up_to_its_uncertainty() -> None:
     assert turned["drift"] == pytest.approx(100 * np.radians(0.5), abs=0.15) and turned["score"] >= 0.97
     assert stretched["lattice_area_ratio"] == pytest.approx(1.02, abs=0.005)
     assert stretched["lattice_exact"] is True
+
+
+def test_an_output_is_judged_by_the_lattice_that_it_declares() -> None:
+    """A drift of 4 % is none for who declares it, also by a supercell; other declarations excuse nothing."""
+    own, (t1, t2) = case("hexagon"), case("hexagon").lattice.matrix
+    net = LatticeNet((192, 192), np.stack([t1, t2]), np.zeros(2))
+    output = quantize(resample(own.fresh(), scale=1.04))
+    made = 1.04 * t1, 1.04 * t2
+    for declared, preserved in ((made, True), ((made[0] + made[1], 2 * made[1]), True), ((t1, t2), False)):
+        observation = replace(own.observe(output), lattice_used=Lattice.from_basis(np.stack(declared)))
+        assert regularity(observation).values["preserved"] is preserved
+    drift = declared_drift(Lattice.from_basis(np.stack([made[0] - made[1], 2 * made[1]])), net)
+    assert drift == pytest.approx(0.04 * np.eye(2), abs=1e-9)
+    for nonsense in ((made[0] / 2, made[1]), (1.5 * t1, t2), (t1[::-1], 3.1 * t2), (1.08 * t1, 1.08 * t2)):
+        assert not declared_drift(Lattice.from_basis(np.stack(nonsense)), net).any()
+    assert not declared_drift(None, net).any()
 
 
 @pytest.mark.parametrize("model", [True, False])

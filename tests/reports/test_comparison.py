@@ -13,6 +13,7 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
+from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.json import JsonSummary
 from nrbench.reports.latex import LatexTables
@@ -49,19 +50,22 @@ Make = Callable[..., Any]
 
 
 def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """Methods that copy patches are listed once each, with their parameters; all three formats have the table."""
+    """Methods that copy patches are listed once each, with their parameters; every format has the table."""
     methods = ("tile-set", "ann-pixel", "nowhere", "rsgf")
     cells = [make_cell(texture, method) for texture in "ab" for method in methods]
     cells += [make_cell("a", "tile-set:stitch=dynamic", parameters={"stitch": "dynamic"})]
     run = make_run(cells)
     terms = print_patches(run).rows
-    assert [row[0] for row in terms] == ["tile-set", "rsgf", "tile-set:stitch=dynamic"]
+    assert [row[0].name for row in terms] == ["tile-set", "rsgf", "tile-set:stitch=dynamic"]
     shape = "tile shape/size from translational symmetry analysis"
     assert terms[0][1:] == (shape, TileSet.patch_placement, "seams, stitch=graphcut")
     assert terms[2][3] == "seams, stitch=dynamic"
     tables = LatexTables().write(run, tmp_path)
     latex = next(path for path in tables if path.name == "patches.tex").read_text("utf-8")
-    for text in (MarkdownTables().render(run), HtmlReport().render(run, tmp_path), latex):
+    csv = next(path for path in CsvTables().write(run, tmp_path) if path.name == "patches.csv").read_text("utf-8")
+    plain = " ".join(TextTable(width=200).render(run).split())
+    pages = (MarkdownTables().render(run), HtmlReport().render(run, tmp_path), JsonSummary().render(run), csv, plain)
+    for text in (*pages, latex):
         for _, shape, placement, _ in terms:
             assert shape.replace("-", "{-}" if text is latex else "-") in text and placement.split()[0] in text
     assert "translational symmetry" not in MarkdownTables().render(make_run([make_cell("a", "ann-pixel")]))
@@ -101,18 +105,20 @@ def test_failures_count_zero_or_not_at_all(make_cell: Make, make_run: Make) -> N
 
 
 def test_the_errors_of_both_lattices_stand_in_the_table(make_cell: Make, make_run: Make) -> None:
-    """Medians in px and in s and the share exact, of the lattice used and of the output; torn outputs are not exact."""
+    """Medians in px, s and drift, and the share exact, of the lattices used and of output; torn ones are not exact."""
     run = make_run([])
     for number, (used, output) in enumerate([(0.2, 0.5), (0.4, 1.5), (2.0, None)]):
         values: dict[str, float | bool | None] = {}
         for start, error in (("lattice_recovery.", used), ("regularity.lattice_", output)):
             values |= {f"{start}vector_error": error, f"{start}exact": None if error is None else error < 1}
             values[f"{start}vector_error_in_s"] = None if error is None else error / 10
+        values["lattice_recovery.drift"] = 5 * used
         run.columns.update(dict.fromkeys(values, Column("An error.", "px", (0.0, math.inf), "lower")))
         run.cells.append(make_cell(f"t{number}", "m", values=values))
     rows = compare_methods(run).summary_rows
     assert {row.title: _numbers(row)[0][0] for row in rows if row.name.startswith("lattice")} == {
-        "lattice used px": "0.40", "lattice used s": "0.040", "lattice used exact": "67 %",
+        "lattice used px": "0.40", "lattice used s": "0.040",
+        "lattice used drift": "2.00", "lattice used exact": "67 %",
         "lattice of output px": "1.00", "lattice of output s": "0.10", "lattice of output exact": "33 %",
     }  # fmt: skip
 

@@ -1,0 +1,1 @@
+"""Wang tiles: tiles that fit where the colors of their edges agree."""
