@@ -39,7 +39,7 @@ from .statistics.detections import compare_detectors
 from .statistics.estimates import NO_ESTIMATE
 from .statistics.expectations import BROKEN, compare_levels, compare_with_published, evaluate_claims
 from .statistics.format import format_number, format_percent, make_environment
-from .statistics.frames import method_classes, print_patches, summary_table
+from .statistics.frames import method_classes, print_improvements, print_parameters, print_patches, summary_table
 from .statistics.labelers import compare_labelers
 from .statistics.method_comparison import ComparisonOptions
 from .statistics.summaries import (
@@ -100,6 +100,8 @@ class HtmlReport(ComparisonOptions):
             "run": run,
             "comparison": comparison,
             "patches": print_patches(run),
+            "improvements": print_improvements(comparison),
+            "parameters": print_parameters(comparison),
             "first_reference": next((i for i, one in enumerate(comparison.methods) if i and one.reference), -1),
             "more_rows": other_score_rows(run, comparison.summaries),
             "axes": forest_axes(comparison.summary_rows),

@@ -12,6 +12,8 @@ from nrbench.errors import strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_files
 
+from .statistics.expectations import compare_with_published
+from .statistics.frames import improvements_table, print_patches, published_tables
 from .statistics.method_comparison import Comparison, ComparisonOptions
 from .statistics.summaries import MethodSummary, describe_scores
 
@@ -19,6 +21,9 @@ from .statistics.summaries import MethodSummary, describe_scores
 @dataclass(frozen=True)
 class JsonSummary(ComparisonOptions):
     """``comparison.json``: suite, methods with all their means, textures, differences and tests.
+
+    ``tables`` holds the rows of further tables under the names of their CSV files: the methods as published beside the
+    same methods by default, table 1 of the report of 2004, and the verdicts that it published, if the run has them.
 
     A mean has ``value``, ``low`` and ``high`` (its 95 % interval), ``n`` and ``of``, and ``at_most``: whether it is an
     upper bound. What is not known is null. Numbers are rounded to 10 digits.
@@ -39,7 +44,9 @@ class JsonSummary(ComparisonOptions):
 
 def _content(run: Run, comparison: Comparison) -> dict[str, Any]:
     suite = run.info.get("suite", {})
-    tests = comparison.tests
+    tests, published = comparison.tests, compare_with_published(run, comparison)
+    tables = {"improvements": improvements_table(comparison), "patches": print_patches(run).frame()}
+    tables |= published_tables(published) if published else {}
     return {
         "suite": {name: suite.get(name) for name in ("name", "version", "hash")},
         "created": run.info.get("created"),
@@ -72,6 +79,7 @@ def _content(run: Run, comparison: Comparison) -> dict[str, Any]:
         "differences": [
             {"method": one.first.label, "quality": vars(one.estimate), "p": one.p} for one in comparison.against
         ],
+        "tables": {name: frame.to_dict("records") for name, frame in tables.items()},
         "tests": None
         if tests is None
         else {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -17,7 +16,9 @@ from .statistics.format import break_name, make_environment
 from .statistics.frames import (
     PrintedTable,
     method_classes,
+    print_improvements,
     print_methods,
+    print_parameters,
     print_patches,
     print_published,
     print_rates,
@@ -38,7 +39,6 @@ _LAST_LATIN = 0x17F
 """The last letter that every LaTeX prints with T1 fonts."""
 _COLUMNS: Mapping[str, int] = {"column": 2, "text": 5, "page": 7}
 """Columns of scores or methods beside each other in a table of each width."""
-_LINE_LETTERS = 12
 _DELIMITERS = {
     **{"block_start_string": "<%", "block_end_string": "%>", "variable_start_string": "<<"},
     **{"variable_end_string": ">>", "comment_start_string": "<#", "comment_end_string": "#>"},
@@ -49,8 +49,9 @@ _DELIMITERS = {
 class LatexTables(ComparisonOptions):
     r"""Tables for ``\input`` in a paper.
 
-    ``summary.tex`` (methods by scores), ``comparison.tex`` (textures by methods) and, for methods that copy patches,
-    ``patches.tex`` (their shape, placement and stitching).
+    ``summary.tex`` (methods by scores, and all parameters of the methods that have other than the default ones),
+    ``comparison.tex`` (textures by methods) and, for methods that copy patches, ``patches.tex`` (their shape, placement
+    and stitching). If the run has methods with and without a preset, ``improvements.tex`` has them beside each other.
 
     If the run has analogues of the figures of the report of 2004, ``published.tex`` has its tables 2 and 3 with the
     published mark before the measured one, and the success rates over the same figures.
@@ -71,8 +72,8 @@ class LatexTables(ComparisonOptions):
     width
         What the tables fit: ``column``, a column of a two-column article, with two columns of scores or methods;
         ``text``, the page of an article, with five; ``page``, the page of a two-column article, as ``table*``, with
-        seven. Further columns follow in further tables. ``patches.tex`` and ``published.tex`` are not split, and never
-        narrower than ``text``.
+        seven. Further columns follow in further tables. ``patches.tex``, ``improvements.tex`` and ``published.tex`` are
+        not split, and never narrower than ``text``.
     intervals
         Whether ``summary.tex`` has intervals.
     bare
@@ -107,8 +108,10 @@ class LatexTables(ComparisonOptions):
             left = len(shown.methods) < len(comparison.methods)
             left_out = f"{len(shown.methods)} of the run's {len(comparison.methods)} methods." if left else ""
             methods = print_methods(shown, choose_rows(run, comparison, self.scores))
-            texts["summary.tex"] = self._fill(shown, [methods], left_out)
+            texts["summary.tex"] = self._fill(shown, [methods, print_parameters(shown)], left_out)
             texts["comparison.tex"] = self._fill(shown, [print_textures(shown)], left_out)
+            if (improvements := print_improvements(comparison)).rows:
+                texts["improvements.tex"] = wide._fill(comparison, [improvements])
             if published := compare_with_published(run, comparison):
                 tables = [*print_published(published), print_rates(published)]
                 texts["published.tex"] = wide._fill(comparison, tables, published=published)
@@ -129,13 +132,15 @@ class LatexTables(ComparisonOptions):
     ) -> str:
         """Return the file of tables; the delimiters of its template leave braces and percent signs to LaTeX."""
         suite = comparison.run.info.get("suite", {})
-        broken = partial(break_name, letters=_LINE_LETTERS)
-        filters: dict[str, Any] = {"tex": escape_latex, "column_title": column_title, "break_name": broken}
+        filters: dict[str, Any] = {
+            **{"tex": escape_latex, "column_title": column_title, "break_name": break_name},
+            "breakable": _breakable,
+        }
         return (
             make_environment(filters, **_DELIMITERS)
             .get_template("tables.tex")
             .render(
-                tables=[(table, table.split_every(_COLUMNS[self.width])) for table in tables],
+                tables=[(table, table.split_every(_COLUMNS[self.width])) for table in tables if table.rows],
                 report=self,
                 comparison=comparison,
                 published=published,
@@ -143,6 +148,11 @@ class LatexTables(ComparisonOptions):
                 suite=f"{suite.get('name', 'run')} {suite.get('version', '')} ({suite.get('hash', 'no hash')})",
             )
         )
+
+
+def _breakable(text: str) -> str:
+    """Return escaped text in which LaTeX may also break words, behind signs."""
+    return " ".join(r"\allowbreak{}".join(map(escape_latex, break_name(word, 12))) for word in text.split())
 
 
 def column_title(line: SummaryRow) -> str:

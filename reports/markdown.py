@@ -15,7 +15,9 @@ from nrbench.storage import write_files
 from .statistics.expectations import compare_with_published
 from .statistics.format import make_environment
 from .statistics.frames import (
+    print_improvements,
     print_methods,
+    print_parameters,
     print_patches,
     print_published,
     print_textures,
@@ -30,10 +32,10 @@ _ACTIVE = re.compile(r"([\\`*_\[\]<>|~&@#]|:(?=//)|(?<=www)\.|^[-+=])")
 class MarkdownTables(ComparisonOptions):
     """``comparison.md``: methods from the highest mean quality to the lowest, and textures by methods, as pipe tables.
 
-    A further table says how methods that copy patches choose, place and join them (table 1 of the report of 2004). If
-    the run has analogues of the report's figures, its tables 2 and 3 follow. Names and messages are escaped: nothing
-    in them becomes markup or a link.
-
+    Below them stand all parameters of the methods that have other than the default ones, the methods as published
+    beside the same methods by default, and how methods that copy patches choose, place and stitch them (table 1 of the
+    report of 2004). If the run has analogues of figures of that report, its tables 2 and 3 follow, with the measured
+    verdicts. Names and messages are escaped: nothing in them becomes markup or a link.
     """
 
     version: ClassVar[str] = "1"
@@ -52,7 +54,8 @@ class MarkdownTables(ComparisonOptions):
             comparison=comparison,
             methods=print_methods(comparison, comparison.summary_rows),
             textures=print_textures(comparison),
-            patches=print_patches(run),
+            more=[print_improvements(comparison), print_patches(run)],
+            parameters=print_parameters(comparison).rows,
             published=published,
             published_tables=print_published(published) if published else [],
             reasons=count_reasons(run),

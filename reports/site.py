@@ -53,7 +53,7 @@ class SiteRow:
     @property
     def method(self) -> str:
         """The method without its parameters."""
-        return self.summary.method.name.partition(":")[0]
+        return self.summary.method.plugin
 
     @property
     def suite(self) -> str:

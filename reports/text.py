@@ -21,20 +21,25 @@ from nrbench.storage import write_files
 from .statistics import verdicts
 from .statistics.detections import compare_detectors
 from .statistics.expectations import compare_with_published
-from .statistics.format import format_number, format_percent, pluralize
+from .statistics.format import break_name, format_number, format_percent, pluralize
 from .statistics.frames import (
     PrintedTable,
     cell_text,
     print_detectors,
+    print_improvements,
     print_methods,
+    print_parameters,
+    print_patches,
     print_published,
     print_textures,
 )
 from .statistics.method_comparison import Comparison, ComparisonOptions, Entry, choose_rows
-from .statistics.summaries import MethodSummary, Number, SummaryRow
+from .statistics.summaries import Method, MethodSummary, Number, SummaryRow
 
 _MOST_REASONS = 8
 """Number of reasons that are printed."""
+_NAME_LETTERS = 20
+"""Letters of a method's name in a line, if the name has a place to break."""
 _GAP = 2
 """Space beside a column, characters."""
 _SUPERSCRIPT = str.maketrans("0123456789,", "⁰¹²³⁴⁵⁶⁷⁸⁹˒")
@@ -49,7 +54,10 @@ _DETECTOR_LEGEND = (
 class TextTable(ComparisonOptions):
     """The comparison as plain text: methods from the highest mean quality to the lowest, then textures by methods.
 
-    If the run has analogues of figures of the report of 2004, its tables 2 and 3 follow, with the measured verdicts.
+    Below them stand all parameters of the methods that have other than the default ones, the methods as published
+    beside the same methods by default, and how methods that copy patches choose, place and stitch them (table 1 of the
+    report of 2004). If the run has analogues of figures of that report, its tables 2 and 3 follow, with the measured
+    verdicts.
 
     If detectors found the lattices, a last table shows the accuracy of each detector.
 
@@ -88,8 +96,13 @@ class TextTable(ComparisonOptions):
             _print(console, print_methods(comparison, lines))
             if comparison.scored:
                 _print(console, print_textures(comparison))
-            for line in [*_legend(comparison), *_reasons(run)]:
+            parameters = (f"{name}: {values}" for name, values in print_parameters(comparison).rows)
+            for line in [*_legend(comparison), *_reasons(run), *map(strip_control, parameters)]:
                 console.print(Text(line))
+        for table in (print_improvements(comparison), print_patches(run)):
+            if table.rows:
+                console.print(Text(f"\n{table.title}"))
+                _print(console, table)
         if published := compare_with_published(run, comparison):
             for table in print_published(published):
                 console.print(Text(f"{table.title} of the report of 2004: published, then measured"))
@@ -131,6 +144,8 @@ def _cell(cell: Any) -> str:
         return _method(cell, " ")
     if isinstance(cell, Number):
         return _number(cell)
+    if isinstance(cell, Method):
+        return "\n".join(break_name(cell.label, _NAME_LETTERS))
     return _entry(cell) if isinstance(cell, Entry) else cell_text(cell)
 
 
@@ -140,7 +155,7 @@ def _method(one: MethodSummary, separator: str) -> str:
     source = "" if method.lattice_source == "none" else method.lattice_source
     reference = f"reference{one.validity.sign}" if method.reference else ""
     name = f"{method.name} {verdicts.LEADING_SIGN}" if one.leading else method.name
-    return "\n".join([name, separator.join(filter(None, (source, reference)))]).rstrip()
+    return "\n".join([*break_name(name, _NAME_LETTERS), separator.join(filter(None, (source, reference)))]).rstrip()
 
 
 def _entry(entry: Entry) -> str:

@@ -19,7 +19,7 @@ from nrbench.imaging.convert import Image, match_channels
 from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Synthesis, Task, require_lattice
-from nrbench.plugins.parameters import checked_label, user_path
+from nrbench.plugins.parameters import user_path
 from nrbench.plugins.registry import NamedDetector
 
 LATTICE_FIELDS = ("lattice", "t1x", "t1y", "t2x", "t2y", "originx", "originy")
@@ -44,12 +44,9 @@ class Command:
         stream. A command that takes the lattice of the sample has ``{lattice}``, which becomes ``x1,y1,x2,y2`` px, or
         ``{t1x} {t1y} {t2x} {t2y}``; ``{originx} {originy}`` are the origin. With the lattice source ``own``,
         ``consensus`` detects the lattice, and a sample without one is refused.
-    label
-        The name of the method in tables; by default the whole command line.
     """
 
     run: str
-    label: str = ""
 
     reference: ClassVar[bool] = False
     version: ClassVar[str] = "1"
@@ -65,7 +62,6 @@ class Command:
         return "consensus" if self.uses_lattice else ""
 
     def __post_init__(self) -> None:
-        checked_label(self.label)
         unknown = _fields(self.run) - set(FIELDS)
         if unknown:
             raise BadInput(f"run has {{{min(unknown)}}}; known are {', '.join(f'{{{name}}}' for name in FIELDS)}")

@@ -13,7 +13,7 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, match_channels
 from nrbench.pictures.files import read_image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
-from nrbench.plugins.parameters import checked_label, user_path
+from nrbench.plugins.parameters import user_path
 from nrbench.streams import pixels_hash
 
 _NAMES = ("sample", "output")
@@ -31,19 +31,13 @@ class Precomputed:
         :func:`nrbench.streams.pixels_hash` of the sample (if the file is missing, the refusal gives its name). Or files
         of any names and a table ``index.csv`` with the columns ``sample,output``: one row for each pair of pictures,
         paths relative to the folder.
-    label
-        The name of the method in tables; by default the directory stands there.
     """
 
     directory: str
-    label: str = ""
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
-
-    def __post_init__(self) -> None:
-        checked_label(self.label)
 
     def synthesize(self, task: Task) -> Synthesis:
         """Return the picture that was made from this sample at this size.

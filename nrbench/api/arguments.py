@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.flags import ARGUMENT, Flag
-from nrbench.plugins.parameters import LARGEST_SIDE, nearest, parse_size, parse_spec, validated
+from nrbench.plugins.parameters import LARGEST_SIDE, nearest, parse_size, parse_spec, take_label, validated
 
 # The help of a command imports no array library.
 if TYPE_CHECKING:
@@ -36,11 +36,11 @@ Imagelike = Any
 """An image: an array of uint8, uint16 or float in [0, 1], with or without a channel axis; the path of a picture; or a
 :class:`~nrbench.plugins.forms.Texture` or :class:`~nrbench.plugins.forms.Synthesis`, whose image is taken."""
 Latticelike = Annotated[
-    "Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | str | None",
+    "Lattice | tuple[Vector, Vector] | tuple[Vector, Vector, Vector] | Sequence[float] | str | None",
     Flag(metavar=f"{LATTICE}|DETECTOR"),
 ]
-"""A lattice; its two vectors, and its origin; ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``; or the detector that finds
-it, e.g. ``"consensus"``. None: no lattice is given."""
+"""A lattice; its two vectors, and its origin; four or six numbers, also as text ``"x1,y1,x2,y2"`` or
+``"x1,y1,x2,y2,x,y"``; or the detector that finds it, e.g. ``"consensus"``. None: no lattice is given."""
 Shapelike = Annotated["Shape | str", Flag("--size", "WxH")]
 """(height, width) in px, or ``"WIDTHxHEIGHT"`` as on the command line."""
 Runlike = Annotated["Run | str | os.PathLike[str]", Flag(ARGUMENT, kind=Path)]
@@ -77,10 +77,16 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
     if isinstance(lattice, str):
         return Lattice.parse(lattice)
     try:
-        made = lattice if isinstance(lattice, Lattice) else Lattice(*lattice)
-    except TypeError:
+        given: Any = lattice
+        if not isinstance(given, Lattice) and len(given) in (4, 6):  # numbers, as on the command line
+            given = zip(given[::2], given[1::2], strict=True)
+        made = given if isinstance(given, Lattice) else Lattice(*given)
+        if not isinstance(lattice, Lattice) and len(lattice) in (3, 6) and not any(made.origin):  # see Lattice.parse
+            made = made.shifted(made.t1)
+    except (TypeError, KeyError):
         raise BadInput(
-            f"lattice {lattice!r}: give two vectors, e.g. ((32, 0), (0, 24)), or three with the origin"
+            f"lattice {lattice!r}: give two vectors, e.g. ((32, 0), (0, 24)), or three with the origin; or four or six "
+            "numbers, e.g. (32, 0, 0, 24)"
         ) from None
     return require_visible(made, lattice)
 
@@ -141,6 +147,8 @@ def plugin_in(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> A
     """Return the instance of a :data:`Pluginlike`; raise BadInput if it is no plugin of the kind."""
     if isinstance(plugin, str):
         name, written = parse_spec(plugin)
+        if kind == "synthesizers":
+            take_label(written)  # a name in tables, of which a single call has none
         return plugins.build(kind, name, {**written, **parameters})
     form = plugins.FORMS[kind]
     is_class = isinstance(plugin, type)

@@ -739,9 +739,9 @@ def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:
         }
         for cell, sample in plan.cells
     ]
-    cached = sum(bool(cell["cached"]) for cell in cells)
+    cached, new = (len({cell["key"] for cell in cells if cell["cached"] is done}) for done in (True, False))
     head = {"suite": plan.suite.name, "hash": plan.suite.hash, "out": str(root)}
-    return {**head, "cached": cached, "new": len(cells) - cached, "cells": cells}
+    return {**head, "cached": cached, "new": new, "cells": cells}
 
 
 def _find_done(plan: Plan, root: Path, retry_failed: bool) -> Callable[[Cell], bool]:

@@ -56,18 +56,18 @@ def synth_command(
         Also write the pictures that the method returns beside the output.
     """
     from nrbench import plugins
+    from nrbench.api.arguments import plugin_in
     from nrbench.calling.method_calls import is_picture
     from nrbench.pictures.files import read_image, write_image
-    from nrbench.plugins.parameters import parse_size, parse_spec
+    from nrbench.plugins.parameters import parse_size
 
-    name, parameters = parse_spec(method)
     check_output(output)
     if os.path.realpath(output) == os.path.realpath(image):
         raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
-    finder = getattr(plugins.build("synthesizers", name, parameters), "finder", "")
+    finder = getattr(plugin_in("synthesizers", method, {}), "finder", "")
     size, sample = parse_size(shape), read_image(image)
     given = _given_lattice(sample, lattice)
-    with waiting(f"{name}, {shape}") as progress:
+    with waiting(f"{method.partition(':')[0]}, {shape}") as progress:
         synthesis = call(image=sample, shape=size, lattice=given, progress=progress)
     write_image(output, synthesis.image)
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
@@ -82,7 +82,7 @@ def synth_command(
         write_text(output.with_name(f"{output.stem}-{name}"), text)
         click.echo(f"{output.with_name(f'{output.stem}-{name}')} ({name})", err=True)
     if given is None and synthesis.lattice is not None and finder != plugins.in_role("detector"):
-        _warn_of_another_lattice(sample, name, synthesis.lattice)
+        _warn_of_another_lattice(sample, method.partition(":")[0], synthesis.lattice)
 
 
 def _given_lattice(sample: Image, text: str | None) -> Lattice | None:

@@ -229,7 +229,7 @@ def make_page(run: Run, repeat: float = 0.1, seed: int = 0, questions: Sequence[
         When the run has nothing to show, or a question is unknown.
     """
     asked = [question.name for question in find_questions(questions)]
-    cells = sorted(record.key for record in labelled_cells(run))
+    cells = sorted({record.key for record in labelled_cells(run)})
     if not cells:
         raise BadInput(f"{run.root}: has no output of a texture with a lattice; nothing can be labelled")
     entropy = json.dumps([cells, float(repeat), int(seed), asked])

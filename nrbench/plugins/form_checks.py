@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from nrbench.errors import BadInput
-from nrbench.plugins.parameters import PRESET, converted, missing, validated
+from nrbench.plugins.parameters import LABEL, PRESET, converted, missing, validated
 
 # The forms import numpy, which the names of plugins do not need.
 if TYPE_CHECKING:
@@ -113,8 +113,9 @@ def _field_fault(kind: str, cls: Any) -> str:
         if field.name in form.taken:
             taken = ", ".join(form.taken)
             return f"{label} {field.name!r} has the name of an argument of the call; rename it (taken: {taken})"
-        if field.name == PRESET:
-            return f"{label} {PRESET!r} has the name by which presets are chosen; rename it"
+        if field.name == PRESET or (field.name == LABEL and kind == "synthesizers"):
+            use = "presets are chosen" if field.name == PRESET else "methods get their names in tables"
+            return f"{label} {field.name!r} has the name by which {use}; rename it"
         if not _has_default(field) and kind in ("detectors", "metrics", "reports"):
             return f"{label} {field.name!r} has no default; give it one"
         if _has_default(field) and not _is_plain(field):

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 LARGEST_SIDE = 16384
 """px; largest side of an output."""
-PRESET = "preset"
-"""The name under which a preset is chosen among the parameters of any plugin; no parameter may have it."""
+PRESET, LABEL = "preset", "label"
+"""The names under which a preset, and the name of a method in tables, stand among the parameters; no parameter may have
+them."""
 
 
 def parse_size(text: Any) -> Shape:
@@ -71,22 +72,29 @@ def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
     return name, parameters
 
 
-def write_label(name: str, parameters: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
-    """Return ``name:param=value,...`` of the parameters that differ from their defaults."""
-    changed = [f"{key}={value}" for key, value in parameters.items() if value != defaults.get(key, dataclasses.MISSING)]
-    return f"{name}:{','.join(changed)}" if changed else name
+def list_parameters(parameters: Mapping[str, Any], separator: str = ",") -> str:
+    """Return ``"param=value,param=value"``."""
+    return separator.join(f"{key}={value}" for key, value in parameters.items())
 
 
-def checked_label(text: str) -> str:
-    """Return a name that a user gives to a method for the tables.
+def take_label(parameters: dict[str, Any]) -> str:
+    """Remove the name that a user gives to a method for the tables from its parameters, and return it.
+
+    Returns
+    -------
+    str
+        The name; empty if there is none.
 
     Raises
     ------
     BadInput
-        If it is longer than 60 characters, or has line breaks or other control characters.
+        If it is blank, longer than 60 characters, or has line breaks or other control characters.
     """
-    if len(text) > 60 or not text.isprintable():
-        raise BadInput(f"label is {text[:60]!r}; give at most 60 printable characters")
+    if LABEL not in parameters:
+        return ""
+    text = str(parameters.pop(LABEL)).strip()
+    if not 0 < len(text) <= 60 or not text.isprintable():
+        raise BadInput(f"label is {text[:60]!r}; give 1 to 60 printable characters")
     return text
 
 

@@ -174,7 +174,8 @@ def execute(
             directory.copy_cells(RunDirectory(options.reuse), (cell.key for cell, _ in plan.cells))
         with executor(options.jobs, options.scheduler, options.worker_wait, options.tell) as pool:
             runner = _Runner(directory, options, metrics, pool)
-            cells = runner.with_detected_lattices(plan.cells)
+            unique = {cell.key: (cell, sample) for cell, sample in plan.cells}  # methods of two names share a cell
+            cells = runner.with_detected_lattices(list(unique.values()))
             pace = Pace([cell for cell, _ in cells])
             jobs = ((cell, runner.cell_job(cell, sample)) for cell, sample in _interleave(cells, pool.count_slots()))
             for cell, future in runner.run_jobs(jobs):  # the folder of a cell is made just before it starts

@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, PlainSerializer, TypeAdapter
 
 from nrbench import plugins
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.vertices import Vertex
 from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
 from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.streams import stream
@@ -109,8 +110,9 @@ class Cell:
         The recipe of the sample.
     method, version, parameters
         The synthesizer, its version, and its parameters, including defaults.
-    label
-        The method with those parameters that differ from their defaults.
+    label, preset
+        The name of the method in tables, and its preset. Neither is part of the key, so methods that differ in nothing
+        else share a result.
     reference
         Whether the method calibrates the scores and is never ranked.
     lattice_source
@@ -123,6 +125,8 @@ class Cell:
         None if it gets a lattice, or uses no detector.
     lattice_given, lattice_truth
         The lattice that the method gets, and the true one, in the sample's coordinates.
+    vertices_truth
+        The vertices of the lattice that a person set in a photograph.
     detected
         The result of the detector, also if it found no lattice; None before it has run.
     replicate, seed
@@ -163,11 +167,13 @@ class Cell:
     finder: DetectorIdentity | None = None
     lattice_given: Lattice | None = None
     lattice_truth: Lattice | None = None
+    vertices_truth: tuple[Vertex, ...] = ()
     detected: FoundLattice | None = None
     procedural: bool = True
     again_hash: str = ""
     fault: str = ""
     fault_status: str = "refused"
+    preset: str = ""
 
     @cached_property
     def key(self) -> str:
@@ -175,8 +181,8 @@ class Cell:
         decides: dict[str, Any] = {
             "results": RESULTS_VERSION,
             "method": [self.method, self.version, dict(self.parameters)],
-            "lattice": [self.lattice_source, self.detector, self.finder],
-            "truth": self.lattice_truth.as_dict() if self.lattice_truth else None,
+            "lattice": [None if self.detector else self.lattice_source, self.detector, self.finder],
+            "truth": [self.lattice_truth.as_dict() if self.lattice_truth else None, self.vertices_truth],
             "sample": self.sample_hash,
             "shape": list(self.shape),
             "seed": [self.seed, self.replicate],

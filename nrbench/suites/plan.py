@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import fnmatch
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, get_args
@@ -18,8 +18,9 @@ from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
 from nrbench.imaging.convert import Image, as_image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
+from nrbench.plugins.form_checks import plain_value
 from nrbench.plugins.forms import Kind, Shape, Texture
-from nrbench.plugins.parameters import parse_spec, write_label
+from nrbench.plugins.parameters import PRESET, list_parameters, parse_spec, take_label
 from nrbench.plugins.registry import read_fingerprint
 from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Cell, DetectorIdentity, Recipe
@@ -52,7 +53,7 @@ class PlannedMethod:
 
     Parameters
     ----------
-    name, version, parameters, label, reference
+    name, version, parameters, label, preset, reference
         As in :class:`~nrbench.suites.cell.Cell`.
     uses_lattice
         Whether the lattice axis applies to it.
@@ -68,6 +69,7 @@ class PlannedMethod:
     version: str
     parameters: dict[str, Any]
     label: str
+    preset: str
     reference: bool
     uses_lattice: bool
     needs_lattice: bool
@@ -78,18 +80,20 @@ class PlannedMethod:
     def parse(cls, spec: str) -> PlannedMethod:
         """Parse ``name:param=value,...``; raise BadInput for an unknown method or parameter, or a bad value."""
         name, given = parse_spec(spec)
+        label, preset = take_label(given), str(given.get(PRESET, ""))
         plugin = plugins.lookup("synthesizers", name)
         try:
             instance = plugins.build("synthesizers", name, given)
         except plugins.DoesNotLoad as error:
-            return cls(name, plugin.version, given, spec, False, True, True, None, str(error))
+            return cls(name, plugin.version, given, label or spec, preset, False, True, True, None, str(error))
         parameters = plugins.parameters_of(instance)
         finder, fingerprint = getattr(instance, "finder", ""), read_fingerprint(instance, f"method {name}")
         return cls(
             name,
             plugin.full_version if fingerprint is None else f"{plugin.full_version}+{fingerprint}",
             parameters,
-            getattr(instance, "label", "") or write_label(name, parameters, _defaults(plugin.cls)),
+            label or getattr(instance, "label", "") or _name_in_tables("synthesizers", name, preset, parameters),
+            preset,
             bool(getattr(plugin.cls, "reference", False)),
             bool(getattr(instance, "uses_lattice", True)),
             bool(getattr(plugin.cls, "needs_lattice", True)),
@@ -102,11 +106,20 @@ class PlannedMethod:
         return self.finder if finds_itself else None
 
 
-def _defaults(cls: Any) -> dict[str, Any]:
-    return {
+def _name_in_tables(kind: str, name: str, preset: str, parameters: Mapping[str, Any]) -> str:
+    """Return ``name:preset=...,param=value``, with the parameters that differ from those of the preset or the plugin.
+
+    A preset is named also where it equals the defaults, so that nobody wonders whether it was chosen.
+    """
+    cls = plugins.find(kind, name).cls
+    usual = {
         item.name: item.default_factory() if callable(item.default_factory) else item.default
-        for item in dataclasses.fields(cls)
+        for item in dataclasses.fields(cls)  # type: ignore[arg-type]
     }
+    usual |= getattr(cls, "presets", {}).get(preset, {})
+    changed = {PRESET: preset} if preset else {}
+    changed |= {key: value for key, value in parameters.items() if value != plain_value(usual[key])}
+    return f"{name}:{list_parameters(changed)}" if changed else name
 
 
 @dataclass(frozen=True)
@@ -155,7 +168,8 @@ class LatticeSource:
         except plugins.DoesNotLoad as error:
             return cls(text, fault=str(error))
         return cls(
-            write_label(name, parameters, _defaults(plugins.find("detectors", name).cls)), (name, version, parameters)
+            _name_in_tables("detectors", name, str(parse_spec(text)[1].get(PRESET, "")), parameters),
+            (name, version, parameters),
         )
 
 
@@ -314,9 +328,8 @@ def make_plan(
     BadInput
         For unknown methods, parameters or lattice sources, patterns that match no texture, or too many cells.
     """
-    methods = {spec: PlannedMethod.parse(spec) for spec in suite.all_methods}
     sources = list({source.name: source for source in map(LatticeSource.parse, suite.lattice)}.values())
-    _check_labels(methods.values())
+    methods = _distinct({spec: PlannedMethod.parse(spec) for spec in suite.all_methods}, sources)
     if not methods:
         raise BadInput(f"suite {suite.name}: names no method; add methods = [...] or pass -m METHOD")
     _check_count(suite, textures, methods, len(sources))
@@ -359,15 +372,25 @@ def _sources_of(method: PlannedMethod, sample: Sample, sources: list[LatticeSour
     return sources[: 1 if once else None] if method.uses_lattice else [LatticeSource("none")]
 
 
-def _check_labels(methods: Iterable[PlannedMethod]) -> None:
-    """Raise BadInput if two different methods have the same name in the tables."""
-    known: dict[str, PlannedMethod] = {}
-    for method in methods:
-        other = known.setdefault(method.label, method)
-        if (other.name, other.parameters) != (method.name, method.parameters):
-            raise BadInput(
-                f"two methods have the label {method.label!r} in the tables; give one of them another label="
-            )
+def _distinct(methods: Mapping[str, PlannedMethod], sources: Sequence[LatticeSource]) -> dict[str, PlannedMethod]:
+    """Return the methods without those that were named twice, by the texts that name them.
+
+    Raises
+    ------
+    BadInput
+        If two different methods have the same name in the tables, where the source of the lattice may follow it.
+    """
+    known: dict[str, str] = {}
+    for spec, method in methods.items():
+        rows = [f"{method.label} ({source.name})" for source in sources if method.uses_lattice]
+        for name in (method.label, *rows):
+            other = known.setdefault(name, spec)
+            if (methods[other].name, methods[other].parameters) != (method.name, method.parameters):
+                raise BadInput(
+                    f"two methods have the label {name!r} in the tables: {other} and {spec}; give one of them another "
+                    "label="
+                )
+    return {spec: method for spec, method in methods.items() if known[method.label] == spec}
 
 
 def draw_samples(suite: Suite, textures: Sequence[str] = (), draw: Draw | None = None) -> list[Sample]:
@@ -485,6 +508,7 @@ def _make_cell(suite: Suite, sample: Sample, method: PlannedMethod, source: Latt
             "regular_share": None if share is None else float(np.round(share, 6)),
             "region": texture.region,
             "lattice_truth": texture.lattice,
+            "vertices_truth": texture.vertices,
         }
     cell = Cell(
         suite=suite.name,
@@ -494,6 +518,7 @@ def _make_cell(suite: Suite, sample: Sample, method: PlannedMethod, source: Latt
         version=method.version,
         parameters=method.parameters,
         label=method.label,
+        preset=method.preset,
         reference=method.reference,
         lattice_source=source.name,
         detector=source.detector,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from nrbench.runs.records import CellRecord, Run
 
 from ..statistics.format import describe_column, format_number
 from ..statistics.method_comparison import Comparison
-from ..statistics.summaries import COSTS, Method, sort_headlines_first
+from ..statistics.summaries import COSTS, Method, method_of, sort_headlines_first
 from ..statistics.verdicts import QUALITY, name_silence, verdict
 from .pictures import DEFECTS, PagePicture, PictureStore
 
@@ -169,13 +170,13 @@ def build_gallery(run: Run, comparison: Comparison, pictures: PictureStore) -> l
     titles = [*sort_headlines_first(names), SOURCE_MAP]
     with ThreadPoolExecutor(2) as pool:  # images are decoded and encoded outside of Python's lock
         figures = list(pool.map(lambda record: _output_figure(record, titles, pictures), run.cells))
-    by_key = {figure.record.key: figure for figure in figures}
+    by_cell = {id(figure.record): figure for figure in figures}
     textures = []
     for row in comparison.rows:
         replicates: dict[int, list[OutputFigure]] = {}
         for entry in row.entries:
             for record in entry.records if entry else ():
-                replicates.setdefault(record.replicate, []).append(by_key[record.key])
+                replicates.setdefault(record.replicate, []).append(by_cell[id(record)])
         textures.append([_texture_draw(replicates[number], pictures) for number in sorted(replicates)])
     return textures
 
@@ -277,9 +278,9 @@ def limiting_peril(record: CellRecord) -> str:
     return "" if quality is None or quality >= _FULL else str(record.records.get("quality", {}).get("worst", ""))
 
 
-def method_of(record: CellRecord) -> Method:
-    """Return the method of a cell."""
-    return Method(record.method, record.lattice_source, record.reference, record.parameters)
+def anchor(record: CellRecord) -> str:
+    """Return the name of an output on the page. Methods of two names may share a cell, so its key is not enough."""
+    return f"c-{record.key}-{zlib.crc32(method_of(record).label.encode()):08x}"
 
 
 def _uses(record: CellRecord, truth: Lattice | None) -> bool:

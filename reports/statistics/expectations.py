@@ -155,6 +155,7 @@ def evaluate_claims(run: Run) -> list[ClaimResult]:
     suite = validated_suite(content, "suite")
     cells = tabulate_cells(run).assign(
         method=[record.method for record in run.cells],
+        parameters=pd.Series([(record.cell.method, dict(record.parameters)) for record in run.cells], dtype=object),
         family=[record.family or record.texture for record in run.cells],
     )
     return [_evaluate(claim, cells, run.columns.get(claim.score)) for claim in suite.claim]
@@ -181,11 +182,14 @@ def _evaluate(claim: Claim, cells: pd.DataFrame, column: Column | None) -> Claim
 def _select(claim: Claim, series: Series, level: float, cells: pd.DataFrame) -> pd.DataFrame:
     """Return the cells of a series at a level; none if its method is not installed."""
     try:
-        label = PlannedMethod.parse(series.method_at(level)).label
+        method = PlannedMethod.parse(series.method_at(level))
     except BadInput:
         return cells.iloc[:0]
     textures = cells["texture"].map(lambda name: claim.uses(series, level, name))
-    return cells[textures.astype(bool) & cells["method"].eq(label)]
+    named = cells["method"].eq(method.label)
+    if not named.any():  # an older run has other names
+        named = cells["parameters"].map(lambda one: one == (method.name, method.parameters)).astype(bool)
+    return cells[textures.astype(bool) & named]
 
 
 def _estimate(claim: Claim, cells: pd.DataFrame) -> Estimate:
@@ -330,7 +334,8 @@ class PublishedComparison:
         if self.chance is None:
             return "There is no kappa, because one of the two raters gave a single answer throughout."
         value, mean, most = map(format_number, (self.kappa.value, *self.chance))
-        ends = f", 95 % interval over figures {format_interval(self.kappa)}" if self.kappa.ends else ""
+        interval = format_interval(self.kappa)
+        ends = f", 95 % interval over figures {interval}" if interval else ""
         parts = (
             f"{row['class']}: {format_number(row['kappa'].value)} {format_interval(row['kappa'])}".rstrip()
             for row in self.classes.iloc[-4:-1].to_dict("records")
@@ -408,7 +413,7 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
         {
             **{"figure": row["figure"], "description": row["description"], "class": row["class"]},
             **{"texture": names[row["figure"]], "method": method.name, "lattice_source": method.lattice_source},
-            **{"published": row[method.base]},
+            **{"published": row[method.plugin]},
             **shares.get((method.label, names[row["figure"]]), dict.fromkeys(_SHARES)),
         }
         for row in known.to_dict("records")
@@ -428,7 +433,7 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
             _compare_rates(group, method, part)
             for group, (first, last, names_of_group) in GROUPS.items()
             for method in methods
-            if method.base in names_of_group
+            if method.plugin in names_of_group
             and not (part := pairs[pairs["figure"].between(first, last) & pairs["method"].eq(method.name)]).empty
         ],
         classes=pd.DataFrame(
@@ -460,7 +465,7 @@ def _find_method(name: str, methods: Sequence[Method]) -> Method | None:
         source = method.lattice_source
         return method.name != name, sources.index(source) if source in sources else len(sources)
 
-    return min((method for method in methods if method.base == name), key=preference, default=None)
+    return min((method for method in methods if method.plugin == name), key=preference, default=None)
 
 
 _SHARES = ("measured_share", "lattice_share")
@@ -609,7 +614,7 @@ def compare_levels(run: Run, comparison: Comparison) -> list[LevelPanel]:
     for row in rows:
         if row.get("departure") and row.get("level") is not None and cells["texture"].eq(row["name"]).any():
             groups.setdefault(row["departure"], {}).setdefault(float(row["level"]), []).append(row["name"])
-    methods = [method for method in comparison.methods if not method.reference or method.base in _REFERENCES]
+    methods = [method for method in comparison.methods if not method.reference or method.plugin in _REFERENCES]
     panels = [
         LevelPanel(departure, list(names), [_level_series(method, names, cells) for method in methods])
         for departure, names in groups.items()

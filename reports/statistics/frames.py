@@ -11,9 +11,10 @@ import pandas as pd
 
 from nrbench import plugins
 from nrbench.labelling.labels import labels_table
+from nrbench.plugins.parameters import list_parameters
 from nrbench.runs.records import CellRecord, Run
 
-from .detections import GROUP_KEYS, STOCHASTIC, group_answers, tabulate_answers
+from .detections import GROUP_KEYS, STOCHASTIC, VERTEX_COLUMNS, group_answers, tabulate_answers
 from .expectations import (
     ClaimResult,
     LevelPanel,
@@ -25,7 +26,7 @@ from .expectations import (
 from .format import format_interval, format_number, format_signed
 from .labelers import LabelerComparison, compare_labelers
 from .method_comparison import Comparison
-from .summaries import Method, Number, SummaryRow, describe_scores, perils_points
+from .summaries import Method, Number, SummaryRow, describe_scores, method_of, perils_points
 from .verdicts import QUALITY, is_valid_baseline
 
 CELL_COLUMNS: Mapping[str, str] = {
@@ -69,6 +70,9 @@ def tabulate_run(run: Run, comparison: Comparison, labels: Sequence[Path] = ()) 
         "differences": differences_table(comparison),
         "columns": columns_table(run),
         "baseline": baseline_table(comparison),
+        "improvements": improvements_table(comparison),
+        "parameters": print_parameters(comparison).frame(),
+        "patches": print_patches(run).frame(),
         "perils": perils_table(comparison),
         "levels": levels_table(panels),
         "breaking_points": breaking_points_table(panels),
@@ -141,6 +145,19 @@ def baseline_table(comparison: Comparison) -> pd.DataFrame:
     return pd.DataFrame(
         {"method": one.first.label, "baseline": one.second.label} | one.estimate.columns("difference") | {"p": one.p}
         for one in comparison.against
+    )
+
+
+def improvements_table(comparison: Comparison) -> pd.DataFrame:
+    """Return one row a headline and method with a preset: its mean, that without the preset, the difference and p."""
+    return pd.DataFrame(
+        {"score": one.score, **_name_method(one.published.method, reference=False), "improved_method": improved.name}
+        | one.published.all_means[one.score].columns("published", "published_")
+        | one.improved.all_means[one.score].columns("improved", "improved_")
+        | one.difference.columns("difference", "difference_")
+        | {"p": one.p}
+        for one in comparison.improvements
+        for improved in [one.improved.method]
     )
 
 
@@ -251,7 +268,7 @@ def published_tables(published: PublishedComparison) -> dict[str, pd.DataFrame]:
 
 
 def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
-    """Return one row a detector and group of textures: shares of right answers, errors, seconds.
+    """Return one row a detector and group of textures: shares of right answers, errors, seconds, vertices.
 
     Parameters
     ----------
@@ -265,6 +282,7 @@ def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
             **{"n": row["n"], "right": round(row["n"] * (row["right"].value or 0)), "found": row["found"]},
             **row["right"].columns("share_right", "share_right_", ("low", "high")),
             **{"median_vector_error": row["vector_error"], "median_seconds": row["seconds"]},
+            **{f"mean_{name}": row[name] for name in VERTEX_COLUMNS},
         }
         for depth, table in enumerate(tables, 1)
         for row in group_answers(table, GROUP_KEYS[:depth]).to_dict("records")
@@ -423,17 +441,49 @@ def print_rates(published: PublishedComparison) -> PrintedTable:
     return PrintedTable("published-rates", heads, rows, fixed=2)
 
 
+def print_improvements(comparison: Comparison) -> PrintedTable:
+    """Return each score of the methods as published, with a preset, beside that of the same methods by default."""
+    rows = [
+        [
+            line.title,
+            one.published.method,
+            *(line.numbers[each.label] for each in (one.published, one.improved)),
+            f"{format_signed(one.difference.value)} {format_interval(one.difference)}".rstrip(),
+        ]
+        for line in comparison.summary_rows
+        for one in comparison.improvements
+        if one.score == line.name
+    ]
+    rules = [i for i in range(1, len(rows)) if rows[i][0] != rows[i - 1][0]]
+    heads = ["score", "method", "as published", "improved", "difference"]
+    title = "As published, and improved: the methods with a preset, beside the same methods by default"
+    return PrintedTable("improvements", heads, rows, 2, rules, title)
+
+
+def print_parameters(comparison: Comparison) -> PrintedTable:
+    """Return all parameters of the methods whose names are not those of plugins, and do not show all parameters."""
+    methods = {one.name: one for one in comparison.methods}
+    rows = [
+        [name, f"{one.plugin}: {list_parameters(one.parameters, ', ')}"]
+        for name, one in methods.items()
+        if name not in (one.plugin, f"{one.plugin}:{list_parameters(one.parameters)}")
+    ]
+    return PrintedTable("parameters", ["method", "parameters"], rows, title="All parameters of the methods")
+
+
 def print_detectors(summaries: pd.DataFrame) -> PrintedTable:
-    """Return detectors by accuracy, calibration and time."""
+    """Return detectors by accuracy, vertices, calibration and time."""
     rows = [
         [
             one["detector"],
             *(Number(rate if rate.n else None, rate=True) for rate in (one["exact"], one["false"])),
-            *map(format_number, (one["vector_error"], one["calibration"].error, one["seconds"])),
+            *map(format_number, (one[name] for name in ("vector_error", *VERTEX_COLUMNS))),
+            *map(format_number, (one["calibration"].error, one["seconds"])),
         ]
         for one in summaries.to_dict("records")
     ]
-    return PrintedTable("detectors", ["detector", "exact", "false", "error", "calibration", "seconds"], rows)
+    heads = ["detector", "exact", "false", "error", "recall", "precision", "calibration", "seconds"]
+    return PrintedTable("detectors", heads, rows)
 
 
 def print_patches(run: Run) -> PrintedTable:
@@ -443,13 +493,16 @@ def print_patches(run: Run) -> PrintedTable:
     """
     records = {record.method: record for record in run.cells if not record.cell.reference}
     classes = method_classes(records.values())
-    rows = []
-    for name, record in records.items():
+    rows: list[Sequence[Any]] = []
+    for record in records.values():
         if (cls := classes.get(record.cell.method)) is not None:
             defaults = {key: getattr(cls, key, "") for key in getattr(cls, "__dataclass_fields__", {})}
             terms = plugins.describe_patches(cls, {**defaults, **record.parameters})
-            rows += [(name, *terms)] if len(terms) == len(plugins.PATCH_TERMS) else []
-    return PrintedTable("patches", ["method", "patch shape/size", "patch placement", "patch stitching"], rows)
+            method = replace(method_of(record), lattice_source="none")
+            rows += [(method, *terms)] if len(terms) == len(plugins.PATCH_TERMS) else []
+    heads = ["method", "patch shape/size", "patch placement", "patch stitching"]
+    title = "Table 1: how methods that copy patches choose, place and stitch them"
+    return PrintedTable("patches", heads, rows, title=title)
 
 
 def method_classes(cells: Iterable[CellRecord]) -> dict[str, type | None]:

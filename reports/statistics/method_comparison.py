@@ -88,6 +88,29 @@ class PairedDifference:
 
 
 @dataclass(frozen=True)
+class Improvement:
+    """A score of a method as published, with a preset, beside that of the same method as it is by default.
+
+    Parameters
+    ----------
+    score
+        The name of the score.
+    published, improved
+        The two methods, with the same source of the lattice.
+    difference
+        The mean of improved minus published.
+    p
+        As in :class:`PairedDifference`.
+    """
+
+    score: str
+    published: MethodSummary
+    improved: MethodSummary
+    difference: Estimate
+    p: float | None
+
+
+@dataclass(frozen=True)
 class Entry:
     """One entry of the comparison: a texture, a method and a lattice source.
 
@@ -200,6 +223,27 @@ class Comparison:
     def against(self) -> list[PairedDifference]:
         """The difference of each other method to the baseline in quality."""
         return compare_with(self.differences, self.baseline) if self.baseline else []
+
+    @cached_property
+    def improvements(self) -> list[Improvement]:
+        """Each headline of each method that has a preset, beside the method without one, if the run has both."""
+        found = []
+        gaps = {(one.score, one.first.label, one.second.label): one for one in self.differences}
+        for published in self.summaries:
+            own = published.method
+            others = [
+                one
+                for one in self.summaries
+                if own.preset and not (one.method.preset or own.reference)
+                if (one.method.plugin, one.method.lattice_source) == (own.plugin, own.lattice_source)
+            ]
+            for improved in sorted(others, key=lambda one: one.method.name != own.plugin)[:1]:
+                for score in headline_columns(self.run):
+                    ahead = gaps.get((score, improved.label, published.label))
+                    gap = ahead or gaps[score, published.label, improved.label]
+                    difference = gap.estimate if ahead else -gap.estimate
+                    found.append(Improvement(score, published, improved, difference, gap.p))
+        return found
 
     @cached_property
     def score(self) -> str:
@@ -438,7 +482,7 @@ def _find_method(methods: Sequence[Method], name: str) -> Method | None:
     """Return the method of a label or name; None if the name is empty."""
     if not name:
         return None
-    found = [one for one in methods if name == one.label] or [one for one in methods if name in (one.name, one.base)]
+    found = [one for one in methods if name == one.label] or [one for one in methods if name in (one.name, one.plugin)]
     if len(found) == 1:
         return found[0]
     labels = ", ".join(one.label for one in found or methods)

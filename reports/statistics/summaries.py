@@ -78,19 +78,18 @@ class Method:
         Whether it calibrates the scores and is never ranked.
     parameters
         All parameters of the method.
+    plugin, preset
+        The name of its plugin, and of the preset that was chosen.
     """
 
     name: str
     lattice_source: str
     reference: bool
     parameters: Mapping[str, Any]
+    plugin: str
+    preset: str
 
     kind: ClassVar[str] = "plain method"
-
-    @property
-    def base(self) -> str:
-        """The name without parameters."""
-        return self.name.partition(":")[0]
 
     @property
     def label(self) -> str:
@@ -323,12 +322,17 @@ def perils_points(summaries: Sequence[MethodSummary]) -> list[PerilsPoint]:
     return [point for point in points if point.structure.value is not None]
 
 
+def method_of(record: CellRecord) -> Method:
+    """Return the method of a cell."""
+    what = (record.method, record.lattice_source, record.reference, record.parameters)
+    return Method(*what, record.cell.method, record.cell.preset)
+
+
 def list_methods(run: Run) -> list[Method]:
     """Return the methods in the order of the suite, reference methods last."""
     methods: dict[tuple[str, str], Method] = {}
     for record in run.cells:
-        key = (record.method, record.lattice_source)
-        methods.setdefault(key, Method(*key, record.reference, dict(record.parameters)))
+        methods.setdefault((record.method, record.lattice_source), method_of(record))
     return sorted(methods.values(), key=lambda method: method.reference)
 
 

@@ -93,7 +93,7 @@ def test_an_unknown_preset_names_those_that_exist(kind: str, name: str, preset: 
 
 
 def test_a_preset_is_the_same_cell_as_its_parameters() -> None:
-    """Keys, labels and tables hold the filled parameters, for methods and for detectors of the lattice axis."""
+    """Only the names differ: they say that the preset was chosen, also where parameters of its own stand beside it."""
     rows = [{"name": "brick", "dataset": "brick"}]
 
     def cells(*methods: str, lattice: str = "own") -> list[tuple[str, str, str]]:
@@ -102,9 +102,11 @@ def test_a_preset_is_the_same_cell_as_its_parameters() -> None:
         return [(cell.key, cell.label, cell.lattice_source) for cell, _ in plan.cells]
 
     by_preset, by_hand = cells("grays:preset=paper", "grays:steps=2,level=0.5")
-    assert by_preset == by_hand and by_preset[1] == "grays:level=0.5,steps=2"
-    assert cells("grays", lattice="fixed:preset=paper") == cells("grays", lattice="fixed:period=12")
-    assert cells("grays", lattice="fixed:preset=paper") != cells("grays", lattice="fixed")
+    assert by_preset[0] == by_hand[0] and by_preset[1:] == ("grays:preset=paper", "own")
+    assert by_hand[1] == "grays:level=0.5,steps=2"
+    assert PlannedMethod.parse("grays:preset=paper,steps=3").label == "grays:preset=paper,steps=3"
+    found, same, default = (cells("grays", lattice=f"fixed{one}")[0] for one in (":preset=paper", ":period=12", ""))
+    assert found[0] == same[0] != default[0] and found[2] == "fixed:preset=paper"
     assert PlannedMethod.parse("grays:preset=dark").parameters == {"level": 0.0, "steps": 4}
     assert LatticeSource.parse("fixed:period=8").name == LatticeSource.parse("fixed").name == "fixed"
 
@@ -126,6 +128,7 @@ def test_show_prints_presets_and_patch_terms(capsys: pytest.CaptureFixture[str])
         ("    presets: ClassVar = {'paper': 7}", "presets must be a mapping"),
         ("    presets: ClassVar = ['paper']", "presets must be a mapping"),
         ("    preset: str = ''", "parameter 'preset' has the name by which presets are chosen; rename it"),
+        ("    label: str = ''", "parameter 'label' has the name by which methods get their names in tables; rename it"),
         ("    patch_shape: ClassVar = 3", "patch_shape must be text"),
         ("    patch_shape: ClassVar = 'x'", "has patch_shape, but not patch_placement, patch_stitching; give all"),
     ],

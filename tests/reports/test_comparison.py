@@ -13,6 +13,7 @@ import pytest
 
 from nrbench.errors import BadInput
 from nrbench.plugins.forms import Column
+from nrbench.reports.csv import CsvTables
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.json import JsonSummary
 from nrbench.reports.latex import LatexTables
@@ -49,19 +50,22 @@ Make = Callable[..., Any]
 
 
 def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
-    """Methods that copy patches are listed once each, with their parameters; all three formats have the table."""
+    """Methods that copy patches are listed once each, with their parameters; every format has the table."""
     methods = ("tile-set", "ann-pixel", "nowhere", "rsgf")
     cells = [make_cell(texture, method) for texture in "ab" for method in methods]
     cells += [make_cell("a", "tile-set:stitch=dynamic", parameters={"stitch": "dynamic"})]
     run = make_run(cells)
     terms = print_patches(run).rows
-    assert [row[0] for row in terms] == ["tile-set", "rsgf", "tile-set:stitch=dynamic"]
+    assert [row[0].name for row in terms] == ["tile-set", "rsgf", "tile-set:stitch=dynamic"]
     shape = "tile shape/size from translational symmetry analysis"
     assert terms[0][1:] == (shape, TileSet.patch_placement, "seams, stitch=graphcut")
     assert terms[2][3] == "seams, stitch=dynamic"
     tables = LatexTables().write(run, tmp_path)
     latex = next(path for path in tables if path.name == "patches.tex").read_text("utf-8")
-    for text in (MarkdownTables().render(run), HtmlReport().render(run, tmp_path), latex):
+    csv = next(path for path in CsvTables().write(run, tmp_path) if path.name == "patches.csv").read_text("utf-8")
+    plain = " ".join(TextTable(width=200).render(run).split())
+    pages = (MarkdownTables().render(run), HtmlReport().render(run, tmp_path), JsonSummary().render(run), csv, plain)
+    for text in (*pages, latex):
         for _, shape, placement, _ in terms:
             assert shape.replace("-", "{-}" if text is latex else "-") in text and placement.split()[0] in text
     assert "translational symmetry" not in MarkdownTables().render(make_run([make_cell("a", "ann-pixel")]))

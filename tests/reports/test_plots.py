@@ -216,7 +216,7 @@ def test_files_are_vector_graphics_and_the_same_again(ranked: Run, comparison: C
 
 def test_methods_have_colors_and_shapes_of_their_own(comparison: Comparison) -> None:
     """64 methods differ in color or shape, eight of them in both; references are gray, in every plot of a run alike."""
-    methods = [Method(f"m{i}", "own", reference=False, parameters={}) for i in range(64)]
+    methods = [Method(f"m{i}", "own", reference=False, parameters={}, plugin="m", preset="") for i in range(64)]
     styles = [(style["color"], style["marker"]) for style in method_styles(methods)]
     assert len(set(styles)) == 64
     assert len({color for color, _ in styles[:8]}) == len({marker for _, marker in styles[:8]}) == 8

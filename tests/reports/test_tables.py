@@ -59,7 +59,7 @@ def test_cells_read_back_to_the_same_bits(make_cell: Make, make_run: Make, tmp_p
 
 def test_every_cell_is_a_row(every_ending: Run, written: dict[str, Path]) -> None:
     """One row a cell, whatever its status, quotes and line breaks in messages included."""
-    assert set(written) == {"cells", "comparison", "summary", "differences", "columns"}
+    assert set(written) == {"cells", "comparison", "summary", "differences", "columns", "patches"}
     assert {path.suffix for path in written.values()} == {".csv"}
     cells = _read(written["cells"])
     assert list(cells["status"]) == [record.status for record in every_ending.cells]

@@ -1,6 +1,7 @@
 """Claims about outputs of other programs: a command that is run, and pictures in a folder."""
 
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -159,16 +160,20 @@ def test_a_label_names_the_method_in_tables() -> None:
     method = PlannedMethod.parse("command:run=tool {sample} {output} --t1 {t1x} {t1y},label=my tool")
     assert (method.label, method.uses_lattice) == ("my tool", True)
     assert PlannedMethod.parse("command:run=tool {sample} {output}").label == "command:run=tool {sample} {output}"
-    with pytest.raises(BadInput, match="printable"):
-        Command(run="tool {sample} {output}", label="two\nlines")
+    assert PlannedMethod.parse("rsgf:preset=paper,label=RSGF 2011").label == "RSGF 2011"
+    for label in ("two\nlines", " ", "x" * 61):
+        with pytest.raises(BadInput, match="printable"):
+            PlannedMethod.parse(f"rsgf:label={label}")
 
 
 def test_two_methods_of_one_label_are_refused() -> None:
-    """Two columns of one name could not be told apart."""
+    """Two columns of one name could not be told apart; the error names both methods."""
     one, other = (f"command:run={tool} {{sample}} {{output}},label=mine" for tool in ("a", "b"))
-    content = {"name": "x", "methods": [one, other], "texture": [{"name": "wall", "dataset": "brick"}]}
-    with pytest.raises(BadInput, match="two methods have the label 'mine'"):
-        make_plan(validated_suite(content, "x"))
+    of_other, of_row = ("rsgf:label=tile-set", "tile-set"), ("quilting:label=rsgf (own)", "rsgf")
+    for first, second, name in ((one, other, "mine"), (*of_other, "tile-set"), (*of_row, "rsgf (own)")):
+        content = {"name": "x", "methods": [first, second], "texture": [{"name": "wall", "dataset": "brick"}]}
+        with pytest.raises(BadInput, match=re.escape(f"label {name!r} in the tables: {first} and {second};")):
+            make_plan(validated_suite(content, "x"))
 
 
 SAMPLE, OUTPUT = noise(20, 24), noise(30, 50, seed=1)
