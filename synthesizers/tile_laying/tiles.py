@@ -416,19 +416,17 @@ def symmetric_copies(sample: Image, lattice: Lattice, whole: bool) -> list[Isome
     whole
         Whether copies that nearly map pixels to pixels do so exactly, so that none is interpolated.
     """
-    last, copies = np.array(sample.shape[1::-1]) - 1, []
+    middle, copies = (np.array(sample.shape[1::-1]) - 1) / 2, list[Isometry]()
     for each in find_wallpaper_group(sample, lattice).symmetries:
-        copies.append((each.matrix, each.offset))
+        isometries: list[Isometry] = [(each.matrix, each.offset)]
         if each.order > 2:
-            inverse = np.linalg.inv(each.matrix)
-            copies.append((inverse, -each.offset @ inverse))
-    placed = []
-    for matrix, offset in copies:
-        at = last / 2 + lattice.wrap(last / 2 @ matrix + offset - last / 2)
-        if whole and np.abs(matrix - np.rint(matrix)).max() * last.max() <= 1:
-            matrix, at = np.rint(matrix), np.rint(at - last / 2 @ np.rint(matrix)) + last / 2 @ np.rint(matrix)
-        placed.append((matrix, at - last / 2 @ matrix))
-    return placed
+            inverse = np.asarray(np.linalg.inv(each.matrix), np.float64)
+            isometries.append((inverse, -each.offset @ inverse))
+        for matrix, offset in isometries:
+            at, near = middle + lattice.wrap(middle @ matrix + offset - middle), np.rint(matrix).astype(np.float64)
+            exact = whole and np.abs(matrix - near).max() * middle.max() <= 0.5
+            copies.append((near, np.round(at - middle @ near)) if exact else (matrix, at - middle @ matrix))
+    return copies
 
 
 class TilePlaces(NamedTuple):
@@ -482,8 +480,8 @@ class TileStock:
             pixel = np.clip(pixel, (-left, -top), (width - 1 - right, height - 1 - bottom))
             row, inside = np.zeros_like(row), ~inside
         found = TilePlaces(row, pixel, middles).take(inside)
-        places = [found, *(self._find_in_copy(found, n) for n in range(len(self.images.copies)))]
-        return TilePlaces(*(np.concatenate(part) for part in zip(*places, strict=True)))
+        sets = [found, *(self._find_in_copy(found, n) for n in range(len(self.images.copies)))]
+        return TilePlaces(*(np.concatenate(part) for part in zip(*sets, strict=True)))
 
     def _find_in_copy(self, places: TilePlaces, copy: int) -> TilePlaces:
         """Return the places at which a copy shows a complete tile of the sample, and :data:`SPARE` px around it."""
@@ -539,8 +537,8 @@ class TileStock:
         """
         parts = self.images.parts
         (x, y), (copy, part) = drawn.pixel[0], divmod(int(drawn.row[0]), parts**2)
-        (values, *form), first = self.images.record, copy * parts**2
-        images = values[first : first + parts**2], *form
+        first = copy * parts**2
+        images = self.images.values[first : first + parts**2], *self.images.shape, parts
         start = np.array([x + part % parts / parts, y + part // parts / parts])
         best = best_move(overlap, images, self.tile.box, start, drawn.middle[0], radius)
         return TilePlaces(best[:1] + first, best[np.newaxis, 1:], drawn.middle)
