@@ -40,6 +40,7 @@ from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
+from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.lattice.vertices import Vertex, lay_vertices
@@ -79,6 +80,7 @@ class LatticeResult:
     comparison. ``failed`` marks a detector that raised an error. ``deformation`` is that of a bent image, of which
     ``lattice`` is the mean lattice, and ``detection`` what the detector found in the straightened image, whose own
     lattice is ``straightened`` if it was written. ``detector`` is empty if a lattice was given that was followed.
+    ``symmetry`` is that of the image, or of the straightened one, if it was looked for.
     """
 
     detector: str
@@ -90,6 +92,7 @@ class LatticeResult:
     failed: bool = False
     deformation: Deformation | None = None
     straightened: Lattice | None = None
+    symmetry: FoundGroup | None = None
 
     @classmethod
     def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> LatticeResult:
@@ -144,6 +147,15 @@ class LatticeResult:
             for number, each in enumerate(self.candidates[1:], 2):
                 vectors = ", ".join(vector_texts(each.lattice, each.has_origin))
                 print(f"candidate {number}: {vectors}, {each.relation}, confidence {each.confidence:.3f}")
+            if self.symmetry is not None:
+                print(self.symmetry)
+
+    def with_symmetry(self, image: Image) -> LatticeResult:
+        """Return the result with the symmetry of the image, which is straightened first if it is bent."""
+        if self.lattice is None:
+            return self
+        straight = self.deformation.straighten() if self.deformation else (image, self.lattice)
+        return replace(self, symmetry=find_wallpaper_group(*straight))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the lattice for JSON, with the alternatives and the probabilities of a detector; or the reason."""
@@ -159,6 +171,8 @@ class LatticeResult:
         if self.deformation is not None:
             straight = {"straightened": self.straightened.as_dict()} if self.straightened else {}
             found["deformation"] = {**self.deformation.as_dict(), **straight}
+        if self.symmetry is not None:
+            found["symmetry"] = self.symmetry.as_dict()
         return found
 
     def comparison_dict(self) -> dict[str, Any]:
@@ -242,9 +256,12 @@ def _show_given(image: Image, options: LatticeQuestion) -> None:
         _print_numbers(lattice)
     else:
         lattice, has_origin = Lattice.parse(options.lattice), options.lattice.count(",") == 5
+    result = LatticeResult("given" if options.lattice else "picked", lattice, has_origin=has_origin)
+    if options.symmetry:
+        result = result.with_symmetry(image)
     if options.output is not None:
-        write_image(options.output, draw_overlay(image, lattice))
-    LatticeResult("given" if options.lattice else "picked", lattice, has_origin=has_origin).finish(image, options)
+        write_image(options.output, draw_overlay(image, lattice, result.symmetry))
+    result.finish(image, options)
 
 
 def _print_numbers(lattice: Lattice) -> None:
@@ -274,6 +291,8 @@ def _show_detection(image: Image, options: LatticeQuestion) -> None:
         if bent is not None:
             result, detection = bent, bent.detection
             title = f"{spec}, of the straightened image: {bent.vectors}"
+    if options.symmetry:
+        result = result.with_symmetry(image)
     if options.diagnostics is not None:
         _draw_diagnostics(detection.diagnostics if detection else {}, title, options.diagnostics)
     if options.output is not None:
@@ -293,7 +312,7 @@ def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
     elif result.detection is not None and result.detection.vertices:
         write_image(output, draw_vertices(image, result.detection.vertices))
     else:
-        drawn = draw_overlay(image, result.lattice)
+        drawn = draw_overlay(image, result.lattice, result.symmetry)
         if len(result.candidates) > 1:
             drawn = stack(drawn, contact_sheet(*draw_candidates(image, result.candidates)))
         write_image(output, drawn)

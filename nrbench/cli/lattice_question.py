@@ -51,6 +51,8 @@ class LatticeQuestion:
         For a folder: replace truth.csv.
     straighten
         Follow the lattice through a bent image, and write the image with its deformation undone.
+    symmetry
+        Print the wallpaper group and the symmetries; -o draws them.
     vertices
         Write where the points of the lattice lie: row,column,x,y.
     as_json
@@ -68,6 +70,7 @@ class LatticeQuestion:
     keep: Switch = False
     force: Switch = False
     straighten: OutputPicture = None
+    symmetry: Switch = False
     vertices: OutputTable = None
     as_json: Json = False
 
@@ -84,6 +87,7 @@ class LatticeQuestion:
     def _check_folder(self) -> None:
         given: dict[str, object] = {"--all": self.every, "--pick": self.pick, "--lattice": self.lattice}
         given |= {"--diagnostics": self.diagnostics, "--straighten": self.straighten, "--vertices": self.vertices}
+        given["--symmetry"] = self.symmetry
         for name in filter(given.get, given):
             raise BadInput(f"{name}: needs one picture, and {self.image} is a folder; pass a picture in it")
         choose_one({"--keep": self.keep, "--force": self.force})
@@ -97,6 +101,8 @@ class LatticeQuestion:
         others: dict[str, object] = {"--all": self.every, "--pick": self.pick, "--lattice": self.lattice}
         for name in filter(others.get, others) if self.diagnostics else ():
             raise BadInput(f"--diagnostics: draws how one detector works; leave {name} out")
+        if self.symmetry and (self.every or self.straighten):
+            raise BadInput("--symmetry: needs one lattice of the picture as it is; leave --all and --straighten out")
         if self.vertices and self.every:
             raise BadInput("--vertices: writes those of one lattice; leave --all out")
         if self.straighten and (self.every or self.pick or self.diagnostics):
