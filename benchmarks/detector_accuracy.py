@@ -1,7 +1,7 @@
 """How often each detector finds the smallest lattice, how precisely and fast, and how often one where none is.
 
 Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/detector_accuracy.py [--count 8] [DETECTOR...]``.
-``--blur 1`` blurs the textures with a lattice by a Gaussian of this standard deviation, px, and ``--stochastic 0`` leaves out the others.
+``--blur 1`` blurs the textures with a lattice by a Gaussian of 1 px; ``--stochastic 0`` leaves out the others.
 Brick, weave and hexagon, axis-aligned and rotated, 128 to 256 px a side with at least 4 periods, by regular share; and
 200 stochastic textures: noise of five spectra, crops of scikit-image's grass and gravel, and stripes in noise.
 """

@@ -372,7 +372,7 @@ def test_a_given_anchor_lies_midway_between_rows(method: TileSet, model: Model) 
 
 
 def test_windows_of_the_lattices_shape_break_fewer_bricks() -> None:
-    """On a turned wall, tiles along the lattice break fewer bricks than upright rectangles (section 4.3 of the paper)."""
+    """On a turned wall, tiles along the lattice break fewer bricks than upright rectangles (section 4.3)."""
     upright, along = (
         np.mean([joined(Brick(color=0.2, rotation=17.3), seed, 160, 160, replace(PAPER, tile=tile)) for seed in (0, 1)])
         for tile in ("upright", "lattice")
