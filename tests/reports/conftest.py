@@ -90,6 +90,7 @@ def cell_maker(root: Path) -> MakeCell:
             kind=more.pop("kind", "I"),
             regular_share=0.75,
             lattice_truth=lattice_truth,
+            preset=more.pop("preset", ""),
             detector=more.pop("detector", None),
             detected=more.pop("detected", None),
         )
