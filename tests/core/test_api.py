@@ -17,19 +17,20 @@ from nrbench.lattice.geometry import Lattice
 
 
 def test_a_lattice_may_be_given_in_any_form() -> None:
-    """Vectors, vectors with an origin, text and a lattice give the same lattice; None gives none."""
+    """Vectors, vectors with an origin, their numbers, text and a lattice give the same lattice; None gives none."""
     lattice = Lattice((27.3, 0), (13.65, 12.2), (3, 4))
     vectors = ((27.3, 0), (13.65, 12.2), (3, 4))
     assert as_lattice(lattice) == as_lattice(vectors) == as_lattice("27.3,0,13.65,12.2,3,4") == lattice
     assert as_lattice(vectors[:2]) == as_lattice("27.3,0,13.65,12.2")  # type: ignore[arg-type]
-    assert as_lattice(None) is None
+    assert as_lattice((27.3, 0, 13.65, 12.2)) == as_lattice(vectors[:2])  # type: ignore[arg-type]
+    assert as_lattice(np.ravel(vectors)) == lattice and as_lattice(None) is None
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         (((32, 0),), r"lattice \(\(32, 0\),\): give two vectors"),
-        ((32, 0, 0, 24), "give two vectors"),
+        ((32, 0, 0, 24, 1), "give two vectors"),
         (32, "lattice 32: give two vectors"),
         ((32, 24), "t1 is 32; give two numbers"),
         (((1.5, 0), (0, 24)), "repeats every 1.5 px"),

@@ -76,7 +76,7 @@ def cell_maker(root: Path) -> MakeCell:
             suite="tiny",
             texture=texture,
             recipe=Recipe("brick", {}, 0, texture, replicate, (side, side)),
-            method=method.partition(":")[0],
+            method=more.pop("plugin", method.partition(":")[0]),
             version="1",
             parameters=more.pop("parameters", {"block": 40}),
             label=method,
