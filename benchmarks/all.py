@@ -30,6 +30,7 @@ BENCHMARKS = {
     "detector_accuracy.py --count 1 --stochastic 14 consensus gncc ssdn dominance": "detector_accuracy.py",
     "consensus_calibration.py --count 1 --kinds 0": "consensus_calibration.py",
     "bent_lattices.py bent --count 1 --bends 0.5 --tilts 20": "bent_lattices.py",
+    "wallpaper_groups.py --count 1": "wallpaper_groups.py",
     "texture_statistics.py brick": "texture_statistics.py",
     "validation.py fresh --count 1 --textures brick weave": "validation.py fresh",
     "validation.py planted --count 1": "validation.py planted --count 6",

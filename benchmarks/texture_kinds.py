@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from nrbench import plugins
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.vertices import displace_vertices
 
 MODELS = (
     *("wallpaper", "jigsaw", "pavement", "card", "plate", "ceramic", "scales", "squares", "cans", "swirl", "mat"),
@@ -94,11 +95,10 @@ def draw_kinds(rng: np.random.Generator, count: int) -> Iterator[Case]:
 
 
 def _bend(rng: np.random.Generator, model: str, side: int, bend: float) -> Case:
-    """Return a model with a smooth warp. Its lattice is the one that fits the displaced places best."""
+    """Return a model with a smooth warp. Its lattice is the one that fits the displaced vertices best."""
     departures = {**draw_departures(rng), "bend": bend, "jitter": 0.0}
     texture = plugins.build("datasets", model, departures).render((side, side), rng)
-    places = np.stack(np.meshgrid(*2 * [np.arange(side, dtype=float)]), -1)
-    bent = Bent(texture.image, texture.lattice.to_cell(places - texture.displacement))
+    bent = Bent(texture.image, displace_vertices(texture.lattice, texture.displacement))
     return Case("bent", model, texture.image, bent.lattice)
 
 

@@ -17,8 +17,9 @@ import numpy as np
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.lattice.vertices import fit_lattice
 from nrbench.pictures.files import list_pictures, read_image, read_shape
-from nrbench.pictures.truth import KNOWN_FILE, read_known, read_truth
+from nrbench.pictures.truth import KNOWN_FILE, read_known, read_truth, read_vertices, vertices_file
 from nrbench.plugins.forms import Region, Shape, Texture
 
 _ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
@@ -50,12 +51,15 @@ class Images:
         Generating vectors (x, y) of the picture's lattice in px; both or neither.
     origin
         A lattice point (x, y) of the picture in px.
+    vertices
+        A file of the vertices of the picture's lattice, see :func:`~nrbench.pictures.truth.read_vertices`.
     """
 
     path: Path
     t1: Vector | None = None
     t2: Vector | None = None
     origin: Vector = (0.0, 0.0)
+    vertices: Path | None = None
 
     procedural: ClassVar[bool] = False
     version: ClassVar[str] = "1"
@@ -98,6 +102,8 @@ class Images:
 
         The directory may have a ``truth.csv`` with generating vectors: columns ``file,t1x,t1y,t2x,t2y`` and optionally
         ``originx,originy``; others are ignored. A picture without a line, or with empty numbers, has no known lattice.
+        Beside a picture there may be a file of its vertices, :func:`~nrbench.pictures.truth.vertices_file`. Their mean
+        lattice is that of the picture if ``truth.csv`` has none.
         It may have a ``truth.json`` by ``nrbench render``, which holds how each picture was drawn.
 
         Raises
@@ -110,7 +116,7 @@ class Images:
         pictures = [path for path in list_pictures(folder) if path.name != sheet]
         if not pictures:
             raise BadInput(f"directory {folder}: has no picture; put PNG, JPEG or TIFF files into it")
-        truth = read_truth(folder)
+        truth = {path.name: known for path, known in _read_known_truth(pictures, read_truth(folder))}
         return [
             {
                 "name": name,
@@ -134,7 +140,12 @@ class Images:
         x0, y0, x1, y1 = region = (*corner, corner[0] + shape[1], corner[1] + shape[0])
         lattice, name = self._lattice(region), Path(self.path).stem
         lattices = () if lattice is None else (lattice,)
-        return Texture(image[y0:y1, x0:x1].copy(), lattice, lattices, name, family="picture", region=region)
+        known = () if self.vertices is None else read_vertices(Path(self.vertices), image.shape[:2])
+        moved = (vertex._replace(x=vertex.x - x0, y=vertex.y - y0) for vertex in known)
+        size = x1 - x0 - 0.5, y1 - y0 - 0.5
+        vertices = tuple(each for each in moved if -0.5 <= each.x < size[0] and -0.5 <= each.y < size[1])
+        cut = image[y0:y1, x0:x1].copy()
+        return Texture(cut, lattice, lattices, name, family="picture", region=region, vertices=vertices)
 
 
 def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, Shape]:
@@ -179,6 +190,18 @@ def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, S
     sample = max(samples, key=lambda sides: float((sides / np.maximum(tile, 1)).min()), default=sides)
     output = np.minimum(np.maximum(OUTPUT_SCALE * sample, wanted), _LARGEST_OUTPUT)
     return (int(sample[0]), int(sample[1])), (int(output[0]), int(output[1]))
+
+
+def _read_known_truth(
+    pictures: list[Path], table: Mapping[str, Mapping[str, Any]]
+) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Yield each picture with its entry of ``truth.csv``, and with its file of vertices if it has one."""
+    for path in pictures:
+        known, file = dict(table.get(path.name, {})), vertices_file(path)
+        if file.is_file():
+            mean = fit_lattice(read_vertices(file, read_shape(path)))
+            known = {**({} if "t1" in known else mean.as_dict()), **known, "vertices": str(file)}
+        yield path, known
 
 
 def _row_sizes(path: Path, truth: Mapping[str, Any], rendered: Mapping[str, Any]) -> dict[str, str]:

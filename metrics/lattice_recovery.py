@@ -7,9 +7,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from nrbench.errors import BadInput
 from nrbench.lattice.relation import lattice_error
-from nrbench.plugins.forms import Column, FoundLattice, Observation, Score, Value
+from nrbench.lattice.vertices import (
+    LEAST_VERTICES,
+    TOLERANCE,
+    Vertex,
+    displace_vertices,
+    lay_vertices,
+    match_vertices,
+)
+from nrbench.plugins.forms import Column, FoundLattice, Observation, Score, Texture, Value
 
 
 @dataclass(frozen=True)
@@ -17,7 +27,10 @@ class LatticeRecovery:
     """How well the lattice of the method agrees with the true one; see :mod:`nrbench.lattice.relation`.
 
     If the lattice comes from a detector, ``found`` and ``confidence`` are its answer. A detector that finds no lattice
-    gives an answer too: ``exact`` is False if the texture has a lattice, and has no value if it has none.
+    gives an answer too: ``exact`` is False if the texture has a lattice, and has no value if it has none. The vertices
+    that it found in the sample are compared with the true ones (:func:`nrbench.lattice.vertices.match_vertices`): those
+    of the model, bent as the sample is, or those that a person set in a photograph. A detector that does not follow a
+    lattice gets the points of its lattice laid over the sample.
 
     Parameters
     ----------
@@ -27,7 +40,7 @@ class LatticeRecovery:
 
     tolerance: float = 1.0
 
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     columns: ClassVar[Mapping[str, Column]] = {
         "found": Column("Whether the detector found a lattice."),
         "confidence": Column("Confidence of the detector in its lattice."),
@@ -47,6 +60,11 @@ class LatticeRecovery:
             (0.0, math.inf),
             "lower",
         ),
+        "vertex_recall": Column("Share of the true vertices of the sample that the detector found.", better="higher"),
+        "vertex_precision": Column("Share of the detector's vertices that are true.", better="higher"),
+        "vertex_error": Column(
+            "Median distance of these from the true vertices.", "of s", (0.0, TOLERANCE), better="lower"
+        ),
     }
 
     def __post_init__(self) -> None:
@@ -56,8 +74,11 @@ class LatticeRecovery:
     def score(self, observation: Observation) -> Score:
         """Return the comparison with the truth; None if the truth or the method has no lattice."""
         detection, comparison = _score_detection(observation.detected), self._compare(observation)
-        values, reasons = {**detection.values, **comparison.values}, {**detection.reasons, **comparison.reasons}
-        return Score(values, reasons, records=comparison.records)
+        vertices = _score_vertices(observation)
+        values = {**detection.values, **comparison.values, **vertices.values}
+        return Score(
+            values, {**detection.reasons, **comparison.reasons, **vertices.reasons}, records=comparison.records
+        )
 
     def _compare(self, observation: Observation) -> Score:
         truth = observation.truth.lattice if observation.truth else None
@@ -75,7 +96,31 @@ class LatticeRecovery:
         return Score(found, reasons, records={"class": error.label})
 
 
-_COMPARED = tuple(name for name in LatticeRecovery.columns if name not in ("found", "confidence"))
+_VERTICES = tuple(name for name in LatticeRecovery.columns if name.startswith("vertex_"))
+_COMPARED = tuple(name for name in LatticeRecovery.columns if name not in ("found", "confidence", *_VERTICES))
+
+
+def true_vertices(truth: Texture) -> tuple[Vertex, ...]:
+    """Return the vertices that a person set, else those of the model that drew a texture; none of other pictures."""
+    lattice = truth.lattice if truth.kind is not None else None
+    if truth.vertices or lattice is None:
+        return truth.vertices
+    if truth.displacement is None:
+        return lay_vertices(lattice, truth.image.shape[:2], lattice.covering_radius)
+    return displace_vertices(lattice, truth.displacement)
+
+
+def _score_vertices(observation: Observation) -> Score:
+    detected, truth = observation.detected, observation.truth
+    true = true_vertices(truth) if truth is not None and detected is not None else ()
+    if detected is None or len(true) < LEAST_VERTICES:
+        reason = "no detector was used" if detected is None else "fewer than four true vertices are known"
+        return Score(dict.fromkeys(_VERTICES), dict.fromkeys(_VERTICES, reason))
+    shape = observation.sample.shape[:2]
+    found = detected.vertices or (lay_vertices(detected.lattice, shape) if detected.lattice else ())
+    match = match_vertices(np.array(found, np.float64).reshape(-1, 4)[:, 2:], true, shape)
+    values = dict(zip(_VERTICES, match, strict=True))
+    return Score(values, {name: "no vertex is judged" for name, value in values.items() if value is None})
 
 
 def _score_detection(detected: FoundLattice | None) -> Score:

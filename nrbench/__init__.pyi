@@ -13,6 +13,7 @@ from .api.runs import site as site
 from .api.runs import status as status
 from .api.textures import Scores as Scores
 from .api.textures import detect_lattice as detect_lattice
+from .api.textures import detect_symmetry as detect_symmetry
 from .api.textures import render_textures as render_textures
 from .api.textures import score as score
 from .api.textures import synthesize as synthesize
@@ -24,7 +25,10 @@ from .displacement.deformation_field import Deformation as Deformation
 from .errors import BadInput as BadInput
 from .imaging.convert import Image as Image
 from .imaging.convert import gray as gray
+from .imaging.wallpaper_group import FoundGroup as FoundGroup
+from .imaging.wallpaper_group import Symmetry as Symmetry
 from .lattice.geometry import Lattice as Lattice
+from .lattice.vertices import Vertex as Vertex
 from .pictures.files import read_image as read_image
 from .pictures.files import write_image as write_image
 from .pictures.overlays import draw_lattice as draw_lattice

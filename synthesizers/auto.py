@@ -66,7 +66,7 @@ class Auto:
     finder: ClassVar[str] = "consensus"
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "choice by the sample"
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"threshold": 0.1, "regular": "tile-set:preset=paper", "other": "ann-pixel", "geometry": "as-is"}
     }

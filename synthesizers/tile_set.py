@@ -59,21 +59,34 @@ class TileSet:
 
     The paper stitches by dynamic programming along both directions, in a similar manner as Efros and Freeman, whose two
     seams meet where the sum of errors over both is least, and blends where these seams conflict (``stitch=dynamic``).
-    Anchored in the middle of a joint between two courses, at whole pixels, nine of ten bricks stay whole. But these
-    seams move by at most a pixel sideways in each row: from any other anchor, or where periods are not whole pixels, a
-    fifth to three fifths of the bricks of mild walls become two-toned. The default is an exact minimum cut that leads
-    around elements: seams cost differences over gradients (Kwatra et al. 2003, section 5), the border of the filled
-    region costs double, covering an old seam regains its cost, and tiles are slightly larger.
+    A tile overlaps the whole row above it, which goes on at its right: where the upper seam ends above the last row of
+    this overlap, the right border of the tile is part of the cut, and its errors count. The text says only that all
+    pixels of the boundary are results of dynamic programming or blending. In grain, these seams lose the joint between
+    elements of like color. The default is an exact minimum cut that leads around elements: seams cost differences over
+    gradients (Kwatra et al. 2003, section 5), the border of the filled region costs double, covering an old seam
+    regains its cost, and tiles are slightly larger.
 
     What the paper does by hand is automatic. The lattice is anchored in the middle of what differs from tile to tile,
     so that tiles show elements whole. The threshold is computed from the differences between the tiles of the sample
-    over the usual overlap: the least threshold at which every tile accepts the share ``quantile`` of the others of its
-    set.
+    over the usual overlap: the least threshold at which the share ``accepting`` of the tiles accepts the share
+    ``quantile`` of the others of its set.
 
-    ``preset=paper`` is the method of the paper, whose authors placed most lattices by hand: it anchors tiles at the
-    origin of the lattice, which should be given with six numbers, and finds lattices by their own detector. The paper
-    gives no threshold; the preset takes the tightest one at which the oddest tile of the sample still accepts another
-    one. It registers tiles by "small movements", here up to 1 px, and blends along the boundary, here over 3 px.
+    ``preset=paper`` is the method of the paper. Four of its values are readings:
+
+    - *Anchor*: most lattices were located by hand, so that "the boundary of the tiles" lies in "low frequency regions".
+      The preset looks for these (``anchor=quiet``); ``anchor=given`` takes a place from you.
+    - *Threshold*: none is printed. Odd tiles, such as those with holes in a rug, "may not appear in the output" of the
+      authors. The preset takes the tightest threshold at which half of the tiles accept another one; at the one that
+      the oddest tile needs (``accepting=1``), up to twice as many elements are joined of two.
+    - *Margin*: blending takes "a padded region around the boundary" of a tile. The preset pads tiles by 2 px, so that a
+      joint on their border is whole.
+    - *Registration* makes "small movements", here up to 1 px, and blending takes 3 px.
+
+    On eight draws each of the models brick, hexagon and weave at ``color=0.2``, 18 %, 38 % and 11 % of the bricks,
+    tiles and crossings are joined of two or more of the sample (``color=0.6``: 12 %, 15 %, 4 %), against 0 to 2 % with
+    the default. On turned walls, more than half: upright rectangles around slanted tiles cut elements
+    (``tile=lattice``, the paper's own suggestion, halves it). On photographs, whose bricks vary as much inside as from
+    one to the next, this hardly shows.
 
     Parameters
     ----------
@@ -90,10 +103,12 @@ class TileSet:
         fewer bricks two-toned.
     margin
         px, at most s, by which tiles are longer at both ends of each side; the steps do not change. None: 2 for exact
-        cuts if the sample holds such tiles, else 0 (the paper).
+        cuts if the sample holds such tiles, else 0.
     quantile
-        Share of the other tiles that the oddest tile of the sample accepts, in [0, 1]. More draws more freely, less
-        joins better.
+        Share of the other tiles that a tile of the sample accepts, in [0, 1]. More draws more freely, less joins
+        better.
+    accepting
+        Share of the tiles of the sample that accept that many, in [0, 1]. 1: all, even the oddest.
     threshold
         A fixed threshold instead (the paper), in gray levels of 255, channels added.
     overlap_measure
@@ -118,10 +133,11 @@ class TileSet:
         they conflict (the paper).
     anchor
         ``"elements"``: where tiles differ most, so that a tile shows an element whole and seams can follow joints.
-        ``"quiet"``: where the gradient energy of the mean tile, summed along the borders of all minimum tiles, is least
-        (the paper's low-frequency regions). ``"given"``: at the lattice's origin, the middle of a tile; if the lattice
-        was detected or its origin is (0, 0), it has none, and the anchor is the quiet one, which the note says. The
-        first two choose among the places that leave each set enough tiles.
+        ``"quiet"``: where tiles differ least along the borders of all maximum tiles (the paper's low-frequency
+        regions). ``"given"``: at the lattice's origin, the middle of a tile. It should lie midway between two rows of
+        elements, above the middle of an element; either way of stitching then breaks few. If the lattice was detected
+        or its origin is (0, 0), none is known, and the anchor is the quiet one, which the note says. The first two
+        choose among the places that leave each set enough tiles.
     finder
         Detector that finds the lattice if none is given: ``"consensus"``, or ``"dominance"``, that of the paper.
     geometry
@@ -140,6 +156,7 @@ class TileSet:
     cells: int | None = None
     margin: float | None = None
     quantile: float = 0.75
+    accepting: float = 1.0
     threshold: float | None = None
     overlap_measure: OverlapMeasure = "mean"
     registration: float | None = None
@@ -153,18 +170,19 @@ class TileSet:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     family: ClassVar[str] = "tiles and patches on the lattice"
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "tile": "upright",
             "cells": 1,
-            "margin": 0.0,
+            "margin": 2.0,
             "quantile": 0.0,
+            "accepting": 0.5,
             "overlap_measure": "sum",
             "registration": 1.0,
             "parts": 1,
             "stitch": "dynamic",
-            "anchor": "given",
+            "anchor": "quiet",
             "finder": "dominance",
             "geometry": "as-is",
         }
@@ -183,7 +201,7 @@ class TileSet:
 }"""
 
     def __post_init__(self) -> None:
-        require_ranges(self, quantile=(0, 1), registration=(0, np.inf), margin=(0, np.inf))
+        require_ranges(self, quantile=(0, 1), accepting=(0, 1), registration=(0, np.inf), margin=(0, np.inf))
         require(self.threshold is None or self.threshold >= 0, f"threshold {self.threshold}; choose 0 or more")
         require_ranges(self, cells=(1, 64), parts=(1, 16))
 
@@ -249,7 +267,9 @@ class TileLaying:
         """Lay every tile that touches the output, row by row (step 2)."""
         threshold = self.method.threshold
         if threshold is None:
-            threshold = self.stock.estimate_threshold(self.method.quantile, self.method.overlap_measure)
+            threshold = self.stock.estimate_threshold(
+                self.method.quantile, self.method.accepting, self.method.overlap_measure
+            )
         numbers = self.tile_numbers()
         places = self.lattice.origin + numbers @ self.tile.steps
         for done, ((i, j), place) in enumerate(zip(numbers.tolist(), places, strict=True)):

@@ -81,6 +81,8 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
         if not isinstance(given, Lattice) and len(given) in (4, 6):  # numbers, as on the command line
             given = zip(given[::2], given[1::2], strict=True)
         made = given if isinstance(given, Lattice) else Lattice(*given)
+        if not isinstance(lattice, Lattice) and len(lattice) in (3, 6) and not any(made.origin):  # see Lattice.parse
+            made = made.shifted(made.t1)
     except (TypeError, KeyError):
         raise BadInput(
             f"lattice {lattice!r}: give two vectors, e.g. ((32, 0), (0, 24)), or three with the origin; or four or six "

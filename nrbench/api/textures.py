@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from nrbench.displacement.bent_detection import Followed
     from nrbench.displacement.deformation_field import Deformation
     from nrbench.imaging.convert import Image
+    from nrbench.imaging.wallpaper_group import FoundGroup
     from nrbench.lattice.geometry import Lattice
     from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Texture, Value
     from nrbench.suites.suite import Suite
@@ -123,6 +124,46 @@ def detect_lattice(image: Imagelike, detector: Detectorlike = None, **parameters
     """
     detection: Detection = detector_in(detector, parameters).detect(image_in(image))
     return detection
+
+
+def detect_symmetry(
+    image: Imagelike, lattice: Latticelike = None, detector: Detectorlike = None, **parameters: Any
+) -> FoundGroup:
+    """Find the wallpaper group of an image: its rotations, mirrors and glides.
+
+    Parameters
+    ----------
+    image
+        An :data:`Imagelike`.
+    lattice
+        The smallest lattice of the image; its origin does not matter. If None, it is detected.
+    detector
+        The detector that finds it; if None, ``consensus``.
+    **parameters
+        The detector's parameters.
+
+    Returns
+    -------
+    FoundGroup
+        The group, or why it cannot be told, and the isometries that were tested, with their agreement.
+
+    Raises
+    ------
+    NoLatticeFound
+        If the detector finds no lattice.
+    BadInput
+        For a bad image, lattice, detector or parameter.
+
+    Examples
+    --------
+    >>> brick = texture("brick", shape=(160, 160), seed=1)
+    >>> detect_symmetry(brick, brick.lattice).group
+    'cmm'
+    """
+    from nrbench.imaging.wallpaper_group import find_wallpaper_group
+
+    known = lattice_in(image, lattice) or detect_lattice(image, detector, **parameters).lattice
+    return find_wallpaper_group(image_in(image), known)
 
 
 def track_lattice(

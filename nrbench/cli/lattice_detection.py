@@ -40,13 +40,24 @@ from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
+from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
+from nrbench.lattice.vertices import Vertex, lay_vertices
 from nrbench.pictures.files import encode_png, read_image, write_image
-from nrbench.pictures.overlays import COLOR, contact_sheet, draw_lattice, draw_overlay, draw_segments, stack
+from nrbench.pictures.overlays import (
+    COLOR,
+    contact_sheet,
+    draw_lattice,
+    draw_overlay,
+    draw_segments,
+    draw_vertices,
+    stack,
+)
+from nrbench.pictures.truth import vertices_text
 from nrbench.plugins.forms import Alternative, Curve, Detection, NoLatticeFound, Surface
 from nrbench.plugins.parameters import parse_spec
-from nrbench.storage import write_aside
+from nrbench.storage import write_aside, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,6 +80,7 @@ class LatticeResult:
     comparison. ``failed`` marks a detector that raised an error. ``deformation`` is that of a bent image, of which
     ``lattice`` is the mean lattice, and ``detection`` what the detector found in the straightened image, whose own
     lattice is ``straightened`` if it was written. ``detector`` is empty if a lattice was given that was followed.
+    ``symmetry`` is that of the image, or of the straightened one, if it was looked for.
     """
 
     detector: str
@@ -80,6 +92,7 @@ class LatticeResult:
     failed: bool = False
     deformation: Deformation | None = None
     straightened: Lattice | None = None
+    symmetry: FoundGroup | None = None
 
     @classmethod
     def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> LatticeResult:
@@ -104,6 +117,23 @@ class LatticeResult:
         """The two vectors, and the origin where it is known, as text."""
         return ", ".join(vector_texts(self.lattice, self.has_origin)) if self.lattice else ""
 
+    def vertices(self, shape: tuple[int, int]) -> tuple[Vertex, ...]:
+        """Return where the points of the lattice lie in an image of ``shape``."""
+        if self.deformation is not None:
+            return self.deformation.lattice_points
+        followed = self.detection.vertices if self.detection else ()
+        return followed or (lay_vertices(self.lattice, shape) if self.lattice else ())
+
+    def finish(self, image: Image, options: LatticeQuestion) -> None:
+        """Print the result on standard output, and write the vertices where this was asked for."""
+        vertices = self.vertices(image.shape[:2])
+        if options.vertices is not None and not vertices:
+            click.echo(f"{options.vertices}: not written, there is no lattice in the picture", err=True)
+        elif options.vertices is not None:
+            write_text(options.vertices, vertices_text(vertices))
+            click.echo(f"{options.vertices}: {len(vertices)} vertices", err=True)
+        self.print(options.as_json)
+
     def print(self, as_json: bool) -> None:
         """Print the result on standard output."""
         if as_json:
@@ -117,6 +147,15 @@ class LatticeResult:
             for number, each in enumerate(self.candidates[1:], 2):
                 vectors = ", ".join(vector_texts(each.lattice, each.has_origin))
                 print(f"candidate {number}: {vectors}, {each.relation}, confidence {each.confidence:.3f}")
+            if self.symmetry is not None:
+                print(self.symmetry)
+
+    def with_symmetry(self, image: Image) -> LatticeResult:
+        """Return the result with the symmetry of the image, which is straightened first if it is bent."""
+        if self.lattice is None:
+            return self
+        straight = self.deformation.straighten() if self.deformation else (image, self.lattice)
+        return replace(self, symmetry=find_wallpaper_group(*straight))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the lattice for JSON, with the alternatives and the probabilities of a detector; or the reason."""
@@ -132,6 +171,8 @@ class LatticeResult:
         if self.deformation is not None:
             straight = {"straightened": self.straightened.as_dict()} if self.straightened else {}
             found["deformation"] = {**self.deformation.as_dict(), **straight}
+        if self.symmetry is not None:
+            found["symmetry"] = self.symmetry.as_dict()
         return found
 
     def comparison_dict(self) -> dict[str, Any]:
@@ -215,9 +256,12 @@ def _show_given(image: Image, options: LatticeQuestion) -> None:
         _print_numbers(lattice)
     else:
         lattice, has_origin = Lattice.parse(options.lattice), options.lattice.count(",") == 5
+    result = LatticeResult("given" if options.lattice else "picked", lattice, has_origin=has_origin)
+    if options.symmetry:
+        result = result.with_symmetry(image)
     if options.output is not None:
-        write_image(options.output, draw_overlay(image, lattice))
-    LatticeResult("given" if options.lattice else "picked", lattice, has_origin=has_origin).print(options.as_json)
+        write_image(options.output, draw_overlay(image, lattice, result.symmetry))
+    result.finish(image, options)
 
 
 def _print_numbers(lattice: Lattice) -> None:
@@ -247,11 +291,13 @@ def _show_detection(image: Image, options: LatticeQuestion) -> None:
         if bent is not None:
             result, detection = bent, bent.detection
             title = f"{spec}, of the straightened image: {bent.vectors}"
+    if options.symmetry:
+        result = result.with_symmetry(image)
     if options.diagnostics is not None:
         _draw_diagnostics(detection.diagnostics if detection else {}, title, options.diagnostics)
     if options.output is not None:
         _draw_result(image, result, options.output)
-    result.print(options.as_json)
+    result.finish(image, options)
 
 
 def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
@@ -263,8 +309,10 @@ def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
         click.echo(f"{output}: not written, there is no lattice to draw", err=True)
     elif result.deformation is not None:
         write_image(output, draw_deformed_lattice(image, result.deformation))
+    elif result.detection is not None and result.detection.vertices:
+        write_image(output, draw_vertices(image, result.detection.vertices))
     else:
-        drawn = draw_overlay(image, result.lattice)
+        drawn = draw_overlay(image, result.lattice, result.symmetry)
         if len(result.candidates) > 1:
             drawn = stack(drawn, contact_sheet(*draw_candidates(image, result.candidates)))
         write_image(output, drawn)
@@ -341,7 +389,7 @@ def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) ->
         write_image(options.output, draw_deformed_lattice(image, followed.deformation))
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
-    LatticeResult.of_followed("" if options.lattice else name, followed, straight_lattice).print(options.as_json)
+    LatticeResult.of_followed("" if options.lattice else name, followed, straight_lattice).finish(image, options)
 
 
 def find_bent_lattice(image: Image, detector: str) -> LatticeResult | None:

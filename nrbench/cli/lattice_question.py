@@ -18,6 +18,7 @@ All = Annotated[bool, Flag("--all", kind=bool)]
 LatticeText = Annotated[str | None, Flag(metavar="x1,y1,x2,y2[,x,y]")]
 OverlayOrFolder = Annotated[Path | None, Flag("-o --output", "OVERLAY.png|DIR", kind=Path)]
 OutputPicture = Annotated[Path | None, Flag(metavar="OUT.png", kind=Path)]
+OutputTable = Annotated[Path | None, Flag(metavar="OUT.csv", kind=Path)]
 Confidence = Annotated[float, Flag(metavar="CONFIDENCE", kind=float, least=0, most=1)]
 LEAST = 0.5
 
@@ -50,6 +51,10 @@ class LatticeQuestion:
         For a folder: replace truth.csv.
     straighten
         Follow the lattice through a bent image, and write the image with its deformation undone.
+    symmetry
+        Print the wallpaper group and the symmetries; -o draws them.
+    vertices
+        Write where the points of the lattice lie: row,column,x,y.
     as_json
         Print JSON on standard output.
     """
@@ -65,6 +70,8 @@ class LatticeQuestion:
     keep: Switch = False
     force: Switch = False
     straighten: OutputPicture = None
+    symmetry: Switch = False
+    vertices: OutputTable = None
     as_json: Json = False
 
     @property
@@ -79,7 +86,8 @@ class LatticeQuestion:
 
     def _check_folder(self) -> None:
         given: dict[str, object] = {"--all": self.every, "--pick": self.pick, "--lattice": self.lattice}
-        given |= {"--diagnostics": self.diagnostics, "--straighten": self.straighten}
+        given |= {"--diagnostics": self.diagnostics, "--straighten": self.straighten, "--vertices": self.vertices}
+        given["--symmetry"] = self.symmetry
         for name in filter(given.get, given):
             raise BadInput(f"{name}: needs one picture, and {self.image} is a folder; pass a picture in it")
         choose_one({"--keep": self.keep, "--force": self.force})
@@ -93,11 +101,15 @@ class LatticeQuestion:
         others: dict[str, object] = {"--all": self.every, "--pick": self.pick, "--lattice": self.lattice}
         for name in filter(others.get, others) if self.diagnostics else ():
             raise BadInput(f"--diagnostics: draws how one detector works; leave {name} out")
+        if self.symmetry and (self.every or self.straighten):
+            raise BadInput("--symmetry: needs one lattice of the picture as it is; leave --all and --straighten out")
+        if self.vertices and self.every:
+            raise BadInput("--vertices: writes those of one lattice; leave --all out")
         if self.straighten and (self.every or self.pick or self.diagnostics):
             raise BadInput("--straighten: follows one lattice; leave --all, --pick and --diagnostics out")
         written = {os.path.realpath(self.image): "is the picture itself, which would be lost; choose another name"}
-        for path in filter(None, (self.output, self.diagnostics, self.straighten)):
-            check_output(path)
+        for path in filter(None, (self.output, self.diagnostics, self.straighten, self.vertices)):
+            check_output(path, ".csv" if path is self.vertices else ".png")
             if os.path.realpath(path) in written:
                 raise BadInput(f"{path}: {written[os.path.realpath(path)]}")
-            written[os.path.realpath(path)] = "would be written twice; choose another name for one of the pictures"
+            written[os.path.realpath(path)] = "would be written twice; choose another name for one of the files"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nrbench.imaging.convert import MIN_SIDE, Image, largest_box
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.vertices import Vertex, lay_vertices, list_vertices
 
 from .growth import Knots
 
@@ -263,6 +264,19 @@ class Deformation:
         if not self.covered or (self.is_smooth and self._fitted_homography is not None):
             return np.ones(np.shape(points)[:-1], np.bool_)
         return self.knots.is_near(self._knot_lattice.to_cell(points))
+
+    @cached_property
+    def lattice_points(self) -> tuple[Vertex, ...]:
+        """The points of the lattice that lie in the image, where it was followed; all of them if it is not bent."""
+        height, width = self.image.shape[:2]
+        if not self.bent:
+            return lay_vertices(self.lattice, (height, width))
+        low, high = np.floor(self.cells.min(0)), np.ceil(self.cells.max(0))
+        cells = np.stack(np.meshgrid(*(np.arange(*ends) for ends in zip(low, high + 1, strict=True))), -1)
+        points = self.lattice.from_cell(cells)
+        places = self.locate(points)
+        seen = self.covers(points) & ((places >= -0.5) & (places < np.array([width, height]) - 0.5)).all(-1)
+        return list_vertices(cells[seen], places[seen])
 
     def straighten(self) -> tuple[Image, Lattice]:
         """Return the image with its deformation undone, and the mean lattice in its pixels.

@@ -368,7 +368,8 @@ class Lattice:
     def parse(cls, text: str) -> Lattice:
         """Return a lattice from ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``, the formats of the command line.
 
-        (x, y) is the origin; without it, the origin is (0, 0).
+        (x, y) is the origin; without it, the origin is (0, 0). A given origin of (0, 0) becomes t1, which is a point of
+        the same lattice, so that (0, 0) always means that no origin is known.
 
         Parameters
         ----------
@@ -387,7 +388,7 @@ class Lattice:
         """
         try:
             x1, y1, x2, y2, *origin = (float(part) for part in text.split(","))
-            x, y = origin or (0.0, 0.0)
+            x, y = (x1, y1) if origin == [0, 0] else origin or (0.0, 0.0)
         except ValueError:
             raise BadInput(
                 f"lattice {text!r}: give four numbers x1,y1,x2,y2 in px, e.g. 32,0,0,24, "

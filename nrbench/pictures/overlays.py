@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import ceil
 
 import numpy as np
@@ -12,7 +12,9 @@ import PIL.ImageFont
 import skimage
 
 from nrbench.imaging.convert import Image
+from nrbench.imaging.wallpaper_group import FoundGroup, Symmetry
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.vertices import Vertex
 from nrbench.pictures.files import to_pil
 
 COLOR = (1.0, 0.1, 0.6)
@@ -29,6 +31,10 @@ _CLEAR = 24.0
 """px; side of a cell that is clear to see among the lines."""
 _LARGEST = 2048
 """px; no overlay is enlarged beyond it."""
+_AXIS, _CENTER = (0, 235, 235), (20, 20, 140)
+"""sRGB colors of axes and centers of symmetries."""
+_DASH = 6.0
+"""px; length of the dashes of the axis of a glide."""
 _ROWS = 256
 """Number of rows that are drawn at a time: arrays of the whole image would need much memory."""
 _SIZE = 11
@@ -88,7 +94,7 @@ def draw_lattice(image: Image, lattice: Lattice, color: tuple[float, float, floa
     return canvas
 
 
-def draw_overlay(image: Image, lattice: Lattice) -> Image:
+def draw_overlay(image: Image, lattice: Lattice, symmetry: FoundGroup | None = None) -> Image:
     """Return the image with a lattice drawn over it, enlarged by a whole factor if the picture or the cells are small.
 
     The factor makes the shortest side of a cell at least 24 px and the longer side of the picture at least 248 px,
@@ -100,11 +106,53 @@ def draw_overlay(image: Image, lattice: Lattice) -> Image:
         Any :data:`~nrbench.imaging.convert.Image`.
     lattice
         In the image's coordinates.
+    symmetry
+        Its symmetries are drawn by the usual signs: mirrors as lines, glides as dashed lines, centers of rotations of
+        order 2, 3, 4 and 6 as rhombi, triangles, squares and hexagons.
     """
     longer = max(image.shape[:2])
     wanted = max(ceil(_CLEAR / lattice.s), ceil(PANEL / longer))
     panel, factor = _scale(image, longer * max(1, min(wanted, _LARGEST // longer)))
-    return draw_lattice(panel, _place(lattice, (0, 0), factor))
+    drawn = draw_lattice(panel, _place(lattice, (0, 0), factor))
+    return drawn if symmetry is None else _draw_signs(drawn, symmetry, factor)
+
+
+def _draw_signs(panel: Image, found: FoundGroup, factor: float) -> Image:
+    """Return the color panel, enlarged by a factor, with the signs of all symmetries of the texture."""
+    picture, shape = to_pil(panel), (panel.shape[0], panel.shape[1])
+    pen = PIL.ImageDraw.Draw(picture)
+    radius = min(max(0.12 * found.lattice.s * factor, 4.0), 9.0)
+    for each in reversed(found.symmetries):
+        if each.kind != "rotation":
+            for start, end in _axis_segments(each, shape, factor):
+                pen.line([*start, *end], fill=_AXIS, width=2)
+            continue
+        corners, breadth = (4, 0.5) if each.order == 2 else (each.order, 1.0)
+        angles = 2 * np.pi * np.arange(corners) / corners - np.pi / (4 if each.order == 4 else 2)
+        sign = radius * np.stack([breadth * np.cos(angles), np.sin(angles)], -1)
+        basis = np.linalg.inv(np.eye(2) - each.matrix)
+        centers = _place(Lattice.from_basis(found.lattice.matrix @ basis, each.center), (0, 0), factor)
+        for center in centers.points(shape):
+            pen.polygon((center + sign).ravel().tolist(), fill=_CENTER, outline="white")
+    return np.asarray(picture, np.float32) / np.float32(255)
+
+
+def _axis_segments(reflection: Symmetry, shape: tuple[int, int], factor: float) -> Iterator[tuple[Points, Points]]:
+    """Yield the ends of the lines, and of the dashes of glides, along all axes in a picture enlarged by a factor."""
+    (height, width), step = shape, np.array(reflection.spacing) * factor
+    first, along = (np.array(reflection.center) + 0.5) * factor - 0.5, np.array(reflection.axis)
+    along, reach = along / np.hypot(*along), (height + width) / 2
+    middle = np.array([width, height]) / 2 - first
+    count, half = middle @ step / (step @ step), reach / np.hypot(*step)
+    for number in np.arange(np.ceil(2 * (count - half)), 2 * (count + half) + 1):
+        if number % 2 and not reflection.centered:
+            continue
+        at = first + number / 2 * step + middle @ along * along
+        if reflection.kind == "glide" or number % 2:
+            for dash in np.arange(-reach, reach, 2 * _DASH):
+                yield at + dash * along, at + (dash + _DASH) * along
+        else:
+            yield at - reach * along, at + reach * along
 
 
 def draw_segments(image: Image, starts: Points, ends: Points) -> Image:
@@ -121,6 +169,13 @@ def draw_segments(image: Image, starts: Points, ends: Points) -> Image:
     for start, end in zip(starts, ends, strict=True):
         _draw_line(canvas, start, end)
     return canvas
+
+
+def draw_vertices(image: Image, vertices: Sequence[Vertex]) -> Image:
+    """Return the image in color with a line between each two vertices that are neighbors in a row or a column."""
+    at = {(vertex.row, vertex.column): (vertex.x, vertex.y) for vertex in vertices}
+    pairs = [(at[i, j], at[other]) for i, j in at for other in ((i, j + 1), (i + 1, j)) if other in at]
+    return draw_segments(image, *np.array(pairs, np.float64).reshape(-1, 2, 2).swapaxes(0, 1))
 
 
 def _draw_line(canvas: Image, start: Points, end: Points) -> None:

@@ -1,4 +1,4 @@
-"""The truth beside the pictures of a folder: ``truth.csv``, known lattices and properties, and ``truth.json``."""
+"""The truth beside the pictures of a folder: ``truth.csv`` and ``truth.json``, and files of vertices set by hand."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.lattice.vertices import Vertex, find_grid_fault
 
 TRUTH_FILE = "truth.csv"
 KNOWN_FILE = "truth.json"
@@ -23,6 +24,7 @@ ORIGIN = ("originx", "originy")
 TRUTH_FIELDS = ("file", *VECTORS, *ORIGIN, "family", "kind", "regular_share")
 """The columns that ``nrbench render`` writes. Every table must have ``file`` and the vectors."""
 _HEADER = ",".join(("file", *VECTORS))
+_VERTEX_HEADER = ",".join(Vertex._fields)
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,55 @@ def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
     return {name: dict(row.vectors) for name, row in rows.items()}
 
 
+def vertices_file(picture: Path) -> Path:
+    """Return the file of a picture's vertices: ``wall.jpg.vertices.csv`` beside ``wall.jpg``."""
+    return picture.with_name(f"{picture.name}.vertices.csv")
+
+
+def read_vertices(path: Path, shape: tuple[int, int]) -> tuple[Vertex, ...]:
+    """Read the vertices of a picture of ``shape`` (height, width): CSV with the columns ``row,column,x,y``.
+
+    Raises
+    ------
+    BadInput
+        When the file or a line is malformed, a vertex lies outside the picture, two have the same number or place, or
+        they are no grid: fewer than four, none of them with a neighbor in its row and one in its column, or cells that
+        are flat or turned over. The message names the line.
+    """
+    fields, lines = _lines(path, _VERTEX_HEADER)
+    if tuple(fields) != Vertex._fields:
+        raise BadInput(f"{path} line 1: has the columns {','.join(fields) or '(none)'}; give {_VERTEX_HEADER}")
+    vertices = [_read_vertex(values, f"{path} line {line}", shape) for line, values in lines]
+    seen: dict[tuple[str, float, float], int] = {}
+    for (line, _), one in zip(lines, vertices, strict=True):
+        for part in (("row and column", one.row, one.column), ("place", one.x, one.y)):
+            if (first := seen.setdefault(part, line)) != line:
+                raise BadInput(f"{path} line {line}: has the {part[0]} of line {first}; keep one")
+    fault = find_grid_fault(vertices)
+    if fault:
+        raise BadInput(f"{path}: {fault}; number vertices by row and column, neighbors by neighboring numbers")
+    return tuple(vertices)
+
+
+def _read_vertex(values: Mapping[str, Any], where: str, shape: tuple[int, int]) -> Vertex:
+    try:
+        if None in values:
+            raise ValueError(values)
+        x, y = (float(values[name]) for name in ("x", "y"))
+        vertex = Vertex(int(values["row"]), int(values["column"]), x, y)
+    except ValueError:
+        raise BadInput(f"{where}: is no vertex; give {_VERTEX_HEADER}: two whole numbers, and x, y in px") from None
+    if not (-0.5 <= x < shape[1] - 0.5 and -0.5 <= y < shape[0] - 0.5):
+        raise BadInput(f"{where}: ({x:g}, {y:g}) lies outside the picture of {shape[1]}x{shape[0]} px; leave it out")
+    return vertex
+
+
+def vertices_text(vertices: Sequence[Vertex]) -> str:
+    """Return vertices as CSV, to a thousandth px."""
+    rows = [vertex._replace(x=round(vertex.x, 3), y=round(vertex.y, 3))._asdict() for vertex in sorted(vertices)]
+    return table_text(Vertex._fields, rows)
+
+
 def read_known(folder: Path, remedy: str) -> Any:
     """Return the content of the ``truth.json`` of a folder; an empty mapping without one.
 
@@ -122,7 +173,7 @@ def table_text(fields: Sequence[str], rows: Sequence[Mapping[str, object]]) -> s
     return file.getvalue()
 
 
-def _lines(path: Path) -> tuple[Sequence[str], list[tuple[int, dict[str, Any]]]]:
+def _lines(path: Path, header: str = _HEADER) -> tuple[Sequence[str], list[tuple[int, dict[str, Any]]]]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as lines:
             reader = csv.DictReader(lines, restval="")
@@ -130,7 +181,7 @@ def _lines(path: Path) -> tuple[Sequence[str], list[tuple[int, dict[str, Any]]]]
             reader.fieldnames = fields
             return fields, [(reader.line_num, row) for row in reader]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"{path} is no CSV text ({error}); save it as UTF-8 with the columns {_HEADER}") from None
+        raise BadInput(f"{path} is no CSV text ({error}); save it as UTF-8 with the columns {header}") from None
 
 
 def _check_fields(fields: Sequence[str], where: str) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Points
+from nrbench.lattice.vertices import Vertex
 
 Kind = Literal["0", "I", "II", "III", "stochastic"]
 Shape = tuple[int, int]
@@ -56,6 +57,9 @@ class Texture:
         The region of a photograph that the image was cropped from; None for models.
     draw_seed
         The number that decides the draw of a model; None for photographs. It is part of no hash and no key.
+    vertices
+        Where the points of the lattice lie in a photograph, as a person set them; empty if nobody did. Those of a model
+        follow from ``lattice`` and ``displacement``.
 
     Examples
     --------
@@ -77,6 +81,7 @@ class Texture:
     regular_share: float | None = None
     region: Region | None = None
     draw_seed: int | None = None
+    vertices: tuple[Vertex, ...] = ()
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""
@@ -242,6 +247,9 @@ class Detection:
         What the lattice is; ``confidence`` equals ``probabilities.exact``. None if the detector does not estimate it.
     has_origin
         Whether the detector found the origin of the lattice. If not, it is (0, 0) and means nothing.
+    vertices
+        Where the points of the lattice lie in the image, if the detector follows them: ``lattice`` is then their mean
+        lattice. Any point of a cell may be its vertex. Empty: they lie as ``lattice`` lays them.
 
     Examples
     --------
@@ -256,6 +264,7 @@ class Detection:
     alternatives: tuple[Alternative, ...] = ()
     probabilities: Probabilities | None = None
     has_origin: bool = False
+    vertices: tuple[Vertex, ...] = ()
 
 
 class NoLatticeFound(Exception):
@@ -440,6 +449,8 @@ class FoundLattice:
         Why there is none.
     confidence
         Confidence of the detector, in [0, 1]; None if no detector was used or it found no lattice.
+    vertices
+        Those of the :class:`Detection`.
 
     Examples
     --------
@@ -452,6 +463,7 @@ class FoundLattice:
     seconds: float = 0.0
     reason: str = ""
     confidence: float | None = None
+    vertices: tuple[Vertex, ...] = ()
 
 
 def find_lattice(task: Task, detector: Detector) -> FoundLattice:
@@ -537,7 +549,8 @@ def timed_detection(detector: Detector, image: Image) -> FoundLattice:
         return FoundLattice(None, time.perf_counter() - start, none.reason)
     if not isinstance(found, Detection):
         raise TypeError(f"returned {type(found).__name__} instead of a Detection")
-    return FoundLattice(found.lattice, time.perf_counter() - start, confidence=float(found.confidence))
+    seconds = time.perf_counter() - start
+    return FoundLattice(found.lattice, seconds, confidence=float(found.confidence), vertices=found.vertices)
 
 
 @runtime_checkable

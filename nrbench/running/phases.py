@@ -29,6 +29,7 @@ from nrbench.calling.method_calls import InvalidOutput, checked_synthesis, is_pi
 from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.vertices import Vertex
 from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import (
     Again,
@@ -185,6 +186,7 @@ def render(folder: Path, send: Send) -> None:
     known = {name: getattr(texture, name) for name in PLAIN}
     known["lattice"] = texture.lattice.as_dict() if texture.lattice else None
     known["lattices"] = [lattice.as_dict() for lattice in texture.lattices]
+    known["vertices"] = [list(vertex) for vertex in texture.vertices]
     write_image(where.sample, texture.image)
     if again is not None:
         write_image(where.again, again)
@@ -195,6 +197,7 @@ def read_texture(folder: Path, known: Mapping[str, Any]) -> tuple[Texture, Image
     """Return the texture that :func:`render` wrote and described, and the region beside it."""
     where, plain = CellFolder(folder), {name: known[name] for name in PLAIN}
     plain["region"] = tuple(known["region"]) if known["region"] else None
+    plain["vertices"] = tuple(map(Vertex._make, known["vertices"]))
     lattice = Lattice.from_dict(known["lattice"]) if known["lattice"] else None
     texture = Texture(read_image(where.sample), lattice, tuple(map(Lattice.from_dict, known["lattices"])), **plain)
     return texture, read_image(where.again) if where.again.is_file() else None
@@ -451,7 +454,8 @@ def _truth(cell: Cell, sample: Image, keep: bool) -> tuple[Texture, Again | None
     """Return what is known of the sample's texture, and its fresh draws where a model drew it."""
     if not cell.procedural:
         known = (cell.lattice_truth,) if cell.lattice_truth else ()
-        return Texture(sample, cell.lattice_truth, known, cell.texture, cell.family, region=cell.region), None
+        plain: dict[str, Any] = {"region": cell.region, "vertices": cell.vertices_truth}
+        return Texture(sample, cell.lattice_truth, known, cell.texture, cell.family, **plain), None
     draw = _drawn_truth if keep else _drawn_truth.__wrapped__
     texture, again = draw(_as_json(cell.recipe))
     if cell.replicate and is_built_in("datasets", cell.recipe.dataset):

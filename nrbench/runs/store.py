@@ -45,6 +45,7 @@ LONGEST_TEXT = 4000
 _Number = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
 _Cost = Annotated[float, Field(ge=0, le=1e15, allow_inf_nan=False)]
 _Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+_Vertex = Annotated[list[_Number], Field(min_length=4, max_length=4)]
 _Vector = Annotated[list[_Number], Field(min_length=2, max_length=2)]
 
 
@@ -82,6 +83,7 @@ class _TextureContent(TypedDict):
     region: Annotated[list[Annotated[int, Field(ge=-(2**53), le=2**53)]], Field(min_length=4, max_length=4)] | None
     lattice: _Lattice
     lattices: list[_Lattice]
+    vertices: list[_Vertex]
 
 
 class Result(TypedDict, total=False):
@@ -116,7 +118,7 @@ class Result(TypedDict, total=False):
         What is known of a texture that was drawn.
     wall
         Wall seconds of a whole cell. They are not on disk.
-    lattice, confidence, reason
+    lattice, confidence, reason, vertices
         The outcome of a detection, see :class:`~nrbench.plugins.forms.FoundLattice`.
     """
 
@@ -140,6 +142,7 @@ class Result(TypedDict, total=False):
     lattice: _Lattice
     confidence: _Share | None
     reason: str
+    vertices: list[_Vertex]
     texture: _TextureContent
     wall: _Cost
 

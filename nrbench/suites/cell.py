@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, PlainSerializer, TypeAdapter
 
 from nrbench import plugins
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.vertices import Vertex
 from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
 from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.streams import stream
@@ -124,6 +125,8 @@ class Cell:
         None if it gets a lattice, or uses no detector.
     lattice_given, lattice_truth
         The lattice that the method gets, and the true one, in the sample's coordinates.
+    vertices_truth
+        The vertices of the lattice that a person set in a photograph.
     detected
         The result of the detector, also if it found no lattice; None before it has run.
     replicate, seed
@@ -164,6 +167,7 @@ class Cell:
     finder: DetectorIdentity | None = None
     lattice_given: Lattice | None = None
     lattice_truth: Lattice | None = None
+    vertices_truth: tuple[Vertex, ...] = ()
     detected: FoundLattice | None = None
     procedural: bool = True
     again_hash: str = ""
@@ -178,7 +182,7 @@ class Cell:
             "results": RESULTS_VERSION,
             "method": [self.method, self.version, dict(self.parameters)],
             "lattice": [None if self.detector else self.lattice_source, self.detector, self.finder],
-            "truth": self.lattice_truth.as_dict() if self.lattice_truth else None,
+            "truth": [self.lattice_truth.as_dict() if self.lattice_truth else None, self.vertices_truth],
             "sample": self.sample_hash,
             "shape": list(self.shape),
             "seed": [self.seed, self.replicate],

@@ -508,6 +508,7 @@ def _make_cell(suite: Suite, sample: Sample, method: PlannedMethod, source: Latt
             "regular_share": None if share is None else float(np.round(share, 6)),
             "region": texture.region,
             "lattice_truth": texture.lattice,
+            "vertices_truth": texture.vertices,
         }
     cell = Cell(
         suite=suite.name,

@@ -20,12 +20,14 @@ from .estimates import estimate_proportion
 
 ANSWER_COLUMNS = (
     *("detector", "texture", "family", "departure", "level", "regular_share", "replicate", "answer", "right", "found"),
-    *("confidence", "vector_error", "seconds", "reason"),
+    *("confidence", "vector_error", "vertex_recall", "vertex_precision", "seconds", "reason"),
 )
 """The columns of :func:`tabulate_answers`."""
 KINDS = ("exact", "supercell", "subcell", "wrong", "none", "failed")
 """The kinds of answer on textures that have a lattice."""
 STOCHASTIC = "stochastic"
+VERTEX_COLUMNS = ("vertex_recall", "vertex_precision")
+"""The columns of vertices; their means over draws have the same names."""
 GROUP_KEYS = ("detector", "family", "departure", "level")
 BINS = 10
 """Number of bins of :func:`calibrate`."""
@@ -62,9 +64,9 @@ class DetectorComparison:
     summaries
         One row a ``detector``: the share of ``exact`` answers on draws of textures that have a lattice, and by family
         in ``families``; the share of ``false`` lattices found on draws of stochastic textures, which have none; the
-        median ``vector_error`` of exact answers, px; the median and the largest wall time of a detection, ``seconds``
-        and ``slowest``; the ``calibration``; and in ``kinds`` the number of answers of each of :data:`KINDS`, on
-        textures that have a lattice.
+        median ``vector_error`` of exact answers, px; the means :data:`VERTEX_COLUMNS` over draws; the median and the
+        largest wall time of a detection, ``seconds`` and ``slowest``; the ``calibration``; and in ``kinds`` the number
+        of answers of each of :data:`KINDS`, on textures that have a lattice.
     groups, levels
         The rows of :func:`group_answers` of each detector by (family, departure), and by (family, departure, level).
     """
@@ -86,7 +88,7 @@ def tabulate_answers(run: Run) -> pd.DataFrame:
         The columns :data:`ANSWER_COLUMNS`. On a texture with a lattice ``answer`` is ``exact``, ``supercell k``,
         ``subcell 1/k``, ``wrong``, or ``none`` if no lattice was found. On a stochastic texture it is ``none`` or
         ``false lattice``. It is ``failed`` if the detector failed. ``right`` is true for ``exact``, and for ``none`` on
-        a stochastic texture.
+        a stochastic texture. :data:`VERTEX_COLUMNS` come from the metric ``lattice_recovery``.
     """
     textures = {row["name"]: row for row in run.info.get("suite", {}).get("content", {}).get("texture", [])}
     draws = {(r.lattice_source, r.texture, r.replicate): r for r in reversed(run.cells) if r.cell.detector}
@@ -113,6 +115,7 @@ def _answer_row(record: CellRecord, texture: Mapping[str, Any]) -> dict[str, Any
         "found": detected is not None and detected.lattice is not None,
         "confidence": detected.confidence if detected else None,
         "vector_error": error,
+        **{name: record.values.get(f"lattice_recovery.{name}") for name in VERTEX_COLUMNS},
         "seconds": detected.seconds if detected else None,
         "reason": detected.reason if detected else record.message,
     }
@@ -151,6 +154,7 @@ def _summarize_detector(answers: pd.DataFrame) -> dict[str, Any]:
         "false": estimate_proportion(answers[stochastic]["found"]),
         "families": {str(family): estimate_proportion(right) for family, right in families},
         "vector_error": median_of_known(regular[regular["right"]]["vector_error"]),
+        **{name: _mean(regular[name]) for name in VERTEX_COLUMNS},
         "seconds": median_of_known(answers["seconds"]),
         "slowest": None if answers["seconds"].isna().all() else float(answers["seconds"].max()),
         "calibration": calibrate(confident["confidence"].to_numpy(float), confident["right"].to_numpy(bool)),
@@ -165,14 +169,15 @@ def group_answers(answers: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     -------
     pandas.DataFrame
         The keys; the number ``n`` of answers, and of lattices ``found``; the share ``right`` with Wilson's interval;
-        the median ``vector_error`` of the right answers, px, and the median ``seconds`` of a detection, None if there
-        are none.
+        the median ``vector_error`` of the right answers, px; the means :data:`VERTEX_COLUMNS`; and the median
+        ``seconds`` of a detection, None if there are none.
     """
     table = pd.DataFrame(
         {
             **dict(zip(keys, cast(tuple[Any, ...], group), strict=True)),
             **{"n": len(part), "found": int(part["found"].sum()), "right": estimate_proportion(part["right"])},
             "vector_error": median_of_known(part[part["right"]]["vector_error"]),
+            **{name: _mean(part[name]) for name in VERTEX_COLUMNS},
             "seconds": median_of_known(part["seconds"]),
         }
         for group, part in answers.groupby(list(keys), sort=False)
@@ -193,6 +198,11 @@ def median_of_known(values: Iterable[float | None]) -> float | None:
     """Return the median of the known values; None if there are none."""
     known = pd.Series(list(values), dtype=float).dropna()
     return None if known.empty else float(known.median())
+
+
+def _mean(values: pd.Series[Any]) -> float | None:
+    """Return the mean of the known values; None if there are none."""
+    return None if values.isna().all() else float(values.astype(float).mean())
 
 
 def calibrate(confidence: NDArray[np.float64], right: NDArray[np.bool_]) -> Calibration:

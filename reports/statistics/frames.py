@@ -14,7 +14,7 @@ from nrbench.labelling.labels import labels_table
 from nrbench.plugins.parameters import list_parameters
 from nrbench.runs.records import CellRecord, Run
 
-from .detections import GROUP_KEYS, STOCHASTIC, group_answers, tabulate_answers
+from .detections import GROUP_KEYS, STOCHASTIC, VERTEX_COLUMNS, group_answers, tabulate_answers
 from .expectations import (
     ClaimResult,
     LevelPanel,
@@ -268,7 +268,7 @@ def published_tables(published: PublishedComparison) -> dict[str, pd.DataFrame]:
 
 
 def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
-    """Return one row a detector and group of textures: shares of right answers, errors, seconds.
+    """Return one row a detector and group of textures: shares of right answers, errors, seconds, vertices.
 
     Parameters
     ----------
@@ -282,6 +282,7 @@ def detectors_table(answers: pd.DataFrame) -> pd.DataFrame:
             **{"n": row["n"], "right": round(row["n"] * (row["right"].value or 0)), "found": row["found"]},
             **row["right"].columns("share_right", "share_right_", ("low", "high")),
             **{"median_vector_error": row["vector_error"], "median_seconds": row["seconds"]},
+            **{f"mean_{name}": row[name] for name in VERTEX_COLUMNS},
         }
         for depth, table in enumerate(tables, 1)
         for row in group_answers(table, GROUP_KEYS[:depth]).to_dict("records")
@@ -471,16 +472,18 @@ def print_parameters(comparison: Comparison) -> PrintedTable:
 
 
 def print_detectors(summaries: pd.DataFrame) -> PrintedTable:
-    """Return detectors by accuracy, calibration and time."""
+    """Return detectors by accuracy, vertices, calibration and time."""
     rows = [
         [
             one["detector"],
             *(Number(rate if rate.n else None, rate=True) for rate in (one["exact"], one["false"])),
-            *map(format_number, (one["vector_error"], one["calibration"].error, one["seconds"])),
+            *map(format_number, (one[name] for name in ("vector_error", *VERTEX_COLUMNS))),
+            *map(format_number, (one["calibration"].error, one["seconds"])),
         ]
         for one in summaries.to_dict("records")
     ]
-    return PrintedTable("detectors", ["detector", "exact", "false", "error", "calibration", "seconds"], rows)
+    heads = ["detector", "exact", "false", "error", "recall", "precision", "calibration", "seconds"]
+    return PrintedTable("detectors", heads, rows)
 
 
 def print_patches(run: Run) -> PrintedTable:

@@ -269,7 +269,8 @@ def error_surface(
     Returns
     -------
     surface
-        ``(rows, columns)``; 0 where nothing is known.
+        ``(rows, columns)``; 0 where nothing is known. In the last column of the upper band, the sum from there
+        downward: a seam that ends above the band's last row leaves the tile's own border as the cut below.
     bands
         How far what is known reaches from the left in rows that are not completely known, and from the top in columns
         that are not; the largest numbers of cells.
@@ -292,6 +293,8 @@ def error_surface(
                 difference = np.int64(image[y, x, c]) - np.int64(patch[y, x, c])
                 total += difference * difference
             surface[i, j] = total
+    for i in range(above - 2, -1, -1):
+        surface[i, columns - 1] += surface[i + 1, columns - 1]
     return surface, (beside, above)
 
 

@@ -52,13 +52,10 @@ class TileShape:
         is a lattice vector.
     sides
         ``(2, 2)``: the two sides of the maximum tile, a parallelogram around its middle.
-    core
-        ``(2, 2)``: the two sides of the minimum tile.
     """
 
     steps: Points
     sides: Points
-    core: Points
 
     def set_offsets(self, lattice: Lattice) -> list[tuple[int, int]]:
         """Return, for each set of tiles, the steps (in the row, to the next row) from a lattice point to its middles.
@@ -157,19 +154,17 @@ def tile_shape(lattice: Lattice, kind: TileKind, cells: int = 1, margin: float =
         px by which the tile is longer at both ends of each side. The steps do not change.
     """
     t1, t2 = _shortest_vectors(lattice)
-    core = np.stack([t1, t2])
     if kind == "cell":
-        core = _across_and_down(t1, t2)
-        steps = core / 2
+        steps = _across_and_down(t1, t2) / 2
     elif kind == "rectangle":
-        core, steps = _across_and_down(t1, t2), _across_and_down(2 * t1, t2) / 2
+        steps = _across_and_down(2 * t1, t2) / 2
     else:
         steps = _across_and_down(t1 + t2, t2 - t1) / 2
-    sides = cells * (np.diag(np.abs(core).sum(0)) if kind == "upright" else 2 * steps)
+    sides = cells * (np.diag(np.abs([t1, t2]).sum(0)) if kind == "upright" else 2 * steps)
     sides = sides * (1 + 2 * margin / np.hypot(*sides.T))[:, np.newaxis]
     if kind == "upright":
         sides = np.diag(_whole_pixels(np.diag(sides)))
-    return TileShape(cells * steps, sides, cells * core)
+    return TileShape(cells * steps, sides)
 
 
 def _whole_pixels(lengths: Points) -> Points:
@@ -234,20 +229,22 @@ def anchor_lattice(sample: Image, lattice: Lattice, tile: TileShape, kind: Ancho
 
 
 def border_costs(sample: Image, lattice: Lattice, tile: TileShape) -> tuple[Array, Points]:
-    """Return the mean gradient energy along the borders of tiles for each anchor, ``(n,)``, and the anchors.
+    """Return the mean variance from tile to tile along the borders of tiles for each anchor, ``(n,)``, and the anchors.
 
-    The borders are those of the minimum tiles of every set. The energies of all anchors are one circular correlation of
-    the mean tile's gradients with the borders: O(n log n) for a tile of n px.
+    Liu, Tsin and Lin 2005, section 3.1, stage 1: the anchor can "make the boundary of the tiles align with low
+    frequency regions for the benefit of better blending results". What blending shows is how two tiles differ, so that
+    these regions are those of least :func:`element_variance`, joints and gaps: in the mean tile, the inside of a brick
+    is as smooth as a joint. The borders are those of the maximum tiles of every set, because these are joined. The
+    costs of all anchors are one circular correlation with the borders: O(n log n) for a tile of n px.
     """
     lattice = lattice.reduced()
-    mean = fold(sample, lattice).values.astype(np.float64)
-    energy = np.asarray(sum(((np.roll(mean, -1, axis) - mean) ** 2).sum(-1) for axis in (0, 1)))
-    rows, columns = energy.shape
+    variance = element_variance(sample, lattice)
+    rows, columns = variance.shape
     uv = _border_points(tile, 4 * max(rows, columns)) @ np.linalg.inv(lattice.matrix)
     at = np.floor(uv * (columns, rows) + 0.5).astype(np.int64) % (columns, rows)
-    borders = np.bincount(at[:, 1] * columns + at[:, 0], minlength=energy.size).reshape(energy.shape)
-    costs = scipy.fft.irfft2(scipy.fft.rfft2(energy) * np.conj(scipy.fft.rfft2(borders / len(uv))), energy.shape)
-    return costs.ravel(), _anchors(energy.shape, lattice)
+    borders = np.bincount(at[:, 1] * columns + at[:, 0], minlength=variance.size).reshape(variance.shape)
+    spectrum = scipy.fft.rfft2(variance) * np.conj(scipy.fft.rfft2(borders / len(uv)))
+    return scipy.fft.irfft2(spectrum, variance.shape).ravel(), _anchors(variance.shape, lattice)
 
 
 def element_costs(sample: Image, lattice: Lattice) -> tuple[Array, Points]:
@@ -342,10 +339,10 @@ def _anchors(shape: tuple[int, ...], lattice: Lattice) -> Points:
 
 
 def _border_points(tile: TileShape, count: int) -> Points:
-    """Return points along the borders of a minimum tile around (0, 0) and of the next ones in the row and below."""
+    """Return points along the borders of a maximum tile around (0, 0) and of the next ones in the row and below."""
     along, half = np.linspace(-0.5, 0.5, count, endpoint=False), np.full(count, 0.5)
     sides = np.concatenate([np.stack([along, half], -1), np.stack([half, along], -1)])
-    border = np.concatenate([sides, -sides]) @ tile.core
+    border = np.concatenate([sides, -sides]) @ tile.sides
     return np.concatenate([border + np.array(shift) @ tile.steps for shift in np.ndindex(2, 2)])
 
 
@@ -495,11 +492,11 @@ class TileStock:
         positions[:, 0], positions[:, 1] = tiles.row, (tiles.pixel[:, 1] * width + tiles.pixel[:, 0]) * channels
         return positions
 
-    def estimate_threshold(self, quantile: float, measure: OverlapMeasure) -> float:
-        """Return the least threshold at which each tile of the sample accepts a share of the others.
+    def estimate_threshold(self, quantile: float, accepting: float, measure: OverlapMeasure) -> float:
+        """Return the least threshold at which enough tiles of the sample accept enough of the others.
 
-        Two tiles of a set (unmoved) are compared over the usual overlap: the left and the upper half
-        of a tile. For each tile the quantile of its differences from the others is taken, and the largest of these is
+        Two tiles of a set (unmoved) are compared over the usual overlap: the left and the upper half of a tile. For
+        each tile the quantile of its differences from the others is taken, and the quantile ``accepting`` of these is
         the threshold. A single quantile over all pairs would leave the oddest tile no successor but its own, so that
         the sample would be copied on and on. Infinite if no set holds two tiles.
         """
@@ -514,4 +511,5 @@ class TileStock:
                 overlap = self.gather(self.cut(tiles.take(np.array([n])))[0], usual)
                 others = np.delete(self.differences(overlap, tiles), n)
                 quantiles += [float(np.quantile(others, quantile))] if len(others) else []
-        return max(quantiles, default=np.inf) / (int((usual & self.tile.mask).sum()) if measure == "mean" else 1)
+        threshold = float(np.quantile(quantiles, accepting)) if quantiles else np.inf
+        return threshold / (int((usual & self.tile.mask).sum()) if measure == "mean" else 1)

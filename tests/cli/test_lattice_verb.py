@@ -16,7 +16,9 @@ from nrbench import plugins, synthesize, texture
 from nrbench.cli.lattice_detection import lattice_of
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.vertices import lay_vertices
 from nrbench.pictures.files import read_image, write_image
+from nrbench.pictures.truth import read_vertices
 from nrbench.plugins.forms import Observation
 from nrbench.suites.cell import Recipe
 
@@ -39,6 +41,9 @@ def pictures() -> None:
         ("walls --keep --force", "choose one"),
         ("walls", "has no picture"),
         ("brick.png --keep", "is for a folder"),
+        ("walls --vertices v.csv", "--vertices: needs one picture"),
+        ("brick.png --vertices v.png", "outputs are CSV; end the name in .csv"),
+        ("brick.png --all --vertices v.csv", "leave --all out"),
     ],
 )
 def test_misuse(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -96,6 +101,16 @@ def test_a_manual_lattice_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
     assert answer == {"t1": [20, 0], "t2": [0, 30], "detector": "given", "confidence": None}
     changed = (read_image("over.png") != enlarged("brick.png", 3)).any(-1)
     assert changed[:, 1::60].all() and changed[1::90].all() and not changed[5:85, 5:55].any()
+
+
+def test_vertices_are_written(capsys: pytest.CaptureFixture[str]) -> None:
+    """`--vertices` writes the points of the lattice in the picture as a file that can be read as its truth."""
+    assert call("lattice brick.png --lattice 20,0,0,30,5,7 --vertices v.csv") == 0
+    assert "v.csv: 18 vertices" in capsys.readouterr().err
+    vertices = read_vertices(Path("v.csv"), (96, 112))
+    assert set(vertices) == set(lay_vertices(Lattice((20.0, 0.0), (0.0, 30.0), (5.0, 7.0)), (96, 112)))
+    assert call("lattice constant.png --vertices none.csv") == 0
+    assert "not written, there is no lattice" in capsys.readouterr().err and not Path("none.csv").exists()
 
 
 def test_all_detectors_as_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -184,3 +199,20 @@ def test_a_folder(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
     assert [each["file"] for each in answer["pictures"]] == ["bright.png", "text.png"]
     assert answer["pictures"][0]["lattice"] is None and answer["pictures"][0]["candidates"][1]["t1"] == [32, 0]
     assert answer["pictures"][1]["failed"] and answer["truth"] == "walls/truth.csv"
+
+
+def test_the_symmetry_is_printed_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
+    """``--symmetry`` prints the group, and adds it to JSON and its signs to the overlay; it needs one lattice."""
+    wall = texture("brick", shape=(160, 160), seed=1, color=0.05)
+    assert wall.lattice is not None
+    write_image(Path("wall.png"), wall.image)
+    command = f"lattice wall.png --lattice {','.join(map(str, wall.lattice.numbers))}"
+    assert call(f"{command} -o plain.png") == 0
+    assert call(f"{command} --symmetry -o signs.png") == 0
+    assert "wallpaper group cmm" in capsys.readouterr().out
+    plain, signs = (read_image(Path(f"{name}.png")) for name in ("plain", "signs"))
+    assert plain.shape == signs.shape and 0.02 < (plain != signs).any(-1).mean() < 0.5
+    assert call(f"{command} --symmetry --json") == 0
+    symmetry = json.loads(capsys.readouterr().out)["symmetry"]
+    assert symmetry["group"] == "cmm" and {each["holds"] for each in symmetry["candidates"]} <= {True, False, None}
+    assert call("lattice wall.png --all --symmetry") == 2

@@ -26,6 +26,15 @@ def test_a_lattice_may_be_given_in_any_form() -> None:
     assert as_lattice(np.ravel(vectors)) == lattice and as_lattice(None) is None
 
 
+def test_an_origin_of_zero_is_known() -> None:
+    """Given as (0, 0), the origin becomes another point of the lattice; without an origin it stays (0, 0), unknown."""
+    given: Any
+    for given in ("28,0,14,12,0,0", ((28, 0), (14, 12), (0, 0)), (28, 0, 14, 12, 0, 0)):
+        made = as_lattice(given)
+        assert made is not None and made.origin == (28, 0)
+    assert as_lattice("28,0,14,12").origin == (0, 0)  # type: ignore[union-attr]
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [

@@ -24,6 +24,7 @@ REASONS = {
     "frdft": "waves|chance",
     "ssdn": "only rectangular",
     "dominance": "no two peaks|chance",
+    "tracked": "no two peaks|chance|explains only|stripes",
 }
 """Words of the reasons for which each detector refuses the smallest images."""
 
@@ -108,6 +109,7 @@ def test_detection_repeats_and_travels(name: str) -> None:
         ("frdft", {"threshold": -1.0}, "amplitude"),
         ("ssdn", {"depth": 0.0}, "above 0"),
         ("dominance", {"tolerance": 0.5}, "between 0 and 0.5"),
+        ("tracked", {"reject": "maybe"}, "give none or half"),
         *((name, {"reject": "maybe"}, "none or surrogate") for name in WITH_COPIES),
         *((name, {"surrogates": 1}, "at least 2") for name in WITH_COPIES),
         *((name, {"false_alarms": 0.0}, "probability") for name in WITH_COPIES),

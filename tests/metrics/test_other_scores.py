@@ -12,6 +12,7 @@ from conformance import violations
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.vertices import lay_vertices
 from nrbench.metrics.cost import Cost
 from nrbench.metrics.lattice_recovery import LatticeRecovery
 from nrbench.metrics.source import SourceUse
@@ -50,12 +51,13 @@ def test_no_time_at_all_is_no_speed() -> None:
 
 
 TRUTH = Lattice((20.0, 0.0), (10.0, 12.0))
+VERTICES = ("vertex_recall", "vertex_precision", "vertex_error")
 SAMPLE, OUTPUT = np.zeros((64, 64, 3), np.float32), np.zeros((200, 300, 3), np.float32)
 
 
 def observed(used: Lattice | None, truth: Lattice | None = TRUTH) -> Observation:
     """Return an observation of a method that used a lattice."""
-    return Observation(SAMPLE, OUTPUT, Texture(SAMPLE, truth), lattice_used=used)
+    return Observation(SAMPLE, OUTPUT, Texture(SAMPLE, truth, kind="I"), lattice_used=used)
 
 
 def test_the_true_lattice_is_exact() -> None:
@@ -63,7 +65,7 @@ def test_the_true_lattice_is_exact() -> None:
     score = LatticeRecovery().score(observed(Lattice((10.0, 12.0), (-10.0, 12.0))))
     assert score.values["exact"] is True and score.values["index"] == 1
     assert score.values["vector_error"] == pytest.approx(0) and score.values["drift"] == pytest.approx(0, abs=1e-9)
-    assert score.records == {"class": "exact"} and set(score.reasons) == {"found", "confidence"}
+    assert score.records == {"class": "exact"} and set(score.reasons) == {"found", "confidence", *VERTICES}
 
 
 def test_a_supercell_has_its_index() -> None:
@@ -91,7 +93,7 @@ def test_without_a_lattice_nothing_is_scored(used: Lattice | None, truth: Lattic
     """Without a lattice every column is None, and the reason says whether truth or method has none."""
     score = LatticeRecovery().score(observed(used, truth))
     assert set(score.values) == set(LatticeRecovery.columns) == set(score.reasons)
-    compared = [text for name, text in score.reasons.items() if name not in ("found", "confidence")]
+    compared = [text for name, text in score.reasons.items() if name not in ("found", "confidence", *VERTICES)]
     assert set(score.values.values()) == {None} and all(reason in text for text in compared)
 
 
@@ -100,7 +102,21 @@ def test_a_detectors_lattice_comes_with_its_confidence() -> None:
     observation = dataclasses.replace(observed(TRUTH), detected=FoundLattice(TRUTH, 0.1, confidence=0.75))
     score = LatticeRecovery().score(observation)
     assert (score.values["found"], score.values["confidence"], score.values["exact"]) == (True, 0.75, True)
-    assert not score.reasons
+    assert not score.reasons and [score.values[name] for name in VERTICES] == [1, 1, pytest.approx(0, abs=1e-6)]
+
+
+def test_vertices_of_a_detector() -> None:
+    """Followed vertices count, not the lattice; those that a person set are the truth; a detector without any has 0."""
+    at_hand = lay_vertices(TRUTH, (64, 64))
+    photograph = Texture(SAMPLE, vertices=at_hand)
+    followed = FoundLattice(Lattice((9.0, 0.0), (0.0, 7.0)), vertices=at_hand)
+    none, laid = FoundLattice(None, reason="flat"), FoundLattice(Lattice((20.0, 0.0), (0.0, 24.0)))
+    for detected, recall in ((followed, 1), (laid, 0.5), (none, 0)):
+        score = LatticeRecovery().score(Observation(SAMPLE, OUTPUT, photograph, detected=detected))
+        assert score.values["vertex_recall"] == pytest.approx(recall, abs=0.1)
+    assert score.reasons["vertex_precision"] == "no vertex is judged"
+    unknown = LatticeRecovery().score(Observation(SAMPLE, OUTPUT, Texture(SAMPLE, TRUTH), detected=followed))
+    assert unknown.reasons["vertex_recall"] == "fewer than four true vertices are known"
 
 
 def test_no_lattice_is_an_answer() -> None:
