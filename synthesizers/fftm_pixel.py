@@ -45,11 +45,11 @@ class FftmPixel(MaskParameters, SearchParameters):
     (:class:`~nrbench.synthesizers.masks.texture_mask.MaskParameters`). Its frequencies are found by
     :mod:`nrbench.spectra.harmonics`. The output is then synthesized pixel by pixel in scan-line order. Each
     pixel is copied from the pixel of the sample that has the most similar neighborhood. The distance of two
-    neighborhoods is d_TT + c d_MM (equations 8 and 9). The paper calls d_TT and d_MM L2 norms. By default both are the
-    squares of these, whose sum is one Euclidean distance; ``distance=norms`` adds the norms. d_TT compares the texture
-    at the pixels that are synthesized already (N_upper). d_MM compares the mask at the current pixel and at the later
-    ones (N_lower). The weight c always belongs to the mask; section 4.2 prints d_MM + c d_TT, which contradicts what
-    section 4.1 says about small and large c.
+    neighborhoods is d_TT + c d_MM (equations 8 and 9), two L2 norms. With ``distance=squares`` both are squared, and
+    the sum is one Euclidean distance; fewer elements then stay whole. d_TT compares the texture at the pixels that are
+    synthesized already (N_upper). d_MM compares the mask at the current pixel and at the later ones (N_lower). The
+    weight c always belongs to the mask; section 4.2 prints d_MM + c d_TT, which contradicts what section 4.1 says about
+    small and large c.
 
     The paper's best results rely on a search library that happens to favor neighboring pixels of the sample (its figure
     5). Here the parameter ``coherence`` has this effect: among sources of similar distance, the method prefers the one
@@ -80,8 +80,8 @@ class FftmPixel(MaskParameters, SearchParameters):
         them (k-means). The candidates for an output pixel are the sample's pixels of the same cluster; only d_TT
         compares them.
     distance
-        What d_TT and d_MM are: ``"squares"``, sums of squared differences, or ``"norms"``, their square roots (the
-        paper); principal components then do not mix texture and mask. Only for match ``full``.
+        What d_TT and d_MM are: ``"norms"`` (the paper), whose principal components do not mix texture and mask, or
+        ``"squares"`` of these. Only for match ``full``.
 
     References
     ----------
@@ -90,15 +90,15 @@ class FftmPixel(MaskParameters, SearchParameters):
     """
 
     neighborhood: int = 3
-    weight: float = 1.0
+    weight: float = 2.0
     match: Match = "full"
-    distance: Literal["squares", "norms"] = "squares"
+    distance: Literal["squares", "norms"] = "norms"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches and pixels under a mask"
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "neighborhood": 3,
@@ -115,7 +115,7 @@ class FftmPixel(MaskParameters, SearchParameters):
         MaskParameters.__post_init__(self)
         SearchParameters.__post_init__(self)
         require_ranges(self, neighborhood=(2, 6), weight=(0, 100))
-        unused = self.match == "cluster" and self.weight != 1.0
+        unused = self.match == "cluster" and self.weight != FftmPixel.weight
         require(
             not unused,
             f"weight {self.weight} has no effect with match 'cluster'; choose match 'full'",

@@ -175,15 +175,15 @@ def test_the_output_looks_like_the_mask_the_more_it_counts() -> None:
 def test_every_parameter_changes_something_beside_a_mask() -> None:
     """Each parameter changes the output."""
     tile = soft_tile(11, 13)
-    sample = repeated(tile, (64, 64), 0.1)
+    sample = repeated(tile, (64, 64), 0.3)
 
     def output(**change: Any) -> NDArray[np.float32]:
         return masked(FftmPixel(**change), sample, (66, 78), mask_of(tile)).image
 
     clustered, coherent = {"match": "cluster"}, {"search": "k-coherence", "coherence": 0.0}
     pairs: list[tuple[dict[str, Any], dict[str, Any]]] = [
-        ({}, {"neighborhood": 4}), ({}, {"weight": 3.0}), ({}, clustered), ({}, coherent), ({}, {"coherence": 0.0}),
-        ({}, {"dimensions": 4}), ({}, {"tileable": True}),
+        ({}, {"neighborhood": 4}), ({}, {"weight": 0.5}), ({}, clustered), ({}, coherent), ({}, {"coherence": 0.0}),
+        ({}, {"dimensions": 4}), ({}, {"tileable": True}), ({}, {"distance": "squares"}),
     ]  # fmt: skip
     for one, other in pairs:
         assert (output(**one) != output(**other)).any(), other
@@ -231,7 +231,7 @@ def test_a_tileable_output_meets_itself_without_a_seam(neighborhood: int) -> Non
     ratios = {
         tileable: np.mean(
             [
-                seam_ratio(masked(FftmPixel(neighborhood, tileable=tileable), sample, (60, 75), mask, k).image)
+                seam_ratio(masked(FftmPixel(neighborhood, 1.0, tileable=tileable), sample, (60, 75), mask, k).image)
                 for k in range(4)
             ]
         )
