@@ -6,6 +6,8 @@ r"""Draw the pictures of the docs, into ``docs/``: of the README and the page on
     nrbench run core -m resample -m rsgf -m tile-set -m copier -m cartoon -m oracle --lattice given --replicates 5 \
         --seed 5 --out runs/resample
 
+``python benchmarks/pictures.py presets`` draws ``presets/METHOD.jpg`` for each method that has presets, ``presets rsgf
+gpnn`` those of two methods.
 ``python benchmarks/pictures.py structure`` draws ``structure.svg`` from the packages and their docstrings.
 """
 
@@ -25,7 +27,8 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 
-from nrbench import Lattice, Run, draw_lattice, read_image
+import nrbench
+from nrbench import Lattice, Refused, Run, draw_lattice, plugins, read_image
 from nrbench.runs.records import CellRecord
 
 ROOT = Path(__file__).parents[1]
@@ -119,6 +122,48 @@ def draw_perils(run: Run) -> None:
     save(figure, "resample_perils.jpg", 75, 88)
 
 
+PRESET_TEXTURES = ("brick", "weave", "hexagon")
+SAMPLE, OUTPUT, SPACE, HEADING = 128, 224, 6, 18
+"""px: sides of the samples and outputs, the space between them, and the height of the titles."""
+
+
+def draw_presets(names: list[str]) -> None:
+    """Draw a picture for each method that has presets, one row a texture: the sample, the default and each preset.
+
+    Methods that use a lattice get the true one, so that the pictures show how they synthesize. Pixels are not scaled.
+    """
+    samples = [nrbench.texture(name, (SAMPLE, SAMPLE), 3, color=0.3) for name in PRESET_TEXTURES]
+    for name in names or plugins.names("synthesizers"):
+        cls = plugins.find("synthesizers", name).cls
+        presets = getattr(cls, "presets", {})
+        if not presets:
+            continue
+        columns, defaults = {"sample": "", "default": name}, plugins.parameters_of(cls())
+        for preset, values in presets.items():
+            if values.items() <= defaults.items():
+                columns[f"default, also preset={preset}"] = columns.pop("default")
+            else:
+                columns[f"preset={preset}"] = f"{name}:preset={preset}"
+        width, height = SAMPLE + (len(columns) - 1) * (OUTPUT + SPACE), len(samples) * (OUTPUT + SPACE) + HEADING
+        figure = matplotlib.figure.Figure((width / 100, height / 100), dpi=100)
+        left = 0
+        for title, method in columns.items():
+            figure.text(left / width, (height - HEADING + 5) / height, title, size=9)
+            for row, sample in enumerate(samples, 1):
+                image, below = sample.image, (len(samples) - row) * (OUTPUT + SPACE)
+                if method:
+                    try:
+                        image = nrbench.synthesize(method, sample, (OUTPUT, OUTPUT), sample.lattice, seed=1).image
+                    except Refused as why:
+                        print(f"{method} on {sample.name}: {why}")
+                        figure.text(left / width, (below + OUTPUT - 20) / height, "refused", size=9)
+                        continue
+                figure.figimage(image, left, below + OUTPUT - len(image))
+            left += (OUTPUT if method else SAMPLE) + SPACE
+        (DOCS / "presets").mkdir(exist_ok=True)
+        figure.savefig(DOCS / "presets" / f"{name}.jpg", dpi=100, pil_kwargs={"quality": 88})
+
+
 STEPS = {"cli": 1, "suites": 2, "running": 3, "detectors": 4, "synthesizers": 4, "metrics": 5, "runs": 6, "reports": 7}
 """The packages through which a cell goes, in order."""
 FILLS = {"plugins": "#fff3d6", "core": "#e4eefb", "base": "#eeeeee"}
@@ -173,13 +218,15 @@ def main() -> None:
     """Draw the pictures of one page."""
     drawn = {"first-light": (draw_light,), "resample": (draw_methods, draw_perils)}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("page", choices=[*drawn, "structure"])
-    parser.add_argument("run", type=Path, nargs="?", help="directory of the run")
+    parser.add_argument("page", choices=[*drawn, "presets", "structure"])
+    parser.add_argument("names", nargs="*", help="directory of the run, or methods")
     options = parser.parse_args()
     if options.page == "structure":
         draw_structure()
+    if options.page == "presets":
+        draw_presets(options.names)
     for draw in drawn.get(options.page, ()):
-        draw(Run(options.run))
+        draw(Run(Path(*options.names)))
 
 
 if __name__ == "__main__":

@@ -80,6 +80,15 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
+def test_all_presets_are_shown() -> None:
+    """The page of pictures has one of each method with presets, and none is larger than 400 kB."""
+    page = (DOCS / "presets.md").read_text("utf-8")
+    classes = {name: plugins.find("synthesizers", name).cls for name in plugins.names("synthesizers")}
+    for name in (name for name, cls in classes.items() if getattr(cls, "presets", {})):
+        assert f"(presets/{name}.jpg)" in page, name
+    assert all(file.stat().st_size <= 400_000 for file in DOCS.glob("presets/*.jpg"))
+
+
 @pytest.mark.parametrize("page", ["structure.md", "maintainer.md"])
 def test_files_that_a_page_names_are_there(page: str) -> None:
     """Each file and folder of the tree that a page names exists, and has the functions and classes that it names."""

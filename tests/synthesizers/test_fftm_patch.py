@@ -130,13 +130,27 @@ def test_entire_patches_are_placed_by_the_mask() -> None:
     assert phases[0].tolist() == [0, 0] and phases[1].tolist() != [0, 0]
 
 
-def test_a_tileable_output_continues_at_its_edges() -> None:
+def test_the_patches_of_the_preset_are_larger_than_its_windows() -> None:
+    """The whole sample is laid where a window fits: half of the output lies in parts of more than two windows."""
+    sample = quantize(texture("brick", (96, 96), 1, color=0.3).image)
+    paper = FftmPatch(**{**FftmPatch.presets["paper"], "refinements": 1})
+    mask = paper.find_mask(sample)
+    made = synthesize(paper, sample, (160, 160), mask)
+    assert made.source is not None
+    height, width = automatic_size(mask, (96, 96), paper.patch_rule)
+    starts = (made.source[..., :2] - np.stack(np.meshgrid(np.arange(160), np.arange(160)), -1)).reshape(-1, 2)
+    _, which, counts = np.unique(starts, axis=0, return_inverse=True, return_counts=True)
+    assert np.median(counts[which]) > 2 * height * width
+
+
+@pytest.mark.parametrize("matching", ["sub-patch", "entire"])
+def test_a_tileable_output_continues_at_its_edges(matching: Literal["sub-patch", "entire"]) -> None:
     """Between copies laid side by side there is no larger jump than inside; without ``tileable`` there is."""
     tile = smooth(20, 24)
     sample, mask = varied(tile, 72, 72, 1.0), waves_of(tile)
 
     def jump(tileable: bool) -> tuple[float, float]:
-        method = FftmPatch(tileable=tileable, refinements=2)
+        method = FftmPatch(matching=matching, tileable=tileable, refinements=2)
         image = synthesize(method, sample, (120, 120), mask).image
         twice = np.tile(image, (2, 2, 1)).astype(float)
         steps = np.abs(np.diff(twice, axis=1)).mean((0, 2)), np.abs(np.diff(twice, axis=0)).mean((1, 2))

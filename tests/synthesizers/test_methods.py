@@ -218,7 +218,7 @@ BAD = {
     "randomness=-1 randomness=inf randomness=nan refinements=-1 threshold=-1 "
     "threshold=255 threshold=nan tileable=true,harmonics=free",
     "fftm-pixel": "neighborhood=1 neighborhood=7 weight=-1 weight=nan weight=101 coherence=0.5 coherence=inf "
-    "coherence=nan dimensions=-1 weight=2,match=cluster tileable=true,harmonics=free threshold=-1",
+    "coherence=nan dimensions=-1 weight=1,match=cluster tileable=true,harmonics=free threshold=-1",
     "gpdm": "patch=2 projections=0 steps=0 rate=0 rate=nan ratio=0.2 ratio=1 coarsest=0 noise=-1",
     "gpnn": "patch=2 alpha=-1 alpha=1e-9 alpha=nan iterations=0 first_iterations=0 coarsest=0 noise=-1 noise=nan",
     "graph-cuts": "randomness=-0.1 randomness=inf randomness=1e300 randomness=nan region=0 region=0.9 passes=-1 "

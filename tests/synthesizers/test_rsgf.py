@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import stats
-from synthesis_cases import FRACTIONAL, noise, places, synthesize, waves
+from synthesis_cases import FRACTIONAL, UPRIGHT, noise, places, synthesize, waves
 
 from nrbench import plugins, texture
 from nrbench.imaging.convert import Image, quantize, to_bytes
@@ -163,6 +163,19 @@ def test_gaps_take_the_best_of_the_patches_allowed(match: Any, search: Any, tole
         ratings = np.where(allowed, naive_ratings(patches, naive_border(sample, found, row, column), match), -np.inf)
         x, y = found[row, column].tolist()
         assert ratings[37 * y + x] == pytest.approx(ratings.max(), abs=1e-9)
+
+
+def test_deformed_gaps_meet_on_a_bent_sample() -> None:
+    """On a smooth bent sample that is taken as it is, deformed gaps halve the largest step across a seam."""
+    y, x = np.indices((128, 128)).astype(float)
+    moved = np.stack([x + 2 * np.sin(2 * math.pi * y / 90), y + 2 * np.sin(2 * math.pi * x / 90)], -1)
+    across, down = np.moveaxis(np.cos(2 * math.pi * UPRIGHT.to_cell(moved)), -1, 0)
+    sample = quantize((0.5 + 0.2 * (across + down))[..., np.newaxis].astype(np.float32))
+    steps = []
+    for deform in (0.0, 3.0):
+        made = synthesize(Rsgf(deform=deform), sample, (200, 200), UPRIGHT)
+        steps.append(np.abs(np.diff(made.image[..., 0], 2, axis=0)).max())
+    assert steps[1] < steps[0] / 2
 
 
 def grid(count: int, step: int) -> np.ndarray:
