@@ -131,7 +131,7 @@ class LatexTables(ComparisonOptions):
         published: PublishedComparison | None = None,
     ) -> str:
         """Return the file of tables; the delimiters of its template leave braces and percent signs to LaTeX."""
-        suite = comparison.run.info.get("suite", {})
+        suite, columns = comparison.run.info.get("suite", {}), _COLUMNS[self.width]
         filters: dict[str, Any] = {
             **{"tex": escape_latex, "column_title": column_title, "stacked": _stack, "breakable": _breakable},
         }
@@ -139,7 +139,11 @@ class LatexTables(ComparisonOptions):
             make_environment(filters, **_DELIMITERS)
             .get_template("tables.tex")
             .render(
-                tables=[(table, table.split_every(_COLUMNS[self.width])) for table in tables if table.rows],
+                tables=[
+                    (table, table.split_rows() if table.name == "improvements" else table.split_every(columns))
+                    for table in tables
+                    if table.rows
+                ],
                 report=self,
                 comparison=comparison,
                 published=published,
