@@ -104,7 +104,7 @@ class Ssdn:
         "paper": {"depth": 0.8, "overlap": 0.1, "subpixel": False, "primitive": False, "reject": "none"}
     }
     paper: ClassVar[str] = """@inproceedings{representativetile,
-  author    = {Djado, Khalid and Egli, Richard and Desch{\\^e}nes, Fran{\\c{c}}ois},
+  author    = {Djado, K. and Egli, R. and Desch{\\^e}nes, F.},
   title     = {Extraction of a Representative Tile from a Near-Periodic Texture},
   booktitle = {GRAPHITE},
   year      = {2005},
