@@ -29,6 +29,7 @@ from .tile_laying.tiles import (
     TileShape,
     TileStock,
     anchor_lattice,
+    symmetric_copies,
     tile_shape,
 )
 
@@ -138,6 +139,11 @@ class TileSet:
         elements, above the middle of an element; either way of stitching then breaks few. If the lattice was detected
         or its origin is (0, 0), none is known, and the anchor is the quiet one, which the note says. The first two
         choose among the places that leave each set enough tiles.
+    symmetry
+        ``"own"``: tiles are also cut from copies of the sample that are turned, mirrored or glided by the symmetries
+        of its texture, as far as :func:`~nrbench.imaging.wallpaper_group.find_wallpaper_group` is sure of them: the
+        "much larger sample set" of section 4.4. Copies turned by other than quarter turns are interpolated. Light from
+        one side is turned, too. ``"none"``: the sample as it is.
     finder
         Detector that finds the lattice if none is given: ``"consensus"``, or ``"dominance"``, that of the paper.
     geometry
@@ -163,6 +169,7 @@ class TileSet:
     parts: int | None = None
     stitch: Literal["dynamic", "graphcut"] = "graphcut"
     anchor: AnchorKind | Literal["given"] = "elements"
+    symmetry: Literal["none", "own"] = "none"
     finder: Literal["consensus", "dominance"] = "consensus"
     geometry: Geometry = "bent"
 
@@ -223,8 +230,10 @@ class TileSet:
             raise Refused(f"a tile takes {across}x{down} px; choose a tileable output that is at least as large")
         laying.lay_tiles()
         image, source = laying.canvas.output()
-        note = "the lattice has no origin: tiles are anchored where their borders are quiet" if unanchored else ""
-        return Synthesis(image, lattice, source, detection_seconds=seconds, note=note)
+        notes = ["the lattice has no origin: tiles are anchored where their borders are quiet"] if unanchored else []
+        if self.symmetry == "own" and not laying.stock.images.copies:
+            notes.append("no symmetry of the texture is certain: the sample is used as it is")
+        return Synthesis(image, lattice, source, detection_seconds=seconds, note="; ".join(notes))
 
     def _require_within_s(self, s: float) -> None:
         most = max(s, FEATHER)
@@ -254,7 +263,8 @@ class TileLaying:
         if np.abs(lattice.matrix - np.rint(lattice.matrix)).max() < 1e-6:
             parts = 1
         self.radius = min(1.0, 0.025 * lattice.s) if method.registration is None else method.registration
-        self.stock = TileStock(self.tile, ShiftedImages.of(task.sample, parts), self.lattice)
+        copies = symmetric_copies(task.sample, self.lattice, parts == 1) if method.symmetry == "own" else []
+        self.stock = TileStock(self.tile, ShiftedImages.of(task.sample, parts, copies), self.lattice)
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
         self.margin = np.ceil(3 * self.tile.reach).astype(int) + 2
         down, across = int(self.margin[1]), int(self.margin[0])

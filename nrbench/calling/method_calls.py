@@ -132,7 +132,7 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
         extras=extras,
         detection_seconds=float(seconds),
         note=str(synthesis.note or ""),
-        files={_checked_name(name): str(text) for name, text in synthesis.files.items()},
+        files={_checked_name(name): _checked_text(name, text) for name, text in synthesis.files.items()},
     )
 
 
@@ -154,6 +154,12 @@ def _checked_name(name: Any) -> str:
     if not (isinstance(name, str) and re.fullmatch(r"\w[\w.-]{0,79}", name)):
         raise InvalidOutput(f"returned an extra called {name!r}; use letters, digits, '.', '-' and '_'")
     return name
+
+
+def _checked_text(name: str, text: Any) -> str:
+    if not isinstance(text, str) or name.endswith((".npz", ".png")):
+        raise InvalidOutput(f"returned a wrong file {name!r}: expected a text, and no name of a picture or an array")
+    return text
 
 
 def _checked_image(image: Any, shape: tuple[int, int, int]) -> Image:

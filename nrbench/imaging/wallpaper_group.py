@@ -21,9 +21,6 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Integers, Lattice, Points, Vector
 
-WallpaperGroup = Literal[
-    "p1", "p2", "pm", "pg", "cm", "pmm", "pmg", "pgg", "cmm", "p4", "p4m", "p4g", "p3", "p3m1", "p31m", "p6", "p6m"
-]
 Kind = Literal["rotation", "mirror", "glide"]
 SLACK: Final = 0.05
 """Largest relative stretch of the picture by an isometry of its lattice."""
@@ -37,12 +34,6 @@ MOST_WAVES: Final = 8
 """Most periods of a compared wave in a cell, along each vector."""
 _SAMPLES: Final = 32
 """Most samples of a cell along each vector."""
-_STEPS: Final = 64
-"""Number of offsets along a cell that are tried first."""
-_FINEST: Final = 1e-4
-"""Step of the last offsets that are tried, in cells."""
-_PHASES: Final = 8
-"""Number of places along a cell where the first cell may begin."""
 _SHORTER: Final = ((1 / 2, 0), (0, 1 / 2), (1 / 2, 1 / 2), (1 / 3, 0), (0, 1 / 3), (1 / 3, 1 / 3), (1 / 3, 2 / 3))
 """Periods (u, v) of the cells that are 2 or 3 times too large."""
 
@@ -130,7 +121,7 @@ class FoundGroup:
     Parameters
     ----------
     group
-        Short name of one of the 17 groups; None if it cannot be told.
+        Short name of one of the 17 groups, from ``"p1"`` to ``"p6m"``; None if it cannot be told.
     reason
         Why it cannot be told.
     lattice
@@ -148,7 +139,7 @@ class FoundGroup:
     'p6m'
     """
 
-    group: WallpaperGroup | None
+    group: str | None
     reason: str
     lattice: Lattice
     candidates: tuple[Symmetry, ...]
@@ -223,7 +214,7 @@ def find_wallpaper_group(image: Image, lattice: Lattice) -> FoundGroup:
     return FoundGroup(group, reason, lattice, tuple(candidates), count)
 
 
-def _name_group(found: dict[_Turn, tuple[Symmetry, ...]]) -> tuple[WallpaperGroup | None, str]:
+def _name_group(found: dict[_Turn, tuple[Symmetry, ...]]) -> tuple[str | None, str]:
     """Return the group whose isometries hold; or None, and why it cannot be told."""
     held = _generate(turn for turn, tested in found.items() if any(each.holds for each in tested))
     refuted = {turn for turn, tested in found.items() if all(each.holds is False for each in tested)}
@@ -235,7 +226,7 @@ def _name_group(found: dict[_Turn, tuple[Symmetry, ...]]) -> tuple[WallpaperGrou
     order = max(len(_generate([turn])) for turn in held if _determinant(turn) > 0)
     axes = [max(found[turn], key=lambda each: each.agreement) for turn in held if _determinant(turn) < 0]
     if not axes:
-        return _ROTATIONS[order], ""
+        return f"p{order}", ""
     if order == 3:
         shortest = min(math.hypot(*each.axis) for tested in found.values() for each in tested if each.kind == "mirror")
         return ("p31m" if math.hypot(*axes[0].axis) < 1.3 * shortest else "p3m1"), ""
@@ -245,13 +236,7 @@ def _name_group(found: dict[_Turn, tuple[Symmetry, ...]]) -> tuple[WallpaperGrou
     return _REFLECTIONS[order][glides], ""
 
 
-_ROTATIONS: Final[dict[int, WallpaperGroup]] = {1: "p1", 2: "p2", 3: "p3", 4: "p4", 6: "p6"}
-_REFLECTIONS: Final[dict[int, tuple[WallpaperGroup, ...]]] = {
-    1: ("pm", "pg"),
-    2: ("pmm", "pmg", "pgg"),
-    4: ("p4m", "p4g", "p4g"),
-    6: ("p6m",),
-}
+_REFLECTIONS: Final = {1: ("pm", "pg"), 2: ("pmm", "pmg", "pgg"), 4: ("p4m", "p4g", "p4g"), 6: ("p6m",)}
 """Groups with reflections by the order of their rotations and the number of directions of glides without mirrors."""
 
 
@@ -319,36 +304,29 @@ class _CellSpectra:
     def test(self, turn: _Turn) -> Iterator[Symmetry]:
         """Yield the rotation by a turn about its best center, or the mirror and the glide along their best axes."""
         matrix, basis, origin = _matrix(turn), self.lattice.matrix, np.array(self.lattice.origin)
+        order, centered = len(_generate([turn])), False
         isometry = np.linalg.inv(basis) @ matrix @ basis
-        along, across, centered = np.zeros(2), np.zeros(2), False
+        along = across = np.zeros(2)
         kinds: list[tuple[Kind, Points]] = [("rotation", along)]
         if _determinant(turn) < 0:
-            along, across = (_primitive_vector(turn, sign) for sign in (1, -1))
+            sums = (max(np.eye(2) + sign * matrix, key=np.any) for sign in (1, -1))
+            along, across = (row / math.gcd(*row.astype(int).tolist()) for row in sums)
             centered = abs(along[0] * across[1] - along[1] * across[0]) > 1
             kinds = [("mirror", 0 * along)] if centered else [("mirror", 0 * along), ("glide", along / 2)]
         for kind, glide in kinds:
             shift = self._find_offset(matrix, glide, np.eye(2) if kind == "rotation" else across[np.newaxis])
             center = shift @ np.linalg.inv(np.eye(2) - matrix) if kind == "rotation" else (shift - glide) / 2
-            agreement, error = self.agreement(matrix, shift)
-            yield Symmetry(
-                kind,
-                len(_generate([turn])),
-                _vector(self.lattice.from_cell(center)),
-                _vector(along @ basis),
-                _vector(across @ basis / 2),
-                centered,
-                agreement,
-                error,
-                isometry,
-                shift @ basis + origin - origin @ isometry,
-            )
+            places = self.lattice.from_cell(center), along @ basis, across @ basis / 2
+            at, axis, spacing = ((float(x), float(y)) for x, y in places)
+            offset = shift @ basis + origin - origin @ isometry
+            yield Symmetry(kind, order, at, axis, spacing, centered, *self.agreement(matrix, shift), isometry, offset)
 
     def _find_offset(self, matrix: Points, start: Points, directions: Points) -> Points:
         """Return the offset, start plus a sum of shares of the directions, at which the mean cell agrees best."""
         there = self._read(self.waves @ matrix.T.astype(np.int64)).mean(0)
         products = (np.conj(there) * self.spectra.mean(0)).sum(-1)
-        best, step, span = np.full(len(directions), 0.5), 1 / _STEPS, _STEPS // 2
-        while step > _FINEST:
+        best, step, span = np.full(len(directions), 0.5), 1 / 64, 32
+        while step > 1e-4:
             steps = np.meshgrid(*[np.arange(-span, span + 1) * step] * len(directions))
             shares = best + np.stack(steps, -1).reshape(-1, len(directions))
             agreements = (np.exp(2j * np.pi * ((start + shares @ directions) @ self.waves.T)) @ products).real
@@ -370,7 +348,7 @@ def _cut_cells(image: Image, lattice: Lattice) -> tuple[Points, NDArray[np.float
     last = np.array(image.shape[1::-1]) - 1
     numbers, corners = lattice.cell_numbers((0, 0), last), uv[[[0], [-1]], [0, -1]].reshape(-1, 2)
     first = np.zeros((0, 2))
-    for phase in itertools.product(np.arange(_PHASES) / _PHASES, repeat=2):
+    for phase in itertools.product(np.arange(8) / 8, repeat=2):
         at = lattice.from_cell((numbers + phase)[:, np.newaxis] + corners)
         inside = ((at >= 0) & (at <= last)).all((1, 2))
         if inside.sum() > len(first):
@@ -386,8 +364,7 @@ def _cut_cells(image: Image, lattice: Lattice) -> tuple[Points, NDArray[np.float
 def _list_turns(lattice: Lattice) -> list[_Turn]:
     """Return the turns that map a reduced lattice to itself: not the identity, and one of two opposite rotations."""
     turns: list[_Turn] = []
-    for a, b, c, d in itertools.product((-1, 0, 1), repeat=4):
-        turn = (a, b, c, d)
+    for turn in itertools.product((-1, 0, 1), (-1, 0, 1), (-1, 0, 1), (-1, 0, 1)):
         if abs(_determinant(turn)) == 1 and turn != _IDENTITY:
             isometry = np.linalg.inv(lattice.matrix) @ _matrix(turn) @ lattice.matrix
             stretch = np.abs(np.linalg.svd(isometry, compute_uv=False) - 1).max()
@@ -400,10 +377,6 @@ def _matrix(turn: _Turn) -> Points:
     return np.array(turn, np.float64).reshape(2, 2)
 
 
-def _vector(xy: Points) -> Vector:
-    return float(xy[0]), float(xy[1])
-
-
 def _determinant(turn: _Turn) -> int:
     a, b, c, d = turn
     return a * d - b * c
@@ -412,19 +385,12 @@ def _determinant(turn: _Turn) -> int:
 def _generate(turns: Iterable[_Turn]) -> set[_Turn]:
     """Return the group that some turns generate."""
     held = {_IDENTITY, *turns}
-    while new := {_multiply(left, right) for left, right in itertools.product(held, held)} - held:
+    while (
+        new := {
+            (a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h)
+            for (a, b, c, d), (e, f, g, h) in itertools.product(held, held)
+        }
+        - held
+    ):
         held |= new
     return held
-
-
-def _multiply(left: _Turn, right: _Turn) -> _Turn:
-    (a, b, c, d), (e, f, g, h) = left, right
-    return a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h
-
-
-def _primitive_vector(reflection: _Turn, sign: int) -> Points:
-    """Return the shortest vector of whole numbers that a reflection of a reduced lattice multiplies by a sign."""
-    a, b, c, d = reflection
-    steps = itertools.product((1, 0, -1, 2, -2), repeat=2)
-    kept = (step for step in steps if math.gcd(*step) == 1)
-    return np.array(next((u, v) for u, v in kept if (u * a + v * c, u * b + v * d) == (sign * u, sign * v)), np.float64)

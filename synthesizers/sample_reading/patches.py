@@ -109,11 +109,16 @@ class Patches:
 
     def read_with_source(self, points: Points) -> tuple[Image, Source]:
         """Return the values at points (x, y) of the sample, ``(h, w, 2)``, and their :data:`Source`."""
-        nearest = np.clip(np.rint(points), 0, np.array(self.sample.shape[1::-1]) - 1)
-        weight = np.clip(1 - np.abs(points - nearest), 0, 1).prod(-1, keepdims=True).astype(np.float32)
-        x, y = np.moveaxis(nearest.astype(np.intp), -1, 0)
-        image = np.where(weight == 1, self.sample[y, x], self.read_points(points))
-        return image, np.concatenate([nearest.astype(np.float32), weight], -1)
+        source = point_source(points, self.sample.shape)
+        x, y = np.moveaxis(source[..., :2].astype(np.intp), -1, 0)
+        return np.where(source[..., 2:] == 1, self.sample[y, x], self.read_points(points)), source
+
+
+def point_source(points: Points, shape: tuple[int, ...]) -> Source:
+    """Return the :data:`Source` of points (x, y) ``(h, w, 2)`` of a sample of a shape (height, width, ...)."""
+    nearest = np.clip(np.rint(points), 0, np.array(shape[1::-1]) - 1)
+    weight = np.clip(1 - np.abs(points - nearest), 0, 1).prod(-1, keepdims=True)
+    return np.concatenate([nearest, weight], -1).astype(np.float32)
 
 
 def _weighted_rows(window: Image, weights: tuple[np.float32, ...], count: int) -> Image:

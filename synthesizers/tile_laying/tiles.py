@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Literal, NamedTuple
@@ -13,17 +14,20 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.imaging.mean_tile import fold
+from nrbench.imaging.wallpaper_group import find_wallpaper_group
 from nrbench.lattice.geometry import Lattice, Points
 
 from ..canvas.canvas import Mask, Patch, Pixels, Source
 from ..lattice_places.equal_places import pixel_grid
-from ..sample_reading.patches import Patches
+from ..sample_reading.patches import Patches, point_source
 from .tile_kernels import Overlap, absolute_differences, best_move, gather, nearest_places
 
 TileKind = Literal["upright", "lattice", "rectangle", "cell"]
 AnchorKind = Literal["quiet", "elements"]
 OverlapMeasure = Literal["mean", "sum"]
 Array = NDArray[np.float64]
+Isometry = tuple[Points, Points]
+"""Matrix and offset: points (x, y) px go to ``(x, y) @ matrix + offset``."""
 TILE_SHARE: Final[dict[AnchorKind, float]] = {"quiet": 0.8, "elements": 0.5}
 """Share of the largest possible number of tiles that an anchor must leave in each set. It is lower for elements: a tile
 anchored a few px beside an element cuts it, and half of the tiles are better than all of them cut."""
@@ -37,6 +41,8 @@ FINE: Final = 4
 """Parts of a pixel between anchors of elements: half a pixel decides on which side of a joint a seam runs."""
 MAX_COMPARED: Final = 48
 """Number of tiles of a set, evenly spread, that are compared with one another for the threshold."""
+SPARE: Final = 2
+"""px around a tile in a copy that must be in the sample, too: for its registration."""
 MAX_ANCHORS: Final = 100
 """Number of anchors compared, evenly spread from the lowest cost to the highest."""
 
@@ -359,36 +365,68 @@ def _tile_counts(lattice: Lattice, anchors: Points, tile: TileShape, sample: Ima
 
 @dataclass(frozen=True, eq=False)
 class ShiftedImages:
-    """A sample shifted by the fractions 0, 1/n, ... of a pixel along x and y.
+    """A sample and its symmetric copies, shifted by the fractions 0, 1/n, ... of a pixel along x and y.
 
     Parameters
     ----------
     values
-        ``uint8 (n * n, H * W * C)``: row ``fy * n + fx`` shows at pixel (x, y) what the sample shows at (x + fx / n,
-        y + fy / n).
+        ``uint8 (k * n * n, H * W * C)``: row ``fy * n + fx`` shows at pixel (x, y) what the sample shows at
+        (x + fx / n, y + fy / n). The same rows of each copy follow.
     shape
         (H, W, C) of the sample.
     parts
         n; 1 if tiles are placed at whole pixels.
+    copies
+        The k - 1 copies, see :func:`symmetric_copies`.
     """
 
     values: NDArray[np.uint8]
     shape: tuple[int, int, int]
     parts: int
+    copies: Sequence[Isometry] = ()
 
     @classmethod
-    def of(cls, sample: Image, parts: int) -> ShiftedImages:
-        """Shift a sample by splines of order 5, mirrored at the edges. With 1 part the only row is an exact copy."""
+    def of(cls, sample: Image, parts: int, copies: Sequence[Isometry] = ()) -> ShiftedImages:
+        """Shift a sample by splines of order 5, mirrored at the edges. With 1 part its only row is an exact copy."""
         height, width, channels = sample.shape
-        patches = Patches(sample)
+        patches, pixels = Patches(sample), pixel_grid(width, height)
         fractions = [np.array([fx, fy]) / parts for fy, fx in np.ndindex(parts, parts)]
-        rows = [to_bytes(patches.cut_patch(fraction, (height, width))[0]) for fraction in fractions]
-        return cls(np.stack(rows).reshape(len(rows), -1), (height, width, channels), parts)
+        rows = [patches.cut_patch(fraction, (height, width))[0] for fraction in fractions]
+        for matrix, offset in copies:
+            rows += [patches.read_with_source((pixels + fraction) @ matrix + offset)[0] for fraction in fractions]
+        values = np.stack([to_bytes(row) for row in rows]).reshape(len(rows), -1)
+        return cls(values, (height, width, channels), parts, copies)
 
     @cached_property
     def record(self) -> tuple[NDArray[np.uint8], int, int, int, int]:
         """The images as kernels take them, see :data:`~nrbench.synthesizers.tile_laying.tile_kernels.Images`."""
         return self.values, *self.shape, self.parts
+
+
+def symmetric_copies(sample: Image, lattice: Lattice, whole: bool) -> list[Isometry]:
+    """Return the isometries of a sample's copies turned, mirrored or glided by the symmetries of the texture.
+
+    Liu, Tsin and Lin 2005, section 4.4. A copy shows at (x, y) what the sample shows at ``(x, y) @ matrix + offset``,
+    and has the sample's lattice. Of the places that differ by a lattice vector, it lies where it shows most.
+
+    Parameters
+    ----------
+    sample, lattice
+        The sample and its lattice.
+    whole
+        Whether copies that nearly map pixels to pixels do so exactly, so that none is interpolated.
+    """
+    middle, copies = (np.array(sample.shape[1::-1]) - 1) / 2, list[Isometry]()
+    for each in find_wallpaper_group(sample, lattice).symmetries:
+        isometries: list[Isometry] = [(each.matrix, each.offset)]
+        if each.order > 2:
+            inverse = np.asarray(np.linalg.inv(each.matrix), np.float64)
+            isometries.append((inverse, -each.offset @ inverse))
+        for matrix, offset in isometries:
+            at, near = middle + lattice.wrap(middle @ matrix + offset - middle), np.rint(matrix).astype(np.float64)
+            exact = whole and np.abs(matrix - near).max() * middle.max() <= 0.5
+            copies.append((near, np.round(at - middle @ near)) if exact else (matrix, at - middle @ matrix))
+    return copies
 
 
 class TilePlaces(NamedTuple):
@@ -441,17 +479,34 @@ class TileStock:
             (left, top), (right, bottom) = self.tile.box
             pixel = np.clip(pixel, (-left, -top), (width - 1 - right, height - 1 - bottom))
             row, inside = np.zeros_like(row), ~inside
-        return TilePlaces(row, pixel, middles).take(inside)
+        found = TilePlaces(row, pixel, middles).take(inside)
+        sets = [found, *(self._find_in_copy(found, n) for n in range(len(self.images.copies)))]
+        return TilePlaces(*(np.concatenate(part) for part in zip(*sets, strict=True)))
+
+    def _find_in_copy(self, places: TilePlaces, copy: int) -> TilePlaces:
+        """Return the places at which a copy shows a complete tile of the sample, and :data:`SPARE` px around it."""
+        matrix, offset = self.images.copies[copy]
+        (left, top), (right, bottom) = self.tile.box + np.array([[-SPARE], [SPARE]])
+        corners = np.array([(left, top), (right, top), (left, bottom), (right, bottom)])
+        at = (places.pixel[:, np.newaxis] + corners) @ matrix + offset
+        shown = ((at >= 0) & (at <= np.array(self.images.shape[1::-1]) - 1)).all((1, 2))
+        return places._replace(row=places.row + (copy + 1) * self.images.parts**2).take(shown)
 
     def cut(self, drawn: TilePlaces) -> Patch:
         """Return the patch of one tile over its box, and its source map."""
         (x, y), row, parts = drawn.pixel[0], int(drawn.row[0]), self.images.parts
         (left, top), (right, bottom) = self.tile.box.tolist()
         rows, columns = slice(y + top, y + bottom + 1), slice(x + left, x + right + 1)
-        fy, fx = row // parts / parts, row % parts / parts
+        copy, part = divmod(row, parts**2)
+        fy, fx = part // parts / parts, part % parts / parts
+        pixels = self.images.values[row].reshape(self.images.shape)[rows, columns]
+        if copy:
+            matrix, offset = self.images.copies[copy - 1]
+            points = (self._steps[..., :2] + np.array([x + fx, y + fy])) @ matrix + offset
+            return pixels, point_source(points, self.images.shape)
         source = self._steps + np.array((x + (fx >= 0.5), y + (fy >= 0.5), 0), np.float32)
         source[..., 2] = max(fx, 1 - fx) * max(fy, 1 - fy)
-        return self.images.values[row].reshape(self.images.shape)[rows, columns], source
+        return pixels, source
 
     @cached_property
     def _steps(self) -> Source:
@@ -480,10 +535,13 @@ class TileStock:
 
         The correlation is normalized over the overlap, without the mean of each channel.
         """
-        (x, y), part, parts = drawn.pixel[0], int(drawn.row[0]), self.images.parts
+        parts = self.images.parts
+        (x, y), (copy, part) = drawn.pixel[0], divmod(int(drawn.row[0]), parts**2)
+        first = copy * parts**2
+        images = self.images.values[first : first + parts**2], *self.images.shape, parts
         start = np.array([x + part % parts / parts, y + part // parts / parts])
-        best = best_move(overlap, self.images.record, self.tile.box, start, drawn.middle[0], radius)
-        return TilePlaces(best[:1], best[np.newaxis, 1:], drawn.middle)
+        best = best_move(overlap, images, self.tile.box, start, drawn.middle[0], radius)
+        return TilePlaces(best[:1] + first, best[np.newaxis, 1:], drawn.middle)
 
     def _positions(self, tiles: TilePlaces) -> NDArray[np.int64]:
         """Return row and position of each tile's middle in the shifted images."""

@@ -190,7 +190,8 @@ CHANGES = {
     "refine=extremes passes=0 normalized=false feather=2",
     "patch-based": "patch=16 zone=5 epsilon=1",
     "quilting": "block=16 overlap=6 tolerance=0.5",
-    "representative-tile": "continuity_weight=0 rated_share=1e-4 rescale=false",
+    "representative-tile": "continuity_weight=0 rescale=false edge_colors=2 edge_colors=3",
+    "representative-tile:continuity_weight=1": "rated_share=1e-4",
     "resample": "variation=0.5",
     "rsgf": "block=36 border=8 match=ncc search=everywhere search=stochastic tolerance=0 subpixel=false seam=blend "
     "seam=quilting deform=2 candidate_fraction=0 candidate_fraction=1 prefer_unused=false",
@@ -228,7 +229,8 @@ BAD = {
     "tolerance=1e200",
     "random-phase": "fade=-0.1 fade=0.6",
     "regularized-patch": "zone=-1 zone=nan tolerance=-0.1 tolerance=1e300",
-    "representative-tile": "continuity_weight=-1 continuity_weight=1e308 rated_share=0 rated_share=1.5 tolerance=0.5",
+    "representative-tile": "continuity_weight=-1 continuity_weight=1e308 rated_share=0 rated_share=1.5 tolerance=0.5 "
+    "edge_colors=0 edge_colors=4 best_tiles=0 best_tiles=100",
     "rsgf": "border=0 border=21 block=1 tolerance=-1 tolerance=3,search=everywhere tolerance=3,search=stochastic "
     "candidate_fraction=-0.1 candidate_fraction=1.5 candidate_fraction=nan candidate_fraction=0.5,search=everywhere "
     "deform=-1 deform=nan deform=11 deform=3,border=2",

@@ -17,13 +17,22 @@ from nrbench import texture
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.datasets_procedural.modelling.pattern import rotate
+from nrbench.datasets_procedural.wallpaper import Group, Wallpaper
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Task
 from nrbench.synthesizers.canvas.canvas import find_paths
 from nrbench.synthesizers.tile_laying.tile_kernels import error_surface
-from nrbench.synthesizers.tile_laying.tiles import ElementWeights, TilePlaces, element_costs, tile_shape
+from nrbench.synthesizers.tile_laying.tiles import (
+    ElementWeights,
+    ShiftedImages,
+    TilePlaces,
+    element_costs,
+    symmetric_copies,
+    tile_shape,
+)
 from nrbench.synthesizers.tile_set import LEAST_SIDE, TileLaying, TileSet
 
 TILES = ["auto", "upright", "lattice", "rectangle", "cell"]
@@ -334,7 +343,7 @@ def joined(model: Model, seed: int, shape: int, size: int, method: TileSet, at: 
     def elements(x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.int64]:
         """Return the number of the element that covers each point, 0 between elements."""
         found = np.zeros(x.shape, np.int64)
-        for n, layer in enumerate(model.pattern(x - x0, y - y0).layers, 1):
+        for n, layer in enumerate(model.pattern(*rotate(x - x0, y - y0, model.rotation)).layers, 1):
             number = n + sum((part + 500) * 1000**k for k, part in enumerate(layer.index, 1))
             found = np.where(layer.coverage > 0.99, number, np.where(layer.coverage > 0.01, 0, found))
         return found
@@ -368,6 +377,15 @@ def test_a_given_anchor_lies_midway_between_rows(method: TileSet, model: Model) 
         np.mean([joined(model, seed, 128, 160, method, at) for seed in (810, 811)]) for at in ((0.25, 0.5), (0.5, 0.5))
     )
     assert good < 0.75 * bad
+
+
+def test_windows_of_the_lattices_shape_break_fewer_bricks() -> None:
+    """On a turned wall, tiles along the lattice break fewer bricks than upright rectangles (section 4.3)."""
+    upright, along = (
+        np.mean([joined(Brick(color=0.2, rotation=17.3), seed, 160, 160, replace(PAPER, tile=tile)) for seed in (0, 1)])
+        for tile in ("upright", "lattice")
+    )
+    assert along < 0.75 * upright
 
 
 def test_the_upper_seam_counts_the_border_that_it_leaves() -> None:
@@ -533,3 +551,33 @@ def test_upright_tiles_leave_no_gap(lattice: Lattice, cells: int) -> None:
     """Every pixel is filled where an upright tile is the minimum tile itself, with fractional sides."""
     made = synthesize(TileSet(tile="upright", cells=cells), noise(90, 140, 1), (150, 160), lattice)
     assert made.source is not None and (made.source[..., 2] > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("group", "rotation", "count"), [("p1", 0.0, 0), ("pgg", 0.0, 3), ("p6", 9.0, 5), ("p4m", 0.0, 7)]
+)
+def test_copies_show_what_the_sample_shows(group: Group, rotation: float, count: int) -> None:
+    """There is a copy for each isometry of the group but the identity, and on a periodic sample it is the sample."""
+    model = Wallpaper(width=24.0, height=20.0, group=group, rotation=rotation, color=0, intensity=0, noise=0, motif=1)
+    drawn = model.render((96, 96), np.random.default_rng(0))
+    assert drawn.lattice is not None
+    copies = symmetric_copies(drawn.image, drawn.lattice, whole=False)
+    assert len(copies) == count
+    rows = ShiftedImages.of(drawn.image, 1, copies).values.reshape(-1, 96, 96, 3).astype(int)
+    y, x = np.indices((96, 96))
+    for (matrix, offset), copy in zip(copies, rows[1:], strict=True):
+        at = np.stack([x, y], -1) @ matrix + offset
+        shown = ((at >= 2) & (at <= 93)).all(-1)
+        errors = [np.abs(np.roll(copy, moved, 1) - rows[0])[shown].mean() for moved in (0, 1)]
+        assert shown.mean() > 0.4 and errors[0] < min(3.0, errors[1] / 2)
+
+
+def test_tiles_of_copies_are_drawn_with_their_sources() -> None:
+    """With its own symmetry, a wall takes exact pixels of mirrored copies, and the map says whence."""
+    drawn = texture("brick", shape=(96, 112), seed=2, color=0.4)
+    plain, made = (
+        synthesize(TileSet(symmetry=kind), drawn.image, (128, 128), drawn.lattice) for kind in ("none", "own")
+    )
+    x, y, weight = np.moveaxis(made.source, -1, 0)
+    assert (weight == 1).all() and np.abs(made.image - drawn.image[y.astype(int), x.astype(int)]).max() < 1 / 255
+    assert ((np.diff(x, axis=1) == -1).mean() > 0.1) and ((np.diff(plain.source[..., 0], axis=1) == -1).mean() < 0.02)
