@@ -99,7 +99,7 @@ def tilted(model: str, tilt: float, seed: int) -> Bent:
 
 def errors(found: Deformation, bent: Bent) -> tuple[float, float, float]:
     """Return the error of the mean lattice and the median error of the vertices, in s, and the recall of vertices."""
-    match = match_vertices(np.array(found.lattice_points)[:, 2:], bent.vertices, SHAPE)
+    match = match_vertices(found.lattice_points, bent.vertices, SHAPE)
     error = lattice_error(found.lattice, bent.lattice, SHAPE, share=2 * MOST_LATTICE_ERROR)
     off = error.vector / bent.lattice.s if error.relation == "exact" else np.inf
     return off, np.inf if match.error is None else match.error, match.recall or 0.0

@@ -1,6 +1,7 @@
 """How often each detector finds the smallest lattice, how precisely and fast, and how often one where none is.
 
 Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/detector_accuracy.py [--count 8] [DETECTOR...]``.
+``--blur 1`` blurs the textures with a lattice by a Gaussian of 1 px; ``--stochastic 0`` leaves out the others.
 Brick, weave and hexagon, axis-aligned and rotated, 128 to 256 px a side with at least 4 periods, by regular share; and
 200 stochastic textures: noise of five spectra, crops of scikit-image's grass and gravel, and stripes in noise.
 """
@@ -27,12 +28,11 @@ from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
 from nrbench.plugins.parameters import parse_spec
 
-PAPER = "gncc:reject=none,subpixel=false,tolerance=0,prominence=0"
 DETECTORS = (
     "consensus",
     "gncc",
     "gncc:reject=none",
-    PAPER,
+    "gncc:preset=paper",
     "ssdn",
     "frdft:reject=none",
     "dominance",
@@ -127,6 +127,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=8)
     parser.add_argument("--first", type=int, default=8000, help="The first seed.")
     parser.add_argument("--stochastic", type=int, default=200)
+    parser.add_argument("--blur", type=float, default=0.0, help="Standard deviation, px.")
     parser.add_argument("detectors", nargs="*", default=DETECTORS)
     options = parser.parse_args()
     load_kernels()
@@ -135,7 +136,8 @@ def main() -> None:
         detector = plugins.build("detectors", *parse_spec(spec))
         tallies: dict[str, Tally] = defaultdict(Tally)
         for kind, texture in regular(options.first, options.count):
-            tallies[kind].add(detector, quantize(texture.image), texture.lattice)
+            image = gaussian_filter(texture.image, (options.blur, options.blur, 0), mode="nearest")
+            tallies[kind].add(detector, quantize(image), texture.lattice)
         for kind, image in itertools.chain(stochastic(options.stochastic), gratings(options.stochastic // 10)):
             tallies[kind].add(detector, quantize(image), None)
         print(spec)

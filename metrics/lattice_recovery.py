@@ -7,18 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from nrbench.errors import BadInput
 from nrbench.lattice.relation import lattice_error
-from nrbench.lattice.vertices import (
-    LEAST_VERTICES,
-    TOLERANCE,
-    Vertex,
-    displace_vertices,
-    lay_vertices,
-    match_vertices,
-)
+from nrbench.lattice.vertices import TOLERANCE, Vertex, displace_vertices, lay_vertices, match_vertices
 from nrbench.plugins.forms import Column, FoundLattice, Observation, Score, Texture, Value
 
 
@@ -62,9 +53,7 @@ class LatticeRecovery:
         ),
         "vertex_recall": Column("Share of the true vertices of the sample that the detector found.", better="higher"),
         "vertex_precision": Column("Share of the detector's vertices that are true.", better="higher"),
-        "vertex_error": Column(
-            "Median distance of these from the true vertices.", "of s", (0.0, TOLERANCE), better="lower"
-        ),
+        "vertex_error": Column("Median distance of these from the true ones.", "of s", (0.0, TOLERANCE), "lower"),
     }
 
     def __post_init__(self) -> None:
@@ -102,25 +91,21 @@ _COMPARED = tuple(name for name in LatticeRecovery.columns if name not in ("foun
 
 def true_vertices(truth: Texture) -> tuple[Vertex, ...]:
     """Return the vertices that a person set, else those of the model that drew a texture; none of other pictures."""
-    lattice = truth.lattice if truth.kind is not None else None
-    if truth.vertices or lattice is None:
+    if truth.vertices or truth.lattice is None or truth.kind is None:
         return truth.vertices
     if truth.displacement is None:
-        return lay_vertices(lattice, truth.image.shape[:2], lattice.covering_radius)
-    return displace_vertices(lattice, truth.displacement)
+        return lay_vertices(truth.lattice, truth.image.shape[:2], truth.lattice.covering_radius)
+    return displace_vertices(truth.lattice, truth.displacement)
 
 
 def _score_vertices(observation: Observation) -> Score:
-    detected, truth = observation.detected, observation.truth
-    true = true_vertices(truth) if truth is not None and detected is not None else ()
-    if detected is None or len(true) < LEAST_VERTICES:
-        reason = "no detector was used" if detected is None else "fewer than four true vertices are known"
-        return Score(dict.fromkeys(_VERTICES), dict.fromkeys(_VERTICES, reason))
-    shape = observation.sample.shape[:2]
+    detected, truth, shape = observation.detected, observation.truth, observation.sample.shape[:2]
+    if detected is None:
+        return Score(dict.fromkeys(_VERTICES), dict.fromkeys(_VERTICES, "no detector was used"))
     found = detected.vertices or (lay_vertices(detected.lattice, shape) if detected.lattice else ())
-    match = match_vertices(np.array(found, np.float64).reshape(-1, 4)[:, 2:], true, shape)
+    match = match_vertices(found, true_vertices(truth) if truth else (), shape)
     values = dict(zip(_VERTICES, match, strict=True))
-    return Score(values, {name: "no vertex is judged" for name, value in values.items() if value is None})
+    return Score(values, {name: "no vertices can be compared" for name, value in values.items() if value is None})
 
 
 def _score_detection(detected: FoundLattice | None) -> Score:

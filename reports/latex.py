@@ -131,16 +131,19 @@ class LatexTables(ComparisonOptions):
         published: PublishedComparison | None = None,
     ) -> str:
         """Return the file of tables; the delimiters of its template leave braces and percent signs to LaTeX."""
-        suite = comparison.run.info.get("suite", {})
+        suite, columns = comparison.run.info.get("suite", {}), _COLUMNS[self.width]
         filters: dict[str, Any] = {
-            **{"tex": escape_latex, "column_title": column_title, "break_name": break_name},
-            "breakable": _breakable,
+            **{"tex": escape_latex, "column_title": column_title, "stacked": _stack, "breakable": _breakable},
         }
         return (
             make_environment(filters, **_DELIMITERS)
             .get_template("tables.tex")
             .render(
-                tables=[(table, table.split_every(_COLUMNS[self.width])) for table in tables if table.rows],
+                tables=[
+                    (table, table.split_rows() if table.name == "improvements" else table.split_every(columns))
+                    for table in tables
+                    if table.rows
+                ],
                 report=self,
                 comparison=comparison,
                 published=published,
@@ -148,6 +151,18 @@ class LatexTables(ComparisonOptions):
                 suite=f"{suite.get('name', 'run')} {suite.get('version', '')} ({suite.get('hash', 'no hash')})",
             )
         )
+
+
+def _stack(name: str, side: str, letters: int = 12, source: str = "none") -> str:
+    """Return a name in lines of at most so many letters, with the source of the lattice raised behind it or below."""
+    lines = [escape_latex(line) for line in break_name(name, letters)]
+    found = [] if source in ("none", "own", "given") else break_name(source, letters)
+    raised = [rf"\textsuperscript{{{escape_latex(line)}}}" for line in found]
+    if source == "given" or len(source) < letters:
+        lines[-1] += r"\nrbGiven{}" if source == "given" else "".join(raised)
+        raised = []
+    text = r"\\".join([*lines, *raised])
+    return rf"\shortstack[{side}]{{{text}}}" if r"\\" in text else text
 
 
 def _breakable(text: str) -> str:

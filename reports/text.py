@@ -145,7 +145,7 @@ def _cell(cell: Any) -> str:
     if isinstance(cell, Number):
         return _number(cell)
     if isinstance(cell, Method):
-        return "\n".join(break_name(cell.label, _NAME_LETTERS))
+        return "\n".join(break_name(cell.label, 2 * _NAME_LETTERS))
     return _entry(cell) if isinstance(cell, Entry) else cell_text(cell)
 
 

@@ -43,7 +43,7 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
-from nrbench.lattice.vertices import Vertex, lay_vertices
+from nrbench.lattice.vertices import lay_vertices
 from nrbench.pictures.files import encode_png, read_image, write_image
 from nrbench.pictures.overlays import (
     COLOR,
@@ -117,21 +117,18 @@ class LatticeResult:
         """The two vectors, and the origin where it is known, as text."""
         return ", ".join(vector_texts(self.lattice, self.has_origin)) if self.lattice else ""
 
-    def vertices(self, shape: tuple[int, int]) -> tuple[Vertex, ...]:
-        """Return where the points of the lattice lie in an image of ``shape``."""
-        if self.deformation is not None:
-            return self.deformation.lattice_points
-        followed = self.detection.vertices if self.detection else ()
-        return followed or (lay_vertices(self.lattice, shape) if self.lattice else ())
-
     def finish(self, image: Image, options: LatticeQuestion) -> None:
-        """Print the result on standard output, and write the vertices where this was asked for."""
-        vertices = self.vertices(image.shape[:2])
-        if options.vertices is not None and not vertices:
-            click.echo(f"{options.vertices}: not written, there is no lattice in the picture", err=True)
-        elif options.vertices is not None:
+        """Print the result on standard output, and write where the points of the lattice lie if this was asked for."""
+        vertices = self.detection.vertices if self.detection else ()
+        if self.deformation is not None:
+            vertices = self.deformation.lattice_points
+        elif self.lattice is not None and not vertices:
+            vertices = lay_vertices(self.lattice, image.shape[:2])
+        if options.vertices is not None and vertices:
             write_text(options.vertices, vertices_text(vertices))
-            click.echo(f"{options.vertices}: {len(vertices)} vertices", err=True)
+        if options.vertices is not None:
+            state = f"{len(vertices)} vertices" if vertices else "not written, there is no lattice in the picture"
+            click.echo(f"{options.vertices}: {state}", err=True)
         self.print(options.as_json)
 
     def print(self, as_json: bool) -> None:

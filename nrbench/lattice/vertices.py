@@ -128,13 +128,11 @@ def find_grid_fault(vertices: Sequence[Vertex]) -> str:
                 senses.setdefault(np.sign(round(area)), one)
     if not senses:
         return "no vertex has a neighbor in its row and one in its column"
-    if 0 in senses:
-        return f"the neighbors of row {senses[0].row}, column {senses[0].column} lie on one line with it"
     places = " and ".join(f"row {one.row}, column {one.column}" for one in senses.values())
-    return f"the cells at {places} are turned over, one against the other" if len(senses) == 2 else ""
+    return f"the cells at {places} are flat or turned over" if len(senses) > 1 or 0 in senses else ""
 
 
-def match_vertices(found: Points, truth: Sequence[Vertex], shape: tuple[int, int]) -> VertexMatch:
+def match_vertices(found: Sequence[Vertex], truth: Sequence[Vertex], shape: tuple[int, int]) -> VertexMatch:
     """Compare found vertices with true ones.
 
     The rule: cell coordinates are interpolated between the true vertices (Clough and Tocher), so that distances are in
@@ -148,10 +146,8 @@ def match_vertices(found: Points, truth: Sequence[Vertex], shape: tuple[int, int
 
     Parameters
     ----------
-    found
-        ``(n, 2)``: (x, y) px.
-    truth
-        At least four true vertices, which do not lie on one line.
+    found, truth
+        The found vertices, and the true ones, which do not lie on one line. Fewer than four are not compared.
     shape
         Height and width of the image, px.
 
@@ -161,12 +157,13 @@ def match_vertices(found: Points, truth: Sequence[Vertex], shape: tuple[int, int
            mean-shift belief propagation", IEEE PAMI 31(10), 2009. They report the share of labeled vertices that are
            found; the tolerance and the free shift here are those of nrbench.
     """
-    if not len(found):
-        return VertexMatch(0.0, None, None)
+    if len(truth) < LEAST_VERTICES or not found:
+        return VertexMatch(None if len(truth) < LEAST_VERTICES else 0.0, None, None)
+    points = np.array(found, np.float64)[:, 2:]
     table, given = np.array(truth, np.float64), fit_lattice(truth)
     mean, places = given.reduced(), table[:, 2:]
     numbers = np.rint(table[:, 1::-1] @ np.linalg.inv(np.rint(mean.matrix @ np.linalg.inv(given.matrix))))
-    cells = _locate_cells(found, numbers, places, mean)
+    cells = _locate_cells(points, numbers, places, mean)
     shift = _common_shift(cells, mean)
     nearest = np.rint(cells - shift)
     off = np.hypot(*((cells - shift - nearest) @ mean.matrix).T) / mean.s
@@ -176,7 +173,7 @@ def match_vertices(found: Points, truth: Sequence[Vertex], shape: tuple[int, int
     hits = np.zeros(len(places), np.bool_)
     hits[index[hit]] = True
     true = _lie_inside(places, shape, mean) & _lie_inside(places + shift @ mean.matrix, shape, mean)
-    judged = _lie_inside(found, shape, mean) & _lie_inside(found - (cells - nearest) @ mean.matrix, shape, mean)
+    judged = _lie_inside(points, shape, mean) & _lie_inside(points - (cells - nearest) @ mean.matrix, shape, mean)
     return VertexMatch(
         float(hits[true].mean()) if true.any() else None,
         len(np.unique(index[hit & judged])) / int(judged.sum()) if judged.any() else None,

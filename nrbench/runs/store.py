@@ -422,7 +422,7 @@ class RunDirectory:
         except ValidationError as error:
             wrong = ".".join(map(str, error.errors()[0]["loc"]))
             raise BadInput(f"{self.root / RUN_FILE}: {wrong} is damaged; run the same command again") from None
-        cells = {cell["key"]: cell for cell in content["cells"]}  # each once
+        cells = {tuple(map(cell.get, ("key", "label", "lattice_source"))): cell for cell in content["cells"]}
         return strip_control({**content, "cells": list(cells.values())})
 
     def write_info(self, plan: Plan, argv: Sequence[str], metrics: Iterable[str]) -> None:

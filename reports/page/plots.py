@@ -21,7 +21,7 @@ from scipy.optimize import isotonic_regression
 
 from ..statistics.estimates import Estimate, mean_of_known
 from ..statistics.expectations import BROKEN, ClaimResult, LevelPanel
-from ..statistics.format import format_value
+from ..statistics.format import break_name, format_value
 from ..statistics.method_comparison import Comparison, ComparisonRow
 from ..statistics.summaries import Method, MethodSummary, PerilsPoint
 from ..statistics.verdicts import BASELINE_LEGEND, BASELINE_SIGN, BOUND_SIGN, RANKING, SHARES_LEGEND
@@ -247,9 +247,11 @@ def plot_ranks(comparison: Comparison, width: float = 5.5) -> Figure:
     tests = comparison.tests
     assert tests is not None
     means = [one.means[RANKING] for one in comparison.summaries if one.rank]
-    names = [f"{method.label}  {format_value(mean)}" for method, mean in zip(comparison.ranked, means, strict=True)]
-    left, right = 12 + _NAME_LETTER * max(map(len, names)), 12 + 7 * len(tests.cliques)
-    figure = make_figure(width, 13 * len(names) + 40)
+    lines = [break_name(method.label, 26) for method in comparison.ranked]
+    names = ["\n".join(each) + f"  {format_value(mean)}" for each, mean in zip(lines, means, strict=True)]
+    left = 12 + _NAME_LETTER * max(len(line) for name in names for line in name.split("\n"))
+    right = 12 + 7 * len(tests.cliques)
+    figure = make_figure(width, 13 * len(names) * max(map(len, lines)) + 40)
     axes = add_axes(figure, left, 34, right, 6)
     open_frame(axes)
     for place, mean in enumerate(means):
@@ -338,7 +340,8 @@ def plot_cost(methods: Sequence[MethodSummary], width: float = 5.5) -> Figure:
         sign, size, fill = ("D", 5.0, FAINT) if reference else ("o", 6.4 if chosen else 3.0, INK)
         axes.plot(x, y, marker=sign, ms=size, mfc=fill, mec=INK, mew=0.8, zorder=3)
     shown = [one.method for one, chosen in zip(methods, named, strict=True) if chosen]
-    draw_captions(axes, places[named], [one.label for one in shown], [one.reference for one in shown])
+    names = [textwrap.fill(one.label, 26) for one in shown]
+    draw_captions(axes, places[named], names, [one.reference for one in shown])
     figure.text(0.02, 3 / (72 * width * 0.62), describe_unnamed(named), **SMALL)
     return figure
 

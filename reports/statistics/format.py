@@ -108,7 +108,7 @@ def pluralize(count: int, noun: str) -> str:
 def break_name(name: str, letters: int) -> list[str]:
     """Return a name in lines of at most so many letters, broken behind spaces and signs, and within very long words."""
     lines = [""]
-    for piece in re.findall(rf"[^-:,.=/_ ]{{1,{2 * letters}}}[-:,.=/_ ]?|[-:,.=/_ ]", name):
+    for piece in re.findall(rf"[^-:,./_ ]{{1,{max(14, letters)}}}[-:,./_ ]?|[-:,./_ ]", name):
         if lines[-1] and len(lines[-1] + piece.rstrip()) > letters:
             lines.append("")
         lines[-1] += piece

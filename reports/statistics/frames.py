@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -382,6 +383,11 @@ class PrintedTable:
         """Return parts of at most so many columns beside the fixed ones."""
         columns = range(len(self.heads) - self.fixed)
         return [self.pick(columns[i : i + count]) for i in columns[::count]] if self.splits else [self]
+
+    def split_rows(self) -> list[PrintedTable]:
+        """Return the rows between each two rules as a part, for tables that may be higher than a page."""
+        ends = [0, *self.rules, len(self.rows)]
+        return [replace(self, rows=self.rows[a:b], rules=()) for a, b in itertools.pairwise(ends)]
 
     def frame(self) -> pd.DataFrame:
         """Return the texts of the cells."""

@@ -17,12 +17,13 @@ from nrbench.lattice.geometry import Lattice
 
 
 def test_a_lattice_may_be_given_in_any_form() -> None:
-    """Vectors, vectors with an origin, text and a lattice give the same lattice; None gives none."""
+    """Vectors, vectors with an origin, their numbers, text and a lattice give the same lattice; None gives none."""
     lattice = Lattice((27.3, 0), (13.65, 12.2), (3, 4))
     vectors = ((27.3, 0), (13.65, 12.2), (3, 4))
     assert as_lattice(lattice) == as_lattice(vectors) == as_lattice("27.3,0,13.65,12.2,3,4") == lattice
     assert as_lattice(vectors[:2]) == as_lattice("27.3,0,13.65,12.2")  # type: ignore[arg-type]
-    assert as_lattice(None) is None
+    assert as_lattice((27.3, 0, 13.65, 12.2)) == as_lattice(vectors[:2])  # type: ignore[arg-type]
+    assert as_lattice(np.ravel(vectors)) == lattice and as_lattice(None) is None
 
 
 def test_an_origin_of_zero_is_known() -> None:

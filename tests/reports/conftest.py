@@ -76,7 +76,7 @@ def cell_maker(root: Path) -> MakeCell:
             suite="tiny",
             texture=texture,
             recipe=Recipe("brick", {}, 0, texture, replicate, (side, side)),
-            method=method.partition(":")[0],
+            method=more.pop("plugin", method.partition(":")[0]),
             version="1",
             parameters=more.pop("parameters", {"block": 40}),
             label=method,
@@ -90,6 +90,7 @@ def cell_maker(root: Path) -> MakeCell:
             kind=more.pop("kind", "I"),
             regular_share=0.75,
             lattice_truth=lattice_truth,
+            preset=more.pop("preset", ""),
             detector=more.pop("detector", None),
             detected=more.pop("detected", None),
         )

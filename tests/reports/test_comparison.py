@@ -25,7 +25,7 @@ from nrbench.reports.statistics.expectations import (
     LevelSeries,
     compare_levels,
 )
-from nrbench.reports.statistics.frames import print_patches
+from nrbench.reports.statistics.frames import print_improvements, print_patches
 from nrbench.reports.statistics.method_comparison import Comparison, compare_methods
 from nrbench.reports.statistics.summaries import (
     SummaryRow,
@@ -69,6 +69,49 @@ def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run
         for _, shape, placement, _ in terms:
             assert shape.replace("-", "{-}" if text is latex else "-") in text and placement.split()[0] in text
     assert "translational symmetry" not in MarkdownTables().render(make_run([make_cell("a", "ann-pixel")]))
+
+
+def test_published_methods_stand_beside_improved_ones(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
+    """Each method with a preset has a row with the same method without one, and their known difference, in all formats.
+
+    The name of a method need not tell its plugin; a method that ran with one source of the lattice only has no row. All
+    parameters stand in a list.
+    """
+    known = (
+        ("rsgf", "", 0.7),
+        ("rsgf:block=9", "", 0.9),
+        ("RSGF 2011", "paper", 0.4),
+        ("tile-set:preset=paper", "paper", 0.1),
+    )
+    cells = [
+        make_cell(
+            f"t{i}",
+            name,
+            perils=value + i / 100,
+            preset=preset,
+            plugin="rsgf" if "RSGF" in name else name.split(":")[0],
+        )
+        for name, preset, value in known
+        for i in range(3)
+    ]
+    run = make_run([*cells, make_cell("t0", "tile-set", "given", perils=0.5)])
+    rows = print_improvements(compare_methods(run)).rows
+    assert {row[1].label for row in rows} == {"RSGF 2011 (own)"}
+    assert [row[0] for row in rows[:2]] == ["quality", "regularity"] and rows[0][4] == "+0.30"
+    texts = {path.name: path.read_text("utf-8") for path in LatexTables().write(run, tmp_path)}
+    pages = [MarkdownTables().render(run), HtmlReport().render(run, tmp_path), TextTable(width=100).render(run)]
+    for text in (*pages, texts["improvements.tex"]):
+        assert "RSGF 2011" in text and "improved" in text and "+0.30" in text
+    for text in (*pages, texts["summary.tex"]):
+        assert "rsgf: block=40" in " ".join(text.replace("\\allowbreak{}", "").split())
+    table = CsvTables().tables(run)["improvements"].set_index(["score", "method"])
+    assert table.loc[("quality", "RSGF 2011"), "difference"] == pytest.approx(0.3)
+    assert json.loads(JsonSummary().render(run))["tables"]["improvements"][0]["improved_method"] == "rsgf"
+    assert list(CsvTables().tables(run)["parameters"]["method"]) == [
+        "rsgf:block=9",
+        "RSGF 2011",
+        "tile-set:preset=paper",
+    ]
 
 
 def test_references_come_last_and_are_not_ranked(ranked: Run) -> None:

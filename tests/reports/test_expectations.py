@@ -221,6 +221,7 @@ def test_a_run_that_repeats_the_report_agrees_with_it(make_report: Make) -> None
     assert {one.value for one in published.classes["agreement"]} == {1}
     assert (published.kappa.value, *published.kappa.ends) == pytest.approx((1, 1, 1))
     assert published.chance is not None and published.chance[0] < 0.9
+    assert "measured verdicts: 1.00. If" in published.agreement  # an interval of no width is left out
     kinds = ["motif", "tiles", "brick", "woven", "damaged"]
     rows = ["odd figures", "even figures", "all, lattice alone", "all"]
     assert published.classes["class"].tolist() == [*kinds, *rows]

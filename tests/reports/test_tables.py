@@ -176,14 +176,18 @@ def test_pdflatex_reads_it(every_ending: Run, tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def wide_run(makers: tuple[Make, Make]) -> Run:
-    """Return a run of 15 methods on 24 textures, with intervals."""
+    """Return a run of 16 methods on 24 textures, with intervals; some have presets, long names and many parameters."""
     make_cell, make_run = makers
-    names = [plugin.name for plugin in plugins.inventory("synthesizers")][:15]
+    names = [plugin.name for plugin in plugins.inventory("synthesizers")][:14]
+    parameters = {f"parameter_{i}": "gncc:preset=paper" for i in range(12)} | {"file": "/" + "folder" * 20}
+    more = {"parameters": parameters, "preset": "paper"}
+    names += ["command:" + "unbroken" * 6, "regularized-patch:preset=paper,tolerance=0.125,block=40"]
     return make_run([
-        make_cell(f"hexagon-material-{i}", name, perils=0.03 * i, preserved=i % 2 == 0)
+        make_cell(f"hexagon-material-{i}", name, source, perils=0.03 * i, preserved=i % 2 == 0, **known)
         for name in names
+        for source, known in [("gncc:preset=paper", more) if ":" in name else ("own", {})]
         for i in range(24)
-    ])  # fmt: skip
+    ] + [make_cell("hexagon-material-0", "regularized-patch", "gncc:preset=paper", perils=0.5)])  # fmt: skip
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdfLaTeX")

@@ -47,6 +47,15 @@ def small(**more: object) -> Suite:
     return validated_suite({**tomllib.loads(SUITE_TOML), **more}, "test")
 
 
+def test_methods_of_two_names_share_a_cell(tmp_path: Path) -> None:
+    """A label and a preset that equals the defaults are rows of their own; the result is one."""
+    methods = ["quilting", "quilting:preset=paper", "quilting:label=Efros 2001", "quilting:block=0"]
+    done = run(small(methods=methods, metrics=["cost"], replicates=1), out=tmp_path, options=Options(jobs=0))
+    assert done.table()["method"].tolist() == ["quilting", "quilting:preset=paper", "Efros 2001"]
+    assert len({record.key for record in done.cells}) == len(list((tmp_path / "cells").iterdir())) == 1
+    assert done.table()["seconds"].nunique() == 1
+
+
 def test_cells_of_a_texture_go_to_one_worker(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of two threads keeps to the jobs of one group; with one group left, both take its jobs."""
     submitted, both, taken = threading.Event(), threading.Barrier(2), []

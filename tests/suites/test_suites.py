@@ -131,9 +131,10 @@ def test_bad_grids(grid: Any, message: str) -> None:
     [
         ("core", "c041f4a38412f8b9"),
         ("default", "168674524b60da81"),
-        ("detectors", "52fcc02c4e5907d3"),
+        ("detectors", "09c667a09afa7980"),
         ("frontier", "e4e5965bfe1e7eea"),
         ("integer", "4b1554bbac1f0b58"),
+        ("papers", "0edb81c361582f80"),
         ("spectrum", "b7a4da8b92db0cc7"),
         ("validation", "7694e7f2d8aef438"),
     ],

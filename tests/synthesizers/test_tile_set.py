@@ -17,6 +17,7 @@ from nrbench import texture
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
+from nrbench.datasets_procedural.modelling.pattern import rotate
 from nrbench.datasets_procedural.wallpaper import Group, Wallpaper
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import Image, quantize, to_bytes
@@ -342,7 +343,7 @@ def joined(model: Model, seed: int, shape: int, size: int, method: TileSet, at: 
     def elements(x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.int64]:
         """Return the number of the element that covers each point, 0 between elements."""
         found = np.zeros(x.shape, np.int64)
-        for n, layer in enumerate(model.pattern(x - x0, y - y0).layers, 1):
+        for n, layer in enumerate(model.pattern(*rotate(x - x0, y - y0, model.rotation)).layers, 1):
             number = n + sum((part + 500) * 1000**k for k, part in enumerate(layer.index, 1))
             found = np.where(layer.coverage > 0.99, number, np.where(layer.coverage > 0.01, 0, found))
         return found
@@ -376,6 +377,15 @@ def test_a_given_anchor_lies_midway_between_rows(method: TileSet, model: Model) 
         np.mean([joined(model, seed, 128, 160, method, at) for seed in (810, 811)]) for at in ((0.25, 0.5), (0.5, 0.5))
     )
     assert good < 0.75 * bad
+
+
+def test_windows_of_the_lattices_shape_break_fewer_bricks() -> None:
+    """On a turned wall, tiles along the lattice break fewer bricks than upright rectangles (section 4.3)."""
+    upright, along = (
+        np.mean([joined(Brick(color=0.2, rotation=17.3), seed, 160, 160, replace(PAPER, tile=tile)) for seed in (0, 1)])
+        for tile in ("upright", "lattice")
+    )
+    assert along < 0.75 * upright
 
 
 def test_the_upper_seam_counts_the_border_that_it_leaves() -> None:
