@@ -98,7 +98,7 @@ class Improvement:
     published, improved
         The two methods, with the same source of the lattice.
     difference
-        The mean of improved minus published.
+        The mean of improved minus published, with an interval over textures and draws where nine textures differ.
     p
         As in :class:`PairedDifference`.
     """
@@ -226,9 +226,13 @@ class Comparison:
 
     @cached_property
     def improvements(self) -> list[Improvement]:
-        """Each headline of each method that has a preset, beside the method without one, if the run has both."""
+        """Each headline of each method that has a preset, beside the method without one, if the run has both.
+
+        The differences speak of the methods, not of this list of textures: their intervals are over a population.
+        """
         found = []
-        gaps = {(one.score, one.first.label, one.second.label): one for one in self.differences}
+        cells = keep_listed_textures(tabulate_cells(self.run))
+        p = {(one.score, frozenset((one.first.label, one.second.label))): one.p for one in self.differences}
         for published in self.summaries:
             own = published.method
             others = [
@@ -239,10 +243,10 @@ class Comparison:
             ]
             for improved in sorted(others, key=lambda one: one.method.name != own.plugin)[:1]:
                 for score in headline_columns(self.run):
-                    ahead = gaps.get((score, improved.label, published.label))
-                    gap = ahead or gaps[score, published.label, improved.label]
-                    difference = gap.estimate if ahead else -gap.estimate
-                    found.append(Improvement(score, published, improved, difference, gap.p))
+                    values = _draws(cells, score, [improved.method, own])
+                    gap = estimate_means(values[:1] - values[1:], population=True)[0]
+                    tested = p.get((score, frozenset((improved.label, own.label))))
+                    found.append(Improvement(score, published, improved, gap, tested))
         return found
 
     @cached_property

@@ -134,7 +134,7 @@ def test_bad_grids(grid: Any, message: str) -> None:
         ("detectors", "09c667a09afa7980"),
         ("frontier", "e4e5965bfe1e7eea"),
         ("integer", "4b1554bbac1f0b58"),
-        ("papers", "0edb81c361582f80"),
+        ("papers", "8ba8b2a9e560793b"),
         ("spectrum", "b7a4da8b92db0cc7"),
         ("validation", "7694e7f2d8aef438"),
     ],
