@@ -70,25 +70,25 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
     BadInput
         If it has none of these forms, or repeats in less than 2 px.
     """
+    import numpy as np
+
     from nrbench.lattice.geometry import Lattice, require_visible
 
     if lattice is None:
         return None
-    if isinstance(lattice, str):
-        return Lattice.parse(lattice)
+    if isinstance(lattice, Lattice):
+        return require_visible(lattice, lattice)
     try:
-        given: Any = lattice
-        if not isinstance(given, Lattice) and len(given) in (4, 6):  # numbers, as on the command line
-            given = zip(given[::2], given[1::2], strict=True)
-        made = given if isinstance(given, Lattice) else Lattice(*given)
-        if not isinstance(lattice, Lattice) and len(lattice) in (3, 6) and not any(made.origin):  # see Lattice.parse
-            made = made.shifted(made.t1)
-    except (TypeError, KeyError):
+        text = lattice if isinstance(lattice, str) else ",".join(str(float(number)) for number in np.ravel(lattice))
+    except (TypeError, ValueError):
+        text = ""
+    if not isinstance(lattice, str) and text.count(",") not in (3, 5):
         raise BadInput(
             f"lattice {lattice!r}: give two vectors, e.g. ((32, 0), (0, 24)), or three with the origin; or four or six "
             "numbers, e.g. (32, 0, 0, 24)"
-        ) from None
-    return require_visible(made, lattice)
+        )
+    made = Lattice.parse(text)
+    return made.with_known_origin() if text.count(",") == 5 else made
 
 
 def lattice_in(image: Imagelike, lattice: Latticelike) -> Lattice | None:

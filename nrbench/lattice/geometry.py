@@ -368,8 +368,7 @@ class Lattice:
     def parse(cls, text: str) -> Lattice:
         """Return a lattice from ``"x1,y1,x2,y2"`` or ``"x1,y1,x2,y2,x,y"``, the formats of the command line.
 
-        (x, y) is the origin; without it, the origin is (0, 0). A given origin of (0, 0) becomes t1, which is a point of
-        the same lattice, so that (0, 0) always means that no origin is known.
+        (x, y) is the origin; without it, the origin is (0, 0).
 
         Parameters
         ----------
@@ -388,13 +387,28 @@ class Lattice:
         """
         try:
             x1, y1, x2, y2, *origin = (float(part) for part in text.split(","))
-            x, y = (x1, y1) if origin == [0, 0] else origin or (0.0, 0.0)
+            x, y = origin or (0.0, 0.0)
         except ValueError:
             raise BadInput(
                 f"lattice {text!r}: give four numbers x1,y1,x2,y2 in px, e.g. 32,0,0,24, "
                 "or six, x1,y1,x2,y2,x,y, with the origin"
             ) from None
         return require_visible(cls((x1, y1), (x2, y2), (x, y)), text)
+
+    def with_known_origin(self) -> Lattice:
+        """Return the lattice with an origin other than (0, 0), which methods take as unknown: with t1 in its place.
+
+        Returns
+        -------
+        Lattice
+            The same points.
+
+        Examples
+        --------
+        >>> Lattice((28, 0), (14, 12), (0, 0)).with_known_origin().origin
+        (28.0, 0.0)
+        """
+        return self if any(self.origin) else self.shifted(self.t1)
 
 
 def require_visible(lattice: Lattice, given: object) -> Lattice:

@@ -197,7 +197,7 @@ def read_texture(folder: Path, known: Mapping[str, Any]) -> tuple[Texture, Image
     """Return the texture that :func:`render` wrote and described, and the region beside it."""
     where, plain = CellFolder(folder), {name: known[name] for name in PLAIN}
     plain["region"] = tuple(known["region"]) if known["region"] else None
-    plain["vertices"] = tuple(map(Vertex._make, known["vertices"]))
+    plain["vertices"] = tuple(map(Vertex._make, known.get("vertices", ())))
     lattice = Lattice.from_dict(known["lattice"]) if known["lattice"] else None
     texture = Texture(read_image(where.sample), lattice, tuple(map(Lattice.from_dict, known["lattices"])), **plain)
     return texture, read_image(where.again) if where.again.is_file() else None

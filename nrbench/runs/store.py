@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Required, cast
+from typing import TYPE_CHECKING, Annotated, Any, NotRequired, Required, cast
 
 import psutil
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -83,7 +83,7 @@ class _TextureContent(TypedDict):
     region: Annotated[list[Annotated[int, Field(ge=-(2**53), le=2**53)]], Field(min_length=4, max_length=4)] | None
     lattice: _Lattice
     lattices: list[_Lattice]
-    vertices: list[_Vertex]
+    vertices: NotRequired[list[_Vertex]]
 
 
 class Result(TypedDict, total=False):

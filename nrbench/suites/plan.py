@@ -159,7 +159,8 @@ class LatticeSource:
             return cls(text)
         if re.match(r"\s*[-+.\d]|[^:]*,", text):
             lattice = Lattice.parse(text)
-            return cls(",".join(np.format_float_positional(x, trim="-") for x in lattice.numbers), lattice=lattice)
+            name = ",".join(np.format_float_positional(x, trim="-") for x in lattice.numbers)
+            return cls(name, lattice=lattice.with_known_origin() if text.count(",") == 5 else lattice)
         if parse_spec(text)[0] not in plugins.names("detectors"):
             known = ", ".join(["given", "own", "x1,y1,x2,y2[,x,y] (px)", *plugins.names("detectors")])
             raise BadInput(f"--lattice {text!r} is not known; use one of: {known}")

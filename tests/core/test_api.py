@@ -41,7 +41,7 @@ def test_an_origin_of_zero_is_known() -> None:
         (((32, 0),), r"lattice \(\(32, 0\),\): give two vectors"),
         ((32, 0, 0, 24, 1), "give two vectors"),
         (32, "lattice 32: give two vectors"),
-        ((32, 24), "t1 is 32; give two numbers"),
+        ((32, 24), r"lattice \(32, 24\): give two vectors"),
         (((1.5, 0), (0, 24)), "repeats every 1.5 px"),
         (Lattice((1.5, 0), (0, 24)), "repeats every 1.5 px"),
         ("1.5,0,0,24", "lattice '1.5,0,0,24': repeats every 1.5 px"),
