@@ -14,6 +14,7 @@ from scipy import ndimage, stats
 from synthesis_cases import FRACTIONAL, noise, synthesize
 
 from nrbench import texture
+from nrbench.api.arguments import as_lattice
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
@@ -410,7 +411,7 @@ def test_without_an_origin_the_papers_anchor_is_quiet(given: Lattice | None) -> 
     assert made.lattice.is_equivalent(Lattice((24, 0), (12, 12)), 0.1)
     quiet = replace(PAPER, anchor="quiet").synthesize(replace(task, rng=np.random.default_rng(1)))
     np.testing.assert_array_equal(made.image, quiet.image)
-    anchored = method.synthesize(replace(task, lattice=Lattice.parse("24,0,12,12,0,0")))
+    anchored = method.synthesize(replace(task, lattice=as_lattice("24,0,12,12,0,0")))
     assert not anchored.note
 
 
