@@ -140,8 +140,8 @@ class RepresentativeTile:
         },
     }
     patch_shape: ClassVar[str] = "rectangular tile from the period"
-    patch_placement: ClassVar[str] = "side by side"
-    patch_stitching: ClassVar[str] = "none"
+    patch_placement: ClassVar[str] = "side by side, edge_colors={edge_colors}"
+    patch_stitching: ClassVar[str] = "none; graph cut inside Wang tiles"
     paper: ClassVar[str] = Ssdn.paper
 
     def __post_init__(self) -> None:

@@ -78,15 +78,18 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
         return None
     if isinstance(lattice, Lattice):
         return require_visible(lattice, lattice)
-    try:
-        text = lattice if isinstance(lattice, str) else ",".join(str(float(number)) for number in np.ravel(lattice))
-    except (TypeError, ValueError):
-        text = ""
-    if not isinstance(lattice, str) and text.count(",") not in (3, 5):
-        raise BadInput(
-            f"lattice {lattice!r}: give two vectors, e.g. ((32, 0), (0, 24)), or three with the origin; or four or six "
-            "numbers, e.g. (32, 0, 0, 24)"
-        )
+    text = lattice
+    if not isinstance(text, str):
+        try:
+            numbers = np.array(lattice, np.float64)
+        except (TypeError, ValueError):
+            numbers = np.empty(0)
+        if numbers.shape not in ((4,), (6,), (2, 2), (3, 2)):
+            raise BadInput(
+                f"lattice {lattice!r}: give two vectors, e.g. ((32, 0), (0, 24)), or three with the origin; or four or "
+                "six numbers, e.g. (32, 0, 0, 24)"
+            )
+        text = ",".join(map(str, numbers.ravel().tolist()))
     made = Lattice.parse(text)
     return made.with_known_origin() if text.count(",") == 5 else made
 

@@ -27,7 +27,7 @@ from nrbench.api.arguments import (
     plugin_in,
     shape_in,
 )
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber, Switch
 from nrbench.plugins.parameters import parse_spec
 
@@ -45,6 +45,9 @@ if TYPE_CHECKING:
 Metrics = Annotated[Sequence[str] | str, Flag(metavar="NAME,...")]
 Rendered = Annotated["str | Suite", Flag(ARGUMENT, "MODEL[:param=value,...]|SUITE")]
 RenderedSize = Annotated["Shape | str | None", Flag("--sample --size", "WxH")]
+LARGEST_FOLLOWED = 1024
+"""px; a larger image is followed only by :func:`track_lattice` and ``--straighten``, because it takes long."""
+FOLLOWS_BENT = "symmetry: the detector follows bent lattices; choose another, or straighten the image first"
 
 
 def texture(model: Pluginlike, shape: Shapelike = (128, 128), seed: int = 0, **parameters: Any) -> Texture:
@@ -80,11 +83,8 @@ def texture(model: Pluginlike, shape: Shapelike = (128, 128), seed: int = 0, **p
     from nrbench.streams import stream
 
     plugin = plugin_in("datasets", model, parameters)
-    name = (
-        parse_spec(model)[0]
-        if isinstance(model, str)
-        else plugins.name_of("datasets", type(plugin)) or type(plugin).__name__
-    )
+    name = plugins.name_of("datasets", type(plugin)) or type(plugin).__name__
+    name = parse_spec(model)[0] if isinstance(model, str) else name
     rng = stream("render", seed, name, 0)
     drawn: Texture = plugin.render(shape_in(shape), rng)
     return drawn
@@ -138,7 +138,8 @@ def detect_symmetry(
     lattice
         The smallest lattice of the image; its origin does not matter. If None, it is detected.
     detector
-        The detector that finds it; if None, ``consensus``.
+        The detector that finds it. If None, ``consensus``; an image in which it finds none is straightened if it is
+        bent, and the places are those in the straightened image.
     **parameters
         The detector's parameters.
 
@@ -152,7 +153,7 @@ def detect_symmetry(
     NoLatticeFound
         If the detector finds no lattice.
     BadInput
-        For a bad image, lattice, detector or parameter.
+        For a bad image, lattice, detector or parameter, or if the detector follows a bent lattice.
 
     Examples
     --------
@@ -161,9 +162,19 @@ def detect_symmetry(
     'cmm'
     """
     from nrbench.imaging.wallpaper_group import find_wallpaper_group
+    from nrbench.plugins.forms import NoLatticeFound
 
-    known = lattice_in(image, lattice) or detect_lattice(image, detector, **parameters).lattice
-    return find_wallpaper_group(image_in(image), known)
+    image = image_in(image)
+    if (known := lattice_in(image, lattice)) is None:
+        try:
+            detection = detect_lattice(image, detector, **parameters)
+            require(not detection.vertices, FOLLOWS_BENT)
+            known = detection.lattice
+        except NoLatticeFound:
+            if detector is not None or (bent := find_bent_lattice(image, parameters)) is None:
+                raise
+            image, known = bent.deformation.straighten()
+    return find_wallpaper_group(image, known)
 
 
 def track_lattice(
@@ -227,6 +238,22 @@ def follow_bent_lattice(
     from nrbench.displacement.bent_detection import find_deformation
 
     return find_deformation(image, lattice, detector_in(detector, parameters or {}), only_promising)
+
+
+def find_bent_lattice(image: Image, parameters: Mapping[str, Any] | None = None) -> Followed | None:
+    """Return the lattice of a bent image in which the default detector finds none; None if there is none.
+
+    Little time is spent on images without a lattice, and none on large ones (:data:`LARGEST_FOLLOWED`).
+    """
+    from nrbench.plugins.forms import NoLatticeFound
+
+    if max(image.shape[:2]) > LARGEST_FOLLOWED:
+        return None
+    try:
+        followed = follow_bent_lattice(image, parameters=parameters, only_promising=True)
+    except NoLatticeFound:
+        return None
+    return followed if followed.deformation.bent else None
 
 
 def synthesize(

@@ -35,10 +35,10 @@ from nrbench.api.picture_folders import (
     rank_candidates,
     vector_texts,
 )
-from nrbench.api.textures import follow_bent_lattice
+from nrbench.api.textures import FOLLOWS_BENT, find_bent_lattice, follow_bent_lattice
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image
 from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
 from nrbench.jit import load_kernels
@@ -68,8 +68,6 @@ if TYPE_CHECKING:
 
 _CAPTION_LETTERS = 38
 """Number of letters on a line of a caption."""
-LARGEST = 1024
-"""px; a larger image is followed only if ``--straighten`` is given, because it takes long."""
 
 
 @dataclass(frozen=True)
@@ -147,10 +145,11 @@ class LatticeResult:
             if self.symmetry is not None:
                 print(self.symmetry)
 
-    def with_symmetry(self, image: Image) -> LatticeResult:
-        """Return the result with the symmetry of the image, which is straightened first if it is bent."""
-        if self.lattice is None:
+    def with_symmetry(self, image: Image, options: LatticeQuestion) -> LatticeResult:
+        """Return the result with the symmetry of the image, if asked for; a bent image is straightened first."""
+        if self.lattice is None or not options.symmetry:
             return self
+        require(self.detection is None or not self.detection.vertices, FOLLOWS_BENT)
         straight = self.deformation.straighten() if self.deformation else (image, self.lattice)
         return replace(self, symmetry=find_wallpaper_group(*straight))
 
@@ -186,7 +185,7 @@ class LatticeResult:
             return [f"{self.detector:<12} {'-':<20} {'-':<20} {'-':>10} {seconds:>8}  {why}"]
         lines = []
         for number, candidate in enumerate(self.candidates, 1):
-            t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in (candidate.lattice.t1, candidate.lattice.t2))
+            t1, t2 = (f"({x:.3f}, {y:.3f})" for x, y in candidate.lattice.matrix)
             name, cost = (self.detector, seconds) if number == 1 else (f"  {number}", "")
             line = f"{name:<12} {t1:<20} {t2:<20} {candidate.confidence:>10.3f} {cost:>8}  {candidate.relation}"
             lines.append(line.rstrip())
@@ -254,8 +253,7 @@ def _show_given(image: Image, options: LatticeQuestion) -> None:
     else:
         lattice, has_origin = Lattice.parse(options.lattice), options.lattice.count(",") == 5
     result = LatticeResult("given" if options.lattice else "picked", lattice, has_origin=has_origin)
-    if options.symmetry:
-        result = result.with_symmetry(image)
+    result = result.with_symmetry(image, options)
     if options.output is not None:
         write_image(options.output, draw_overlay(image, lattice, result.symmetry))
     result.finish(image, options)
@@ -284,12 +282,11 @@ def _show_detection(image: Image, options: LatticeQuestion) -> None:
         title = f"{spec}: no lattice: {none.reason}"
     if result.lattice is None and options.detector is None:
         with waiting(f"{name} looks for a bent lattice"):
-            bent = find_bent_lattice(image, name)
+            bent = find_bent_lattice(image)
         if bent is not None:
-            result, detection = bent, bent.detection
-            title = f"{spec}, of the straightened image: {bent.vectors}"
-    if options.symmetry:
-        result = result.with_symmetry(image)
+            result, detection = LatticeResult.of_followed(name, bent), bent.detection
+            title = f"{spec}, of the straightened image: {result.vectors}"
+    result = result.with_symmetry(image, options)
     if options.diagnostics is not None:
         _draw_diagnostics(detection.diagnostics if detection else {}, title, options.diagnostics)
     if options.output is not None:
@@ -306,6 +303,8 @@ def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
         click.echo(f"{output}: not written, there is no lattice to draw", err=True)
     elif result.deformation is not None:
         write_image(output, draw_deformed_lattice(image, result.deformation))
+        if result.symmetry is not None:
+            click.echo(f"{output}: without signs; for these, write the straight picture with --straighten", err=True)
     elif result.detection is not None and result.detection.vertices:
         write_image(output, draw_vertices(image, result.detection.vertices))
     else:
@@ -387,20 +386,6 @@ def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) ->
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
     LatticeResult.of_followed("" if options.lattice else name, followed, straight_lattice).finish(image, options)
-
-
-def find_bent_lattice(image: Image, detector: str) -> LatticeResult | None:
-    """Return the mean lattice of a bent image in which a detector finds no lattice; None if there is none.
-
-    Little time is spent on images without a lattice, and none on large ones (:data:`LARGEST`).
-    """
-    if max(image.shape[:2]) > LARGEST:
-        return None
-    try:
-        followed = follow_bent_lattice(image, detector=detector, only_promising=True)
-    except NoLatticeFound:
-        return None
-    return LatticeResult.of_followed(detector, followed) if followed.deformation.bent else None
 
 
 def draw_deformed_lattice(image: Image, found: Deformation) -> Image:
@@ -611,12 +596,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, status: int, kind: str, content: bytes) -> None:
         self.send_response(status)
-        for name, value in (
-            ("Content-Type", kind),
-            ("Content-Length", str(len(content))),
-            ("Content-Security-Policy", POLICY),
-            ("Cache-Control", "no-store"),
-        ):
+        headers = {"Content-Type": kind, "Content-Length": str(len(content)), "Content-Security-Policy": POLICY}
+        for name, value in {**headers, "Cache-Control": "no-store"}.items():
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(content)

@@ -48,7 +48,7 @@ class LatticeQuestion:
     keep
         For a folder: keep the lines of truth.csv, and add the missing pictures.
     force
-        For a folder: replace truth.csv.
+        Replace truth.csv of a folder, or the file of --vertices.
     straighten
         Follow the lattice through a bent image, and write the image with its deformation undone.
     symmetry
@@ -95,7 +95,7 @@ class LatticeQuestion:
             raise BadInput(f"-o {self.output}: {self.image} is a folder of pictures; give a directory for truth.csv")
 
     def _check_picture(self) -> None:
-        of_folders = {"--least": self.least != LEAST, "--keep": self.keep, "--force": self.force}
+        of_folders = {"--least": self.least != LEAST, "--keep": self.keep, "--force": self.force and not self.vertices}
         for name in filter(of_folders.get, of_folders) if self.image.is_file() else ():
             raise BadInput(f"{name}: is for a folder of pictures, and {self.image} is none; leave it out")
         others: dict[str, object] = {"--all": self.every, "--pick": self.pick, "--lattice": self.lattice}
@@ -112,4 +112,6 @@ class LatticeQuestion:
             check_output(path, ".csv" if path is self.vertices else ".png")
             if os.path.realpath(path) in written:
                 raise BadInput(f"{path}: {written[os.path.realpath(path)]}")
+            if path is self.vertices and path.exists() and not self.force:
+                raise BadInput(f"{path}: exists, and may hold your corrections; pass --force to replace it")
             written[os.path.realpath(path)] = "would be written twice; choose another name for one of the files"

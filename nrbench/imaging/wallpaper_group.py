@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, Literal
 
@@ -28,6 +28,8 @@ LEAST_AGREEMENT: Final = 0.9
 """Least agreement of the texture with its moved copy if the isometry is a symmetry."""
 SURE: Final = 2.0
 """Number of standard errors between the agreement and :data:`LEAST_AGREEMENT` below which nothing is decided."""
+LEAST_CONTRAST: Final = 0.5 / 255
+"""Least standard deviation of what the cells have in common: half a gray level. What is fainter may be rounding."""
 MOST_CELLS: Final = 256
 """Most cells that are compared: those nearest to the middle of the picture."""
 MOST_WAVES: Final = 8
@@ -67,6 +69,8 @@ class Symmetry:
         Standard error of the agreement.
     matrix, offset
         The isometry: points (x, y) px go to ``(x, y) @ matrix + offset``.
+    implied
+        Whether it is a symmetry because others are, although its own agreement leaves that open.
 
     Examples
     --------
@@ -86,12 +90,17 @@ class Symmetry:
     error: float
     matrix: Points
     offset: Points
+    implied: bool = False
 
     @property
     def holds(self) -> bool | None:
         """Whether it is a symmetry of the texture; None if that cannot be told."""
-        margin = self.agreement - LEAST_AGREEMENT
-        return margin > 0 if abs(margin) > SURE * self.error else None
+        return True if self.implied else self.margin > 0 if abs(self.margin) > SURE else None
+
+    @property
+    def margin(self) -> float:
+        """Number of standard errors by which the agreement exceeds :data:`LEAST_AGREEMENT`."""
+        return (self.agreement - LEAST_AGREEMENT) / max(self.error, 1e-9)
 
     @property
     def name(self) -> str:
@@ -110,7 +119,7 @@ class Symmetry:
         dict
             Lists, numbers and texts by name.
         """
-        names = ("kind", "order", "center", "axis", "spacing", "agreement", "error", "holds")
+        names = ("kind", "order", "center", "axis", "spacing", "agreement", "error", "holds", "implied")
         return {name: getattr(self, name) for name in names}
 
 
@@ -152,16 +161,20 @@ class FoundGroup:
 
     @property
     def confidence(self) -> float:
-        """Probability, for normal errors, that the least certain decision about a candidate is right; 0 without any."""
-        margins = (abs(each.agreement - LEAST_AGREEMENT) / max(each.error, 1e-9) for each in self.candidates)
-        return float(scipy.special.ndtr(min(margins, default=-np.inf)))
+        """Probability, for normal errors, that the least certain decision is right; 0 without a group.
+
+        Candidates about which nothing was decided do not count: what holds without them implies whether they hold.
+        """
+        margins = (abs(each.margin) for each in self.candidates if abs(each.margin) > SURE)
+        return float(scipy.special.ndtr(min(margins, default=np.inf))) if self.group else 0.0
 
     def __str__(self) -> str:
         told = f"cannot tell the wallpaper group: {self.reason}"
         if self.group is not None:
             told = f"wallpaper group {self.group}, confidence {self.confidence:.3f}, from {self.cells} cells"
         shown = (f"{each.name}, agreement {each.agreement:.2f} +- {each.error:.2f}" for each in self.symmetries)
-        return "\n".join([told, *shown])
+        notes = (", implied" * each.implied for each in self.symmetries)
+        return "\n".join([told, *map("".join, zip(shown, notes, strict=True))])
 
     def as_dict(self) -> dict[str, Any]:
         """Return what is known, ready for JSON.
@@ -184,7 +197,7 @@ def find_wallpaper_group(image: Image, lattice: Lattice) -> FoundGroup:
     in four directions, are multiplied, because the cells of a row may share a thread. The standard error is that of the
     jackknife over rows, the largest of the four directions. An isometry holds if its agreement is at least
     :data:`LEAST_AGREEMENT`; nothing is decided within :data:`SURE` errors of that. The isometries that hold decide the
-    group [1]_, unless the decision about one that they do not imply is open.
+    group [1]_, and those that they imply hold, too. There is no group if the decision about another one is open.
 
     Parameters
     ----------
@@ -203,20 +216,29 @@ def find_wallpaper_group(image: Image, lattice: Lattice) -> FoundGroup:
     count = len(cells.spectra)
     if not cells.pairs.any():
         return FoundGroup(None, f"{count} complete cells are too few to compare", lattice, (), count)
+    if cells.contrast < LEAST_CONTRAST:
+        return FoundGroup(None, "the cells have no texture in common", lattice, (), count)
     found = {turn: tuple(cells.test(turn)) for turn in _list_turns(lattice)}
-    group, reason = _name_group(found)
-    tested = [cells.agreement(np.eye(2), np.array(period)) for period in _SHORTER]
+    held = _generate(turn for turn, tested in found.items() if any(each.holds for each in tested))
+    group, reason = _name_group(found, held)
+    tested = (cells.agreement(np.eye(2), np.array(period)) for period in _SHORTER)
     shorter = [agreement - SURE * error for agreement, error in tested]
     if max(shorter) > LEAST_AGREEMENT:
         x, y = np.array(_SHORTER[int(np.argmax(shorter))]) @ lattice.matrix
         group, reason = None, f"the picture also repeats by ({x:.2f}, {y:.2f}) px; give its smallest lattice"
+    implied = {id(_best(tested)) for turn, tested in found.items() if group and turn in held}
     candidates = sorted(itertools.chain(*found.values()), key=lambda each: (-len(each.kind), each.kind, -each.order))
-    return FoundGroup(group, reason, lattice, tuple(candidates), count)
+    marked = (replace(each, implied=id(each) in implied and not each.holds) for each in candidates)
+    return FoundGroup(group, reason, lattice, tuple(marked), count)
 
 
-def _name_group(found: dict[_Turn, tuple[Symmetry, ...]]) -> tuple[str | None, str]:
-    """Return the group whose isometries hold; or None, and why it cannot be told."""
-    held = _generate(turn for turn, tested in found.items() if any(each.holds for each in tested))
+def _best(tested: tuple[Symmetry, ...]) -> Symmetry:
+    """Return the candidate of a turn that is a symmetry if one is: of a mirror and a glide at most one is."""
+    return max(tested, key=lambda each: (each.holds is True, each.holds is None, each.agreement))
+
+
+def _name_group(found: dict[_Turn, tuple[Symmetry, ...]], held: set[_Turn]) -> tuple[str | None, str]:
+    """Return the group of the turns that hold; or None, and why it cannot be told."""
     refuted = {turn for turn, tested in found.items() if all(each.holds is False for each in tested)}
     if held & refuted:
         return None, "some isometries hold, and one that they imply does not"
@@ -224,16 +246,15 @@ def _name_group(found: dict[_Turn, tuple[Symmetry, ...]]) -> tuple[str | None, s
         near = max((each for turn in undecided for each in found[turn]), key=lambda each: each.agreement)
         return None, f"the agreement by a {near.name} is {near.agreement:.2f} +- {near.error:.2f}"
     order = max(len(_generate([turn])) for turn in held if _determinant(turn) > 0)
-    axes = [max(found[turn], key=lambda each: each.agreement) for turn in held if _determinant(turn) < 0]
+    axes = [_best(found[turn]) for turn in held if _determinant(turn) < 0]
     if not axes:
         return f"p{order}", ""
     if order == 3:
         shortest = min(math.hypot(*each.axis) for tested in found.values() for each in tested if each.kind == "mirror")
         return ("p31m" if math.hypot(*axes[0].axis) < 1.3 * shortest else "p3m1"), ""
-    glides = sum(each.kind == "glide" for each in axes)
     if order < 3 and any(each.centered for each in axes):
         return ("cm", "cmm")[order - 1], ""
-    return _REFLECTIONS[order][glides], ""
+    return _REFLECTIONS[order][sum(each.kind == "glide" for each in axes)], ""
 
 
 _REFLECTIONS: Final = {1: ("pm", "pg"), 2: ("pmm", "pmg", "pgg"), 4: ("p4m", "p4g", "p4g"), 6: ("p6m",)}
@@ -286,12 +307,16 @@ class _CellSpectra:
     def _same(self) -> NDArray[np.float64]:
         return self._multiply(np.eye(2), np.zeros(2))
 
+    @property
+    def contrast(self) -> float:
+        """Standard deviation of what the cells have in common."""
+        power = 2 * self._same.sum() / (self.pairs.sum() * self._spectra[0].size * self._spectra[0, ..., 0].size)
+        return math.sqrt(max(float(power), 0.0))
+
     def agreement(self, matrix: Points, offset: Points) -> tuple[float, float]:
         """Return the agreement of the cells with moved cells, and its standard error."""
         same, moved = self._same, self._multiply(matrix, offset)
         total = same.sum()
-        if total <= 0:
-            return 0.0, np.inf
         value, errors = float(moved.sum() / total), []
         change, rest = 2 * (moved - value * same).sum(1), 2 * same.sum(1)
         for line in self.lines:
@@ -356,21 +381,20 @@ def _cut_cells(image: Image, lattice: Lattice) -> tuple[Points, NDArray[np.float
     away = np.hypot(*(lattice.from_cell(first + 0.5) - last / 2).T)
     first = first[np.sort(np.argsort(away, kind="stable")[:MOST_CELLS])]
     values = interpolate(image, lattice.from_cell(first[:, np.newaxis, np.newaxis] + uv)).astype(np.float64)
-    means, place = values.mean((1, 2)), np.column_stack([first - first.mean(0), np.ones(len(first))])
+    means, place = values.mean((1, 2)), np.column_stack([first - first[:1], np.ones(len(first))])
     slope = np.linalg.lstsq(place, means, rcond=None)[0][:2]
     return first, values - uv @ slope
 
 
-def _list_turns(lattice: Lattice) -> list[_Turn]:
-    """Return the turns that map a reduced lattice to itself: not the identity, and one of two opposite rotations."""
-    turns: list[_Turn] = []
+def _list_turns(lattice: Lattice) -> Iterator[_Turn]:
+    """Yield the turns that map a reduced lattice to itself: not the identity, and one of two opposite rotations."""
     for turn in itertools.product((-1, 0, 1), (-1, 0, 1), (-1, 0, 1), (-1, 0, 1)):
         if abs(_determinant(turn)) == 1 and turn != _IDENTITY:
             isometry = np.linalg.inv(lattice.matrix) @ _matrix(turn) @ lattice.matrix
             stretch = np.abs(np.linalg.svd(isometry, compute_uv=False) - 1).max()
             backward = _determinant(turn) > 0 and isometry[0, 1] < -0.1
-            turns += [turn] if stretch <= SLACK and not backward else []
-    return turns
+            if stretch <= SLACK and not backward:
+                yield turn
 
 
 def _matrix(turn: _Turn) -> Points:
@@ -378,19 +402,16 @@ def _matrix(turn: _Turn) -> Points:
 
 
 def _determinant(turn: _Turn) -> int:
-    a, b, c, d = turn
-    return a * d - b * c
+    return turn[0] * turn[3] - turn[1] * turn[2]
 
 
 def _generate(turns: Iterable[_Turn]) -> set[_Turn]:
     """Return the group that some turns generate."""
-    held = {_IDENTITY, *turns}
-    while (
-        new := {
+    held, new = set[_Turn](), {_IDENTITY, *turns}
+    while new - held:
+        held |= new
+        new = {
             (a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h)
             for (a, b, c, d), (e, f, g, h) in itertools.product(held, held)
         }
-        - held
-    ):
-        held |= new
     return held

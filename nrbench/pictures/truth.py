@@ -132,12 +132,12 @@ def read_vertices(path: Path, shape: tuple[int, int]) -> tuple[Vertex, ...]:
 
 def _read_vertex(values: Mapping[str, Any], where: str, shape: tuple[int, int]) -> Vertex:
     try:
-        if None in values:
-            raise ValueError(values)
         x, y = (float(values[name]) for name in ("x", "y"))
         vertex = Vertex(int(values["row"]), int(values["column"]), x, y)
+        if None in values or max(map(abs, vertex[:2])) >= 1e6:
+            raise ValueError(values)
     except ValueError:
-        raise BadInput(f"{where}: is no vertex; give {_VERTEX_HEADER}: two whole numbers, and x, y in px") from None
+        raise BadInput(f"{where}: is no vertex; give {_VERTEX_HEADER}: integers under 1e6, and x, y in px") from None
     if not (-0.5 <= x < shape[1] - 0.5 and -0.5 <= y < shape[0] - 0.5):
         raise BadInput(f"{where}: ({x:g}, {y:g}) lies outside the picture of {shape[1]}x{shape[0]} px; leave it out")
     return vertex

@@ -109,6 +109,11 @@ def test_vertices_are_written(capsys: pytest.CaptureFixture[str]) -> None:
     assert "v.csv: 18 vertices" in capsys.readouterr().err
     vertices = read_vertices(Path("v.csv"), (96, 112))
     assert set(vertices) == set(lay_vertices(Lattice((20.0, 0.0), (0.0, 30.0), (5.0, 7.0)), (96, 112)))
+    Path("v.csv").write_text("mine")
+    assert call("lattice brick.png --lattice 20,0,0,30 --vertices v.csv") == 2
+    assert "v.csv: exists" in capsys.readouterr().err and Path("v.csv").read_text() == "mine"
+    assert call("lattice brick.png --lattice 20,0,0,30 --vertices v.csv --force") == 0
+    assert len(read_vertices(Path("v.csv"), (96, 112))) > 9
     assert call("lattice constant.png --vertices none.csv") == 0
     assert "not written, there is no lattice" in capsys.readouterr().err and not Path("none.csv").exists()
 

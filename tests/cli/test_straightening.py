@@ -57,20 +57,29 @@ def test_a_straight_picture_is_written_as_it_is(capsys: pytest.CaptureFixture[st
 def test_a_bent_lattice_is_found_without_the_option(capsys: pytest.CaptureFixture[str]) -> None:
     """A plane in perspective, in which the detector alone finds no lattice, gets the mean one, called bent.
 
-    If a detector is named, its answer alone counts.
+    If a detector is named, its answer alone counts. The symmetry is that of the straightened picture, in Python too.
     """
     points = np.stack(np.meshgrid(*2 * [np.arange(160.0)]), -1)
     plane = map_points(np.array([[1.0, 0, 0], [0, 1.0, 0], [5e-3, 2.5e-3, 1.0]]), points)
     image = quantize(interpolate(nrbench.texture("weave", shape=(160, 160), seed=0).image, plane))
     write_image(Path("floor.png"), image)
-    assert call("lattice floor.png -o overlay.png --json") == 0
-    shown = json.loads(capsys.readouterr().out)
+    assert call("lattice floor.png -o overlay.png --symmetry --json") == 0
+    printed = capsys.readouterr()
+    shown = json.loads(printed.out)
+    assert "without signs" in printed.err
+    assert shown["symmetry"] == json.loads(json.dumps(nrbench.detect_symmetry("floor.png").as_dict()))
     assert shown["deformation"]["bent"] and shown["deformation"]["homography"] and "origin" not in shown
     mean = nrbench.track_lattice(image).lattice
     assert mean.is_equivalent(Lattice(shown["t1"], shown["t2"]), 0.02 * mean.s)
     assert 0.02 < (np.abs(read_image(Path("overlay.png")) - image).max(-1) > 0.1).mean() < 0.4
     assert call("lattice floor.png -d consensus --json") == 0
     assert json.loads(capsys.readouterr().out)["lattice"] is None
+
+
+def test_a_detector_of_bent_lattices_is_refused_for_the_symmetry(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its mean lattice is not that of the pixels."""
+    assert call("lattice straight.png -d tracked --symmetry") == 2
+    assert "straighten the image first" in capsys.readouterr().err
 
 
 def test_a_given_lattice_needs_no_detector(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
+
 import numpy as np
 import pytest
 
@@ -23,7 +26,7 @@ def draw(group: Group, rotation: float = 17.0, **departures: float) -> Texture:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_all_groups_are_told(group: Group) -> None:
+def test_all_groups_are_recognized(group: Group) -> None:
     """Every group is found under mild departures, and each symmetry maps the ideal picture to itself."""
     texture = draw(group, **MILD)
     assert texture.lattice is not None and texture.ideal is not None
@@ -39,7 +42,7 @@ def test_all_groups_are_told(group: Group) -> None:
         )
 
 
-def test_nothing_is_told_where_noise_hides_it() -> None:
+def test_the_group_stays_open_where_noise_hides_it() -> None:
     """Where grain hides the motif, the group is unknown and the reason names the isometry; likewise for few cells."""
     texture = draw("p2", noise=0.9)
     assert texture.lattice is not None
@@ -66,6 +69,28 @@ def test_models_without_noise() -> None:
         (x1, y1), (x2, y2) = texture.lattice.t1, texture.lattice.t2
         for lattice in (texture.lattice, nrbench.Lattice((x1 + 3 * x2, y1 + 3 * y2), (x2, y2), (5.0, 7.0))):
             assert find_wallpaper_group(texture.ideal, lattice).group == group
+
+
+def test_symmetries_that_others_imply_hold() -> None:
+    """A honeycomb has all its rotations and six mirrors, also those that are open alone; these lower no confidence."""
+    texture = nrbench.texture("hexagon", shape=(128, 128), seed=0, color=0.3)
+    assert texture.lattice is not None
+    found = find_wallpaper_group(texture.image, texture.lattice)
+    own = [dataclasses.replace(each, implied=False) for each in found.candidates]
+    assert {each.holds for each in own} == {True, None}
+    assert found.group == "p6m" and len(found.symmetries) == len(found.candidates) == 9 and found.confidence > 0.97
+    assert str(found).count(", implied") == sum(each.holds is None for each in own)
+
+
+def test_nothing_to_compare_is_no_group() -> None:
+    """Cells of two pixels, of more than the picture, and of rounding errors give a reason, without a warning."""
+    y, x = np.indices((100, 100))
+    ramp, noise = np.float32(x + 2 * y) / 600, np.random.default_rng(2).normal(0.5, 1e-6, (100, 100))
+    for image, side in ((ramp, 10), (noise, 10), (np.float32(x % 10 < 5), 2), (np.float32(x % 10 < 5), 500)):
+        found = find_wallpaper_group(np.float32(image[..., np.newaxis]), nrbench.Lattice((side, 0), (0, side)))
+        assert found.group is None and found.confidence == 0 and found.reason
+        json.loads(json.dumps(found.as_dict(), allow_nan=False))
+        assert not found.symmetries
 
 
 def test_flat_pictures_have_no_group() -> None:

@@ -37,6 +37,8 @@ def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
         (GOOD + "2,0,3,35,1\n", "line 6: is no vertex"),
         (GOOD + "2,0,three,35\n", "line 6: is no vertex"),
         (GOOD + "2.5,0,3,35\n", "line 6: is no vertex"),
+        (GOOD + f"{10**20},0,3,35\n", "line 6: is no vertex"),
+        (GOOD + f"2,{-(10**6)},3,35\n", "line 6: is no vertex"),
         (GOOD + "2,0,nan,35\n", "line 6: (nan, 35) lies outside the picture of 40x40 px"),
         (GOOD + "2,0,3,inf\n", "lies outside"),
         (GOOD + "2,0,3,39.5\n", "lies outside"),
