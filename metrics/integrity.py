@@ -380,9 +380,7 @@ def draw_broken(output: Image, followed: FollowedPicture, broken: Mask) -> Image
     """Return the output in faint gray, with the broken cells tinted."""
     y, x = np.indices(output.shape[:2])
     phase: Points = followed.expected[followed.in_place].mean(0) if followed.in_place.any() else np.zeros(2)
-    cell = (
-        (np.stack([x, y], -1) - followed.net.origin) @ np.linalg.inv(followed.net.vectors) - followed.net.first - phase
-    )
+    cell = followed.net.to_cell(np.stack([x, y], -1)) - phase
     number = np.clip(np.floor(cell).astype(int), 0, np.array(broken.shape) - 1)
     marked = broken[number[..., 0], number[..., 1]][..., np.newaxis]
     return tint_places(output, marked, _COLOR)

@@ -21,7 +21,7 @@ from .judgment.texture_reference import CannotTell
 from .perception import limits
 from .perception.visible import tint_places
 from .registration.followed import FollowedPicture
-from .registration.lattice_net import LatticeNet, Mask
+from .registration.lattice_net import Mask
 from .registration.lattice_nodes import LatticeNodes
 
 COLORS = ((1.0, 0.6, 0.0), (0.9, 0.1, 0.1))
@@ -49,10 +49,11 @@ class Regularity:
     score, down to 0 at 6 %. Where the references drift more, because the texture bends, more is allowed.
 
     A method is judged by the lattice that it declares (``lattice_used``): of the output's drifts from this lattice and
-    from the true one the smaller counts. The representative tile, for example, rounds its period to whole pixels and
-    says so. A declared lattice counts if it is the true one, or a supercell of it, to 1 px of the true vectors as in
-    ``lattice_recovery``, and stretches and turns them by at most 6 %. Any other lattice excuses nothing. A supercell
-    excuses no more than the true lattice stretched alike, because the places of the single tiles are measured as ever.
+    from the true one the smaller counts, and places are those of the declared lattice if the output lies nearer to it.
+    Randomness, integrity and appearance follow the same one. The representative tile, for example, rounds its period to
+    whole pixels and says so. A declared lattice counts if it is the true one, or a supercell of it, to 1 px of the true
+    vectors as in ``lattice_recovery``, and stretches and turns them by at most 6 %. Any other lattice excuses nothing.
+    A supercell excuses no more than the true lattice stretched alike: the places of the single tiles are measured.
     The distance of the declared lattice from the true one is ``lattice_recovery.drift``.
 
     Let b be the share of the output that is out of place beyond what chance explains in the references. A window whose
@@ -121,7 +122,10 @@ class _Finding:
         return float(max(0.0, self.bad[self.nodes.valid].mean() - self.usual) / (1 - self.usual))
 
     def straightness(self, declared: Points) -> float:
-        """Return 1 if the drift is not more than the references', falling to 0; see :func:`declared_drift`."""
+        """Return 1 if the drift is not more than the references', falling to 0.
+
+        Where the declared lattice is followed, the output's drift is that from it; else the declared one is deducted.
+        """
         wider = max(1.0, min(limits.OF_NOISE * self.usual_drift, limits.MOST_DRIFT) / limits.DRIFT)
         most, own = limits.MOST_DRIFT, np.eye(2) + self.nodes.drift
         drift = min(np.linalg.norm(np.linalg.solve(np.eye(2) + each, own) - np.eye(2), 2) for each in (declared, 0))
@@ -138,7 +142,7 @@ def _find(examination: Examination) -> list[_Finding]:
             bad = reference.misplacement(followed)
             found.append(_Finding("registration", followed, bad, reference.most_misplaced, usual))
     own = examination.matches
-    matched = own and own.follow(examination.lab)
+    matched = own and examination.follow(own.follow)
     if matched and own and own.picture:
         bad, usual = matched.misplacement(own.slip_limit), float(np.linalg.norm(own.picture.drift, 2))
         found.append(_Finding("coherence", matched, bad, own.most_misplaced, usual))
@@ -158,8 +162,8 @@ def _score(observation: Observation) -> Score:
         return Score(values, reasons, records=records)
     sure = [finding for finding in found if finding.by == "registration" and finding.nodes.size == 1]
     worst = max(sure or found, key=lambda finding: finding.share)
-    declared = declared_drift(observation.lattice_used, worst.nodes.net)
-    score = max(0.0, 1 - limits.SLOPE * worst.share) * max(finding.straightness(declared) for finding in found)
+    straightness = max(finding.straightness(examination.declared) for finding in found)
+    score = max(0.0, 1 - limits.SLOPE * worst.share) * straightness
     values |= {"misplaced_share": worst.share, "score": score, "preserved": score >= limits.PRESERVED}
     reasons = {name: reason for name, reason in reasons.items() if values[name] is None}
     records |= {
@@ -169,19 +173,8 @@ def _score(observation: Observation) -> Score:
         "expected_share": worst.usual,
         "misplaced_shares": {finding.by: finding.share for finding in found},
     }
-    shown = [(finding.nodes, finding.bad) for finding in sure or found]
-    pictures = {"defects": draw_misplaced(observation.output, shown)}
+    pictures = {"defects": draw_misplaced(observation.output, [(each.nodes, each.bad) for each in sure or found])}
     return Score(values, reasons, pictures, records)
-
-
-def declared_drift(declared: Lattice | None, net: LatticeNet) -> Points:
-    """Return the drift of a declared lattice from the true one, ``(2, 2)``; 0 if there is none or it does not count."""
-    true, none = Lattice.from_basis(net.vectors), np.zeros((2, 2))
-    if declared is None or lattice_error(declared, true, net.shape).relation not in ("exact", "supercell"):
-        return none
-    change = np.rint(declared.matrix @ np.linalg.inv(true.matrix))
-    drift = np.linalg.solve(true.matrix, np.linalg.solve(change, declared.matrix)) - np.eye(2)
-    return np.asarray(drift) if np.linalg.norm(drift, 2) <= limits.MOST_DRIFT else none
 
 
 def _measure(
@@ -204,7 +197,7 @@ def _measure(
     if reference.most_misplaced > limits.MOST_OWN:
         share = f"up to {reference.most_misplaced:.0%} of the reference itself is out of place by chance"
         reasons |= dict.fromkeys(("misplaced_share", "preserved", "score"), f"undecided: {share}")
-    values |= _compare_lattice(followed, followed.in_place & ~blank, reasons)
+    values |= _compare_lattice(examination, followed.in_place & ~blank, reasons)
     records |= {
         "reference": "sample" if reference.from_sample else "model",
         "slip_limit": reference.slip_limit,
@@ -214,23 +207,23 @@ def _measure(
     }
 
 
-def _compare_lattice(followed: FollowedPicture, in_place: Mask, reasons: dict[str, str]) -> dict[str, Value]:
+def _compare_lattice(examination: Examination, in_place: Mask, reasons: dict[str, str]) -> dict[str, Value]:
     """Return the output's own lattice beside the true one: the affine part of the displacements."""
     names = ("drift", "lattice_exact", "lattice_vector_error", "lattice_vector_error_in_s", "lattice_area_ratio")
+    followed, vectors = examination.traced, examination.reference.net.vectors
     share = float(in_place[followed.valid].mean())
     if share < 0.5:
         reasons |= dict.fromkeys(names, f"not measured: only {share:.0%} of the windows lie on one lattice")
         return dict.fromkeys(names)
-    vectors = followed.net.vectors
     own, true = _own_lattice(followed), Lattice.from_basis(vectors)
     error = lattice_error(own, true, (followed.lab.shape[0], followed.lab.shape[1]))
-    drift = 100 * float(np.linalg.norm(followed.drift, 2))
+    drift = 100 * float(np.linalg.norm(np.linalg.solve(vectors, own.matrix) - np.eye(2), 2))
     values = (drift, error.relation == "exact", error.vector, error.vector / true.s, error.area_ratio)
     return dict(zip(names, values, strict=True))
 
 
 def _own_lattice(followed: FollowedPicture) -> Lattice:
-    """Return the true lattice, moved by the affine part of the displacements."""
+    """Return the lattice of the net, moved by the affine part of the displacements."""
     net, where = followed.net, followed.in_place
     phase = (followed.expected[where] @ net.vectors).mean(0) - followed.centers[where].mean(0) @ followed.drift
     turned = np.eye(2) + followed.drift
@@ -243,8 +236,7 @@ def draw_misplaced(output: Image, found: Sequence[tuple[LatticeNodes, NDArray[np
     y, x = np.indices((output.shape[0], output.shape[1]))
     amount = np.zeros((*y.shape, 1))
     for nodes, bad in found:
-        net = nodes.net
-        cell = (np.stack([x, y], -1) - net.origin) @ np.linalg.inv(net.vectors) - net.first
+        cell = nodes.net.to_cell(np.stack([x, y], -1))
         node = np.clip(np.rint(2 * cell - nodes.size).astype(int), 0, np.array(bad.shape) - 1)
         own = np.where(nodes.valid, bad, 0)[node[..., 0], node[..., 1]]
         amount = np.maximum(amount, own[..., np.newaxis])

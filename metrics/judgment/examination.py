@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
+import numpy as np
+
+from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Observation
 
 from ..perception import limits
 from ..perception.visible import Lab, perceive, perceive_sample
-from ..registration.coherence import SampleMatches, match_sample
+from ..registration.coherence import MatchedPicture, SampleMatches, match_sample
 from ..registration.followed import FollowedPicture
-from .known_lattice import KnownLattice, find_known_lattice
+from .known_lattice import KnownLattice, declared_drift, find_known_lattice
 from .texture_reference import CannotTell, TextureReference, reference_from_draws, reference_from_sample
+
+Followed = TypeVar("Followed", FollowedPicture, MatchedPicture | None)
 
 
 @dataclass(frozen=True)
@@ -22,7 +30,7 @@ class Examination:
     Parameters
     ----------
     observation
-        Sample, output, truth and fresh draws; no other field of an observation is used.
+        Sample, output, truth, fresh draws and the declared lattice; no other field of an observation is used.
     """
 
     observation: Observation
@@ -50,9 +58,31 @@ class Examination:
         return reference_from_sample(perceive_sample(seen.sample), known.lattice)
 
     @cached_property
+    def declared(self) -> Points:
+        """``(2, 2)``: drift of the lattice that the method declares; see :func:`~.known_lattice.declared_drift`."""
+        seen, (height, width) = self.observation, self.lab.shape[:2]
+        return declared_drift(seen.lattice_used, self.known_lattice.lattice, (height, width))
+
+    def follow(self, follow: Callable[[Lab, Points | float], Followed]) -> Followed:
+        """Follow the declared lattice if the output lies nearer to it than to the true one, else the true one.
+
+        Beyond about 4 % a drift from the lattice that is followed is taken for slips. The declared lattice is followed
+        if its vectors depart from the true ones by more than 2 % of s. The output lies nearer to it if most windows are
+        in place on it and drift from it by less than half of the declared drift.
+        """
+        drift, true = self.declared, self.known_lattice.lattice
+        if true is not None and np.linalg.norm(true.matrix @ drift, axis=1).max() > limits.DRIFT * true.s:
+            with suppress(CannotTell):
+                nodes = follow(self.lab, drift)
+                sure = nodes is not None and 2 * nodes.in_place.sum() > nodes.valid.sum()
+                if nodes and sure and 2 * np.linalg.norm(nodes.drift, 2) < np.linalg.norm(drift, 2):
+                    return nodes
+        return follow(self.lab, 0.0)
+
+    @cached_property
     def traced(self) -> FollowedPicture:
         """The output followed by the lattice, whether or not its sample can be; few cells are in place if it cannot."""
-        return self.reference.follow(self.lab)
+        return self.follow(self.reference.follow)
 
     @cached_property
     def followed(self) -> FollowedPicture:
@@ -93,5 +123,5 @@ def examine(observation: Observation) -> Examination:
     return observation.shared(_start)
 
 
-def _start(observation: Observation) -> Examination:
-    return Examination(Observation(observation.sample, observation.output, observation.truth, again=observation.again))
+def _start(seen: Observation) -> Examination:
+    return Examination(Observation(seen.sample, seen.output, seen.truth, None, seen.lattice_used, again=seen.again))

@@ -11,7 +11,8 @@ import numpy as np
 
 from nrbench.detectors.dominance import Dominance
 from nrbench.lattice.geometry import Lattice, Points, reduce_basis
-from nrbench.plugins.forms import NoLatticeFound, Observation
+from nrbench.lattice.relation import lattice_error
+from nrbench.plugins.forms import NoLatticeFound, Observation, Shape
 
 from ..perception import limits
 from ..perception.visible import Lab, SeenSample, perceive_sample
@@ -71,6 +72,19 @@ def find_known_lattice(observation: Observation) -> KnownLattice:
     except NoLatticeFound as none:
         reason = f"not applicable: no lattice is given, and the detector dominance finds none in the sample: {none}"
         return KnownLattice(None, "dominance", reason)
+
+
+def declared_drift(declared: Lattice | None, true: Lattice | None, shape: Shape) -> Points:
+    """Return the drift of a declared lattice from the true one, ``(2, 2)``; 0 if there is none or it does not count.
+
+    Neither basis matters. The shape is that of the output.
+    """
+    none = np.zeros((2, 2))
+    if not (declared and true) or lattice_error(declared, true, shape).relation not in ("exact", "supercell"):
+        return none
+    basis, other = declared.canonical().matrix, true.canonical().matrix
+    drift = np.linalg.solve(other, np.linalg.solve(np.rint(basis @ np.linalg.inv(other)), basis)) - np.eye(2)
+    return np.asarray(drift) if np.linalg.norm(drift, 2) <= limits.MOST_DRIFT else none
 
 
 def canonical_lattice(lattice: Lattice) -> Lattice:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, quantize
-from nrbench.lattice.geometry import Lattice, Vector
+from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Again, Observation, Shape, Texture
 
 from ..perception import limits
@@ -117,9 +117,9 @@ class TextureReference:
         inside = self.net.inside
         return [(plane, inside if self.from_sample else known) for plane, known in self.departures]
 
-    def follow(self, lab: Lab) -> FollowedPicture:
-        """Follow the lattice through an output."""
-        net = replace(self.net, shape=(lab.shape[0], lab.shape[1]))
+    def follow(self, lab: Lab, drift: Points | float = 0.0) -> FollowedPicture:
+        """Follow the lattice, stretched and turned by a drift ``(2, 2)``, through an output."""
+        net = replace(self.net, shape=(lab.shape[0], lab.shape[1])).stretch(drift)
         picture = self.pictures[0]
         if (net.cells <= picture.size).any():
             raise CannotTell("undecided: the output shows fewer than three cells along a lattice vector")

@@ -117,7 +117,7 @@ class MatchedPicture(LatticeNodes):
     @cached_property
     def _fit(self) -> tuple[Field, Mask]:
         net, shape = self.net, 2 * self.net.cells
-        half = 2 * ((self.grid.points.reshape(-1, 2) - net.origin) @ np.linalg.inv(net.vectors) - net.first)
+        half = 2 * net.to_cell(self.grid.points.reshape(-1, 2))
         row, column = np.moveaxis(np.clip(np.floor(half).astype(np.intp), 0, shape - 1), -1, 0)
         i, j = np.moveaxis(np.rint(self.moved * _BINS).astype(np.intp) % _BINS, -1, 0)
         block, blocks = row * shape[1] + column, int(shape.prod())
@@ -231,8 +231,8 @@ class SampleMatches:
         shares = Strips.across(self.net.shape, STRIPS).share_out(bad, self.picture)
         return max(explain_share(shares, True), (self.net.shown * float(shares.mean()) + 1) / (self.net.shown + 2))
 
-    def follow(self, lab: Lab) -> MatchedPicture | None:
-        """Follow the lattice through an output by matches.
+    def follow(self, lab: Lab, drift: Points | float = 0.0) -> MatchedPicture | None:
+        """Follow the lattice, stretched and turned by a drift ``(2, 2)``, through an output by matches.
 
         None if it shows fewer than four cells, or if the sample cannot be followed.
         """
@@ -241,17 +241,17 @@ class SampleMatches:
             return None
         rows, matrix = self._features
         grid = PointGrid.over(lab, _MOST_POINTS[1])
-        matched = self._place(grid, _find_nearest(grid.measure_features(lab) @ matrix, rows))
+        matched = self._place(grid, _find_nearest(grid.measure_features(lab) @ matrix, rows), drift)
         matched = replace(matched, limit=self.picture.limit, size=self.picture.size)
         return matched if (matched.net.cells >= matched.size).all() and matched.valid.any() else None
 
-    def _displace(self, grid: PointGrid, match: NDArray[np.intp]) -> Field:
-        """Return the phase of each point less that of its match, in cells."""
+    def _displace(self, grid: PointGrid, match: NDArray[np.intp], drift: Points | float = 0.0) -> Field:
+        """Return the phase of each point, on the lattice moved by a drift, less that of its match, in cells."""
         own, matched = (points.reshape(-1, 2) for points in (grid.points, self.grid.points))
-        return np.asarray((own - matched[match]) @ np.linalg.inv(self.net.vectors))
+        return np.asarray((own @ np.linalg.inv(np.eye(2) + drift) - matched[match]) @ np.linalg.inv(self.net.vectors))
 
-    def _place(self, grid: PointGrid, match: NDArray[np.intp]) -> MatchedPicture:
-        net, moved = replace(self.net, shape=grid.shape), self._displace(grid, match)
+    def _place(self, grid: PointGrid, match: NDArray[np.intp], drift: Points | float = 0.0) -> MatchedPicture:
+        net, moved = replace(self.net, shape=grid.shape).stretch(drift), self._displace(grid, match, drift)
         return MatchedPicture(net, _ROUGHLY, 1, grid, moved, self.trust[match])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -77,6 +77,10 @@ class LatticeNet:
         """(N1, N2): number of cells along each vector, those outside the picture included."""
         return np.asarray(self._range[1] - self._range[0])
 
+    def to_cell(self, points: NDArray[Any]) -> Points:
+        """Return the cell coordinates of points (x, y) px, from the first point of the net."""
+        return np.asarray((points - self.origin) @ np.linalg.inv(self.vectors) - self.first)
+
     @cached_property
     def points(self) -> Points:
         """``(N1 n1, N2 n2, 2)``: (x, y) px of all points."""
@@ -99,6 +103,12 @@ class LatticeNet:
     def tile(self, cell: Values) -> Values:
         """Repeat a cell ``(n1, n2, ...)`` over the whole net."""
         return np.tile(cell, (*self.cells, *(1,) * (cell.ndim - 2)))
+
+    def stretch(self, drift: Points | float) -> LatticeNet:
+        """Return the net stretched and turned by a drift, ``(2, 2)``, with as many samples of each cell as before."""
+        net = replace(self, vectors=self.vectors @ (np.eye(2) + drift))
+        vars(net)["samples"] = self.samples
+        return net
 
     def spread(self, cells: NDArray[Any]) -> NDArray[Any]:
         """Return the values of cells, ``(N1, N2)``, at all of their points."""

@@ -9,11 +9,17 @@ import numpy as np
 import pytest
 
 from nrbench.datasets_procedural.brick import Brick
+from nrbench.datasets_procedural.hexagon import Hexagon
+from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.metrics.registration.lattice_net import LatticeNet
-from nrbench.metrics.regularity import Regularity, declared_drift
+from nrbench.metrics.integrity import Integrity
+from nrbench.metrics.judgment.examination import examine
+from nrbench.metrics.judgment.known_lattice import declared_drift
+from nrbench.metrics.regularity import Regularity
+from nrbench.plugins.forms import Task
+from nrbench.synthesizers.representative_tile import RepresentativeTile
 
 from .conftest import Case, case, scored
 from .edits import resample
@@ -95,17 +101,55 @@ def test_a_stretch_is_reported_and_forgiven_up_to_its_uncertainty() -> None:
 def test_an_output_is_judged_by_the_lattice_that_it_declares() -> None:
     """A declared drift of 4 % keeps the lattice, also by a supercell; false declarations do not count."""
     own, (t1, t2) = case("hexagon"), case("hexagon").lattice.matrix
-    net = LatticeNet((192, 192), np.stack([t1, t2]), np.zeros(2))
+    true, shape = own.lattice, (192, 192)
     output = quantize(resample(own.fresh(), scale=1.04))
     made = 1.04 * t1, 1.04 * t2
     for declared, preserved in ((made, True), ((made[0] + made[1], 2 * made[1]), True), ((t1, t2), False)):
         observation = replace(own.observe(output), lattice_used=Lattice.from_basis(np.stack(declared)))
         assert regularity(observation).values["preserved"] is preserved
-    drift = declared_drift(Lattice.from_basis(np.stack([made[0] - made[1], 2 * made[1]])), net)
+    drift = declared_drift(Lattice.from_basis(np.stack([made[0] - made[1], 2 * made[1]])), true, shape)
     assert drift == pytest.approx(0.04 * np.eye(2), abs=1e-9)
     for nonsense in ((made[0] / 2, made[1]), (1.5 * t1, t2), (t1[::-1], 3.1 * t2), (1.08 * t1, 1.08 * t2)):
-        assert not declared_drift(Lattice.from_basis(np.stack(nonsense)), net).any()
-    assert not declared_drift(None, net).any()
+        assert not declared_drift(Lattice.from_basis(np.stack(nonsense)), true, shape).any()
+    assert not declared_drift(None, true, shape).any()
+
+
+@pytest.mark.parametrize(
+    "model", [Weave(warp=8.45, weft=9.9), Weave(warp=10.45, weft=11.45), Brick(17.9, 8.45), Hexagon(17.9)]
+)
+def test_a_perfect_wallpaper_of_rounded_periods_is_preserved(model: Model) -> None:
+    """A drift of 4 to 6 % by whole pixels puts no tile out of place for who declares it, with a model or without."""
+    own, method = Case.of(model, 5), RepresentativeTile(**RepresentativeTile.presets["paper"])
+    made = method.synthesize(Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0)))
+    for by_model in (True, False):
+        observation = own.observe(quantize(made.image), by_model)
+        declared = regularity(replace(observation, lattice_used=made.lattice)).values
+        assert declared["score"] > 0.98 and declared["worst_slip"] < 0.05 and declared["drift"] > 4
+        assert regularity(observation).values["preserved"] is False
+
+
+def test_a_stretched_output_is_judged_by_any_basis_of_its_declared_lattice(own: Case) -> None:
+    """Fresh draws stretched by 1.045 or .96 are in place on the declared lattice, however skewed, for all perils."""
+    for factor in (1.045, 0.96):
+        output = quantize(resample(own.fresh(), scale=factor))
+        used = Lattice.from_basis(np.array([[1, 0], [20, 1]]) @ own.lattice.matrix * factor)
+        assert declared_drift(used, own.lattice, (192, 192)) == pytest.approx((factor - 1) * np.eye(2), abs=1e-6)
+        observation = replace(own.observe(output), lattice_used=used)
+        values = regularity(observation).values
+        assert values["score"] > 0.98 and values["drift"] == pytest.approx(100 * abs(factor - 1), abs=0.3)
+        assert examine(observation).misplaced == values["misplaced_share"] == 0
+        assert scored(Integrity, observation).values["score"] != 0
+
+
+def test_a_declared_lattice_excuses_no_fault(own: Case) -> None:
+    """Slips count on the declared lattice as on the true one, and a lattice that the output lacks changes nothing."""
+    slipped = own.planted("phase-step", 0.25)[0]
+    plain = regularity(own.observe(slipped)).values
+    for factor in (0.96, 1.045):
+        used = Lattice.from_basis(own.lattice.matrix * factor)
+        assert regularity(replace(own.observe(slipped), lattice_used=used)).values == plain
+        drifted = replace(own.observe(quantize(resample(slipped, scale=factor))), lattice_used=used)
+        assert regularity(drifted).values["score"] < 0.4
 
 
 @pytest.mark.parametrize("model", [True, False])
