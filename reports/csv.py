@@ -36,9 +36,10 @@ class CsvTables(ComparisonOptions):
     - ``baseline.csv``: for each method the difference in quality to one method, by default the best, with the
       p-value of ``differences.csv``.
 
-    ``parameters.csv`` has all parameters of the methods that have other than the default ones, ``improvements.csv`` the
-    methods as published, with a preset, beside the same methods by default, and ``patches.csv`` how methods that copy
-    patches choose, place and stitch them (table 1 of the report of 2004), if the run has such methods.
+    ``parameters.csv`` has all parameters of the methods with a preset, a label or changed parameters,
+    ``improvements.csv`` the methods as published, with a preset, beside the same methods by default, and
+    ``patches.csv`` how methods that copy patches choose, place and stitch them (table 1 of the report of 2004), if the
+    run has such methods.
 
     If the suite has textures at two levels or more of one departure, ``levels.csv`` has the mean quality of each method
     at each level, and ``breaking_points.csv`` the first level at which it is below 0.5.

@@ -49,7 +49,7 @@ _DELIMITERS = {
 class LatexTables(ComparisonOptions):
     r"""Tables for ``\input`` in a paper.
 
-    ``summary.tex`` (methods by scores, and all parameters of the methods that have other than the default ones),
+    ``summary.tex`` (methods by scores, and all parameters of the methods with a preset, a label or changed parameters),
     ``comparison.tex`` (textures by methods) and, for methods that copy patches, ``patches.tex`` (their shape, placement
     and stitching). If the run has methods with and without a preset, ``improvements.tex`` has them beside each other.
 

@@ -54,7 +54,7 @@ _DETECTOR_LEGEND = (
 class TextTable(ComparisonOptions):
     """The comparison as plain text: methods from the highest mean quality to the lowest, then textures by methods.
 
-    Below them stand all parameters of the methods that have other than the default ones, the methods as published
+    Below them stand all parameters of methods with a preset, a label or changed parameters, the methods as published
     beside the same methods by default, and how methods that copy patches choose, place and stitch them (table 1 of the
     report of 2004). If the run has analogues of figures of that report, its tables 2 and 3 follow, with the measured
     verdicts.

@@ -186,7 +186,7 @@ class RepresentativeTile:
         output, source = lay_tiles(rest, frame, tiles, place, self.rescale, patches)
         note = f"a tile holds {frame.cells * self._periods**2} cells" if frame.cells * self._periods > 1 else ""
         laid = lattice if self.rescale else frame.lay_lattice(lattice, place)
-        files = {"atlas.json": tiles.describe("atlas.png")} if self.edge_colors > 1 else {}
+        files = {"atlas.json": tiles.describe} if self.edge_colors > 1 else {}
         return Synthesis(output, laid, source, extras, seconds, note, files)
 
     @property

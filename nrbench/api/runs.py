@@ -83,7 +83,7 @@ def run(
     suite
         A suite, its name, a TOML file, or a directory of pictures.
     methods
-        A method; repeatable.
+        A method, with parameters, preset=NAME or label=TEXT; repeatable.
 
         They replace those of the suite: ``name:param=value``, or registered classes or instances of them. A single one
         needs no list, as a single texture or lattice needs none.
@@ -428,7 +428,7 @@ def plan(
     suite
         As for :func:`~nrbench.run`.
     methods
-        A method; repeatable.
+        A method, with parameters, preset=NAME or label=TEXT; repeatable.
     textures
         Run only these textures; repeatable.
     lattice
@@ -671,7 +671,7 @@ def sheet(
 
         It is not written if no method has an output.
     methods
-        A method; repeatable.  [default: all]
+        A method, with parameters or preset=NAME; repeatable.  [default: all]
 
         As for :func:`~nrbench.run`; by default all that are no references and need no parameter.
     sample

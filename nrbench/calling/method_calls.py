@@ -132,7 +132,7 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
         extras=extras,
         detection_seconds=float(seconds),
         note=str(synthesis.note or ""),
-        files={_checked_name(name): _checked_text(name, text) for name, text in synthesis.files.items()},
+        files={_checked_name(name): _checked_file(name, describe) for name, describe in synthesis.files.items()},
     )
 
 
@@ -156,10 +156,11 @@ def _checked_name(name: Any) -> str:
     return name
 
 
-def _checked_text(name: str, text: Any) -> str:
-    if not isinstance(text, str) or name.endswith((".npz", ".png")):
-        raise InvalidOutput(f"returned a wrong file {name!r}: expected a text, and no name of a picture or an array")
-    return text
+def _checked_file(name: str, describe: Callable[[str], str]) -> Callable[[str], str]:
+    if not callable(describe) or not isinstance(describe(""), str) or name.endswith((".npz", ".png")):
+        expected = "a function of a prefix that returns text, and no name of a picture or an array"
+        raise InvalidOutput(f"returned a wrong file {name!r}: expected {expected}")
+    return describe
 
 
 def _checked_image(image: Any, shape: tuple[int, int, int]) -> Image:

@@ -76,10 +76,8 @@ def synth_command(
         click.echo(f"not written: {', '.join([*pictures, *synthesis.files])}; --extras writes them", err=True)
     for title, array in pictures.items() if extras else ():
         click.echo(f"{write_image(output.with_name(f'{output.stem}-{title}.png'), array)} ({title})", err=True)
-    for name, text in synthesis.files.items() if extras else ():
-        for title in pictures:
-            text = text.replace(f'"{title}.png"', json.dumps(f"{output.stem}-{title}.png"))
-        write_text(output.with_name(f"{output.stem}-{name}"), text)
+    for name, describe in synthesis.files.items() if extras else ():
+        write_text(output.with_name(f"{output.stem}-{name}"), describe(f"{output.stem}-"))
         click.echo(f"{output.with_name(f'{output.stem}-{name}')} ({name})", err=True)
     if given is None and synthesis.lattice is not None and finder != plugins.in_role("detector"):
         _warn_of_another_lattice(sample, method.partition(":")[0], synthesis.lattice)

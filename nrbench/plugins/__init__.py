@@ -19,3 +19,4 @@ from nrbench.plugins.registry import name_of as name_of
 from nrbench.plugins.registry import names as names
 from nrbench.plugins.registry import parameters_of as parameters_of
 from nrbench.plugins.registry import summaries as summaries
+from nrbench.plugins.registry import usual_parameters as usual_parameters

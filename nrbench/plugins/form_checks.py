@@ -113,7 +113,7 @@ def _field_fault(kind: str, cls: Any) -> str:
         if field.name in form.taken:
             taken = ", ".join(form.taken)
             return f"{label} {field.name!r} has the name of an argument of the call; rename it (taken: {taken})"
-        if field.name == PRESET or (field.name == LABEL and kind == "synthesizers"):
+        if field.name in (PRESET, LABEL):
             use = "presets are chosen" if field.name == PRESET else "methods get their names in tables"
             return f"{label} {field.name!r} has the name by which {use}; rename it"
         if not _has_default(field) and kind in ("detectors", "metrics", "reports"):

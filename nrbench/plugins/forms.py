@@ -409,8 +409,8 @@ class Synthesis:
     note
         One sentence that the tables show beside the row, for example about a fallback.
     files
-        Texts by the names of their files, which are kept beside the pictures of ``extras``. A picture in them is called
-        NAME.png; ``nrbench synth`` replaces this by the name that it gets.
+        Functions by the names of text files, which are kept beside the pictures of ``extras``. Each takes a prefix of
+        the names of these pictures, and returns the text: "" in a run, "OUT-" for ``nrbench synth -o OUT.png``.
 
     Examples
     --------
@@ -426,7 +426,7 @@ class Synthesis:
     extras: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     detection_seconds: float = 0.0
     note: str = ""
-    files: Mapping[str, str] = field(default_factory=dict, repr=False)
+    files: Mapping[str, Callable[[str], str]] = field(default_factory=dict, repr=False)
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""

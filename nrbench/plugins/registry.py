@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from nrbench.errors import BadInput
 from nrbench.plugins.form_checks import FORMS, find_fault, is_stable, kinds_of, methods_wanted, plain_value
-from nrbench.plugins.parameters import nearest, parse_spec, validated
+from nrbench.plugins.parameters import converted, nearest, parse_spec, validated
 
 # The forms import numpy, which the names of plugins do not need.
 if TYPE_CHECKING:
@@ -329,6 +329,25 @@ def read_fingerprint(plugin: Any, where: str) -> str | int | float | None:
 def parameters_of(plugin: Any) -> dict[str, Any]:
     """Return all parameters of a plugin instance, including defaults, as values that JSON can hold."""
     return {field.name: plain_value(getattr(plugin, field.name)) for field in dataclasses.fields(plugin)}
+
+
+def usual_parameters(kind: str, name: str, preset: str = "") -> dict[str, Any]:
+    """Return the default parameters of a plugin, or those with a preset, as :func:`parameters_of` does.
+
+    A parameter without a default is :data:`dataclasses.MISSING`.
+
+    Raises
+    ------
+    BadInput
+        When there is no such plugin, or it does not load.
+    """
+    cls: Any = find(kind, name).cls
+    usual = {
+        field.name: field.default_factory() if callable(field.default_factory) else field.default
+        for field in dataclasses.fields(cls)
+    }
+    usual |= converted(cls, getattr(cls, "presets", {}).get(preset, {}), name)
+    return {key: plain_value(value) for key, value in usual.items()}
 
 
 def fault(kind: str, cls: Any) -> str:

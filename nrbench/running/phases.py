@@ -309,8 +309,8 @@ def _write(where: CellFolder, synthesis: Synthesis) -> None:
         write_arrays(where.extras / f"{Path(name).name}.npz", array=array)
         if is_picture(array):
             write_image(where.extras / f"{Path(name).name}.png", array)
-    for name, text in synthesis.files.items():
-        write_text(where.extras / Path(name).name, text)
+    for name, describe in synthesis.files.items():
+        write_text(where.extras / Path(name).name, describe(""))
     write_image(where.output, synthesis.image)
 
 

@@ -18,7 +18,6 @@ from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
 from nrbench.imaging.convert import Image, as_image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.form_checks import plain_value
 from nrbench.plugins.forms import Kind, Shape, Texture
 from nrbench.plugins.parameters import PRESET, list_parameters, parse_spec, take_label
 from nrbench.plugins.registry import read_fingerprint
@@ -111,14 +110,9 @@ def _name_in_tables(kind: str, name: str, preset: str, parameters: Mapping[str, 
 
     A preset is named also where it equals the defaults, so that nobody wonders whether it was chosen.
     """
-    cls = plugins.find(kind, name).cls
-    usual = {
-        item.name: item.default_factory() if callable(item.default_factory) else item.default
-        for item in dataclasses.fields(cls)  # type: ignore[arg-type]
-    }
-    usual |= getattr(cls, "presets", {}).get(preset, {})
+    usual = plugins.usual_parameters(kind, name, preset)
     changed = {PRESET: preset} if preset else {}
-    changed |= {key: value for key, value in parameters.items() if value != plain_value(usual[key])}
+    changed |= {key: value for key, value in parameters.items() if value != usual[key]}
     return f"{name}:{list_parameters(changed)}" if changed else name
 
 

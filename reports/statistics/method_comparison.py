@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.parameters import append_parameters, nearest
 from nrbench.runs.records import CellRecord, Run
@@ -226,22 +227,21 @@ class Comparison:
 
     @cached_property
     def improvements(self) -> list[Improvement]:
-        """Each headline of each method that has a preset, beside the method without one, if the run has both.
+        """Each headline of each method with the parameters of a preset, beside the default, if the run has both.
 
         The differences speak of the methods, not of this list of textures: their intervals are over a population.
         """
         found = []
         cells = keep_listed_textures(tabulate_cells(self.run))
         p = {(one.score, frozenset((one.first.label, one.second.label))): one.p for one in self.differences}
-        for published in self.summaries:
+        usual = [one for one in self.summaries if not one.method.reference and _is_unchanged(one.method)]
+        for published in usual:
             own = published.method
+            default = (own.plugin, own.lattice_source, "")
             others = [
-                one
-                for one in self.summaries
-                if own.preset and not (one.method.preset or own.reference)
-                if (one.method.plugin, one.method.lattice_source) == (own.plugin, own.lattice_source)
+                one for one in usual if (one.method.plugin, one.method.lattice_source, one.method.preset) == default
             ]
-            for improved in sorted(others, key=lambda one: one.method.name != own.plugin)[:1]:
+            for improved in others[:1] if own.preset else ():
                 for score in headline_columns(self.run):
                     values = _draws(cells, score, [improved.method, own])
                     gap = estimate_means(values[:1] - values[1:], population=True)[0]
@@ -415,6 +415,14 @@ def _build_comparison(run: Run, options: ComparisonOptions) -> Comparison:
         baseline=baseline if baseline and compare_with(differences, baseline) else None,
         options=options,
     )
+
+
+def _is_unchanged(method: Method) -> bool:
+    """Return whether the parameters of a method are those of its preset, or the defaults of its plugin without one."""
+    try:
+        return method.parameters == plugins.usual_parameters("synthesizers", method.plugin, method.preset)
+    except BadInput:  # it is not installed where the run is read
+        return False
 
 
 def _list_notes(run: Run) -> list[str]:

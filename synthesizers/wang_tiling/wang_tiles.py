@@ -105,13 +105,13 @@ class WangTiles:
         rows, columns = rng.integers(self.colors, size=(2, *counts))
         return number[rows, np.roll(rows, -1, 0)], number[columns, np.roll(columns, -1, 1)]
 
-    def describe(self, atlas: str) -> str:
+    def describe(self, prefix: str) -> str:
         """Return the rules as a tileset of the editor Tiled, in its JSON format.
 
         Parameters
         ----------
-        atlas
-            Name of the picture :attr:`atlas`.
+        prefix
+            What stands before ``atlas.png`` in the name of the picture :attr:`atlas`.
 
         Notes
         -----
@@ -132,8 +132,9 @@ class WangTiles:
         ]
         tileset = {
             "type": "tileset", "version": "1.10", "name": "wang tiles",
-            "image": atlas, "imagewidth": count * width, "imageheight": count * height, "margin": 0, "spacing": 0,
-            "tilewidth": width, "tileheight": height, "tilecount": count**2, "columns": count,
+            "image": f"{prefix}atlas.png",
+            "imagewidth": count * width, "imageheight": count * height, "margin": 0, "spacing": 0, "tilewidth": width,
+            "tileheight": height, "tilecount": count**2, "columns": count,
             "wangsets": [{"name": "edges", "type": "edge", "tile": -1, "colors": colors, "wangtiles": tiles}],
         }  # fmt: skip
         return json_text(tileset)

@@ -99,7 +99,7 @@ def test_a_stretch_is_reported_and_forgiven_up_to_its_uncertainty() -> None:
 
 
 def test_an_output_is_judged_by_the_lattice_that_it_declares() -> None:
-    """A drift of 4 % is none for who declares it, also by a supercell; other declarations excuse nothing."""
+    """A declared drift of 4 % keeps the lattice, also by a supercell; false declarations do not count."""
     own, (t1, t2) = case("hexagon"), case("hexagon").lattice.matrix
     true, shape = own.lattice, (192, 192)
     output = quantize(resample(own.fresh(), scale=1.04))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import make_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -146,3 +147,11 @@ def test_bad_presets_are_found_at_registration(body: str, message: str, tmp_path
     file.write_text(HEAD.replace("{name}", "Bad").replace("{body}", body + method), "utf-8")
     with pytest.raises(BadInput, match=message):
         plugins.add_file(file)
+
+
+@pytest.mark.parametrize("name", ["preset", "label"])
+@pytest.mark.parametrize("kind", list(plugins.FORMS))
+def test_no_plugin_has_a_parameter_called_preset_or_label(kind: str, name: str) -> None:
+    """Both names are reserved for plugins of all kinds."""
+    cls = make_dataclass("Mine", [(name, str, "")], frozen=True, namespace={"__doc__": "A page.", "version": "1"})
+    assert f"parameter {name!r} has the name by which" in plugins.fault(kind, cls)

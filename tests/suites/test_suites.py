@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
+from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.parameters import parse_size
@@ -142,6 +143,14 @@ def test_bad_grids(grid: Any, message: str) -> None:
 def test_installed_suites_keep_their_content(name: str, content: str) -> None:
     """The content hashes of the suites are pinned: a run is compared with an older one by them."""
     assert load_suite(name).hash == content
+
+
+def test_the_suite_of_the_papers_has_all_presets_but_four() -> None:
+    """Each method with a preset stands there twice, apart from a choice of two others and three that are slow."""
+    left_out = {"auto", "texture-optimization", "gpnn", "gpdm"}
+    classes = {name: plugins.find("synthesizers", name).cls for name in plugins.names("synthesizers")}
+    names = {name for name, cls in classes.items() if getattr(cls, "presets", {})} - left_out
+    assert sorted(load_suite("papers").methods) == sorted([*names, *(f"{name}:preset=paper" for name in names)])
 
 
 def test_a_run_of_too_many_cells_is_refused_before_a_sample_is_drawn() -> None:

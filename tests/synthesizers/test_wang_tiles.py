@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from synthesis_cases import noise
 
+from nrbench.calling.method_calls import InvalidOutput, checked_synthesis
 from nrbench.cli.picture_commands import synth_command
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
@@ -56,7 +58,7 @@ def test_tiles_show_their_colors_at_their_edges() -> None:
     """Each edge shows the block of its color on either side, the corners one block, and the middle the tile's own."""
     tiles = cut_set(2)
     number = np.rint(tiles.layers[..., 0] * 21).astype(int)
-    rules = json.loads(tiles.describe("a.png"))
+    rules = json.loads(tiles.describe("a-"))
     for tile in rules["wangsets"][0]["wangtiles"]:
         own = number[divmod(tile["tileid"], 4)]
         top, right, bottom, left = tile["wangid"][::2]
@@ -133,3 +135,14 @@ def test_the_command_line_writes_the_atlas_and_its_rules(tmp_path: Path) -> None
     rules = json.loads((tmp_path / "out-atlas.json").read_text())
     assert read_image(tmp_path / rules["image"]).shape == (80, 96, 3)
     assert (rules["tilewidth"], rules["tileheight"], rules["tilecount"], rules["columns"]) == (24, 20, 16, 4)
+
+
+def test_files_are_functions_of_a_prefix() -> None:
+    """The tileset names its picture with any prefix; a file that is no function, or returns no text, is refused."""
+    sample = noisy_wall()
+    made = synthesize(sample, (40, 48))
+    for prefix in ("", 'a"b-'):
+        assert json.loads(made.files["atlas.json"](prefix))["image"] == f"{prefix}atlas.png"
+    for wrong in ("text", lambda prefix: 3):
+        with pytest.raises(InvalidOutput, match=r"wrong file 'a.json': expected a function of a prefix"):
+            checked_synthesis(replace(made, files={"a.json": wrong}), sample, (40, 48))
