@@ -38,8 +38,8 @@ class FftmPatch(MaskParameters):
     the size of a patch at the first unknown pixel, slightly enlarged, is compared with all parts of the sample, in
     color where the output is synthesized already, in the mask everywhere. This chooses a translation of the sample. The
     whole sample is laid there, fills all unknown pixels under it, and a minimum cut determines which known pixels it
-    replaces. With ``refinements``, the windows with the most expensive seams are covered again, pass by pass, until a pass
-    does not reduce the cost of all seams by 1 %.
+    replaces. With ``refinements``, the windows with the most expensive seams are covered again, pass by pass, until a
+    pass does not reduce the cost of all seams by 1 %.
 
     The paper prints the compared sum as d_MM + c d_TT, with the weight on the texture, which contradicts its section
     4.1. Here it is d_TT + c d_MM, squared differences, as in ``fftm-pixel``; at c = 0 the mask has no effect. One
@@ -50,8 +50,8 @@ class FftmPatch(MaskParameters):
     ``preset=paper`` has free waves of the analytic signal in each channel, patches whose size is that of a tile by
     equation 7, computed for each sample, and plain seams. The paper synthesizes by sub-patch matching and mentions
     entire-patch matching as slower. It does not say at what temperature translations are drawn or how often seams are
-    improved ("many minutes", section 5). The preset takes the default of the first, and up to four passes; its threshold
-    is one of the four in table 1.
+    improved ("many minutes", section 5). The preset takes the default of the first, and up to four passes; its
+    threshold is one of the four in table 1.
 
     If a lattice is given, the search for the waves starts from it, unless the waves are free; otherwise the method also
     finds the lattice.

@@ -116,7 +116,7 @@ class LatticeResult:
         return ", ".join(vector_texts(self.lattice, self.has_origin)) if self.lattice else ""
 
     def finish(self, image: Image, options: LatticeQuestion) -> None:
-        """Print the result on standard output, and write where the points of the lattice lie if this was asked for."""
+        """Print the result on standard output, and write a file of the points of the lattice if one is named."""
         vertices = self.detection.vertices if self.detection else ()
         if self.deformation is not None:
             vertices = self.deformation.lattice_points
