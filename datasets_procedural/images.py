@@ -116,7 +116,8 @@ class Images:
         pictures = [path for path in list_pictures(folder) if path.name != sheet]
         if not pictures:
             raise BadInput(f"directory {folder}: has no picture; put PNG, JPEG or TIFF files into it")
-        truth = {path.name: known for path, known in _read_known_truth(pictures, read_truth(folder))}
+        table = read_truth(folder)
+        truth = {path.name: _read_known(path, table.get(path.name, {})) for path in pictures}
         return [
             {
                 "name": name,
@@ -192,16 +193,13 @@ def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, S
     return (int(sample[0]), int(sample[1])), (int(output[0]), int(output[1]))
 
 
-def _read_known_truth(
-    pictures: list[Path], table: Mapping[str, Mapping[str, Any]]
-) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Yield each picture with its entry of ``truth.csv``, and with its file of vertices if it has one."""
-    for path in pictures:
-        known, file = dict(table.get(path.name, {})), vertices_file(path)
-        if file.is_file():
-            mean = fit_lattice(read_vertices(file, read_shape(path)))
-            known = {**({} if "t1" in known else mean.as_dict()), **known, "vertices": str(file)}
-        yield path, known
+def _read_known(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entry of a picture in ``truth.csv``, with its file of vertices if it has one."""
+    file = vertices_file(path)
+    if not file.is_file():
+        return dict(known)
+    mean = {} if "t1" in known else fit_lattice(read_vertices(file, read_shape(path))).as_dict()
+    return {**mean, **known, "vertices": str(file)}
 
 
 def _row_sizes(path: Path, truth: Mapping[str, Any], rendered: Mapping[str, Any]) -> dict[str, str]:

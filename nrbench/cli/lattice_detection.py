@@ -43,14 +43,12 @@ from nrbench.imaging.convert import Image
 from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
 from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
-from nrbench.lattice.vertices import lay_vertices
+from nrbench.lattice.vertices import Vertex, lay_vertices
 from nrbench.pictures.files import encode_png, read_image, write_image
 from nrbench.pictures.overlays import (
     COLOR,
     contact_sheet,
-    draw_lattice,
     draw_overlay,
-    draw_segments,
     draw_vertices,
     stack,
 )
@@ -115,12 +113,17 @@ class LatticeResult:
         """The two vectors, and the origin where it is known, as text."""
         return ", ".join(vector_texts(self.lattice, self.has_origin)) if self.lattice else ""
 
+    @property
+    def vertices(self) -> tuple[Vertex, ...]:
+        """The points of the lattice where they were followed; none if the lattice is regular."""
+        if self.deformation is not None:
+            return self.deformation.lattice_points
+        return self.detection.vertices if self.detection else ()
+
     def finish(self, image: Image, options: LatticeQuestion) -> None:
         """Print the result on standard output, and write a file of the points of the lattice if one is named."""
-        vertices = self.detection.vertices if self.detection else ()
-        if self.deformation is not None:
-            vertices = self.deformation.lattice_points
-        elif self.lattice is not None and not vertices:
+        vertices = self.vertices
+        if self.lattice is not None and not vertices:
             vertices = lay_vertices(self.lattice, image.shape[:2])
         if options.vertices is not None and vertices:
             write_text(options.vertices, vertices_text(vertices))
@@ -301,12 +304,10 @@ def _draw_result(image: Image, result: LatticeResult, output: Path) -> None:
     """
     if result.lattice is None:
         click.echo(f"{output}: not written, there is no lattice to draw", err=True)
-    elif result.deformation is not None:
-        write_image(output, draw_deformed_lattice(image, result.deformation))
+    elif result.vertices:
+        write_image(output, draw_vertices(image, result.vertices))
         if result.symmetry is not None:
             click.echo(f"{output}: without signs; for these, write the straight picture with --straighten", err=True)
-    elif result.detection is not None and result.detection.vertices:
-        write_image(output, draw_vertices(image, result.detection.vertices))
     else:
         drawn = draw_overlay(image, result.lattice, result.symmetry)
         if len(result.candidates) > 1:
@@ -382,26 +383,10 @@ def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) ->
     straight, straight_lattice = followed.deformation.straighten()
     write_image(output, straight)
     if options.output is not None:
-        write_image(options.output, draw_deformed_lattice(image, followed.deformation))
+        write_image(options.output, draw_vertices(image, followed.deformation.lattice_points))
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
     LatticeResult.of_followed("" if options.lattice else name, followed, straight_lattice).finish(image, options)
-
-
-def draw_deformed_lattice(image: Image, found: Deformation) -> Image:
-    """Return the image with the cells of its lattice drawn where they lie."""
-    if not found.bent:
-        return draw_lattice(image, found.lattice)
-    steps = 4
-    numbers = np.unique(np.floor(found.cells + 1e-6).astype(np.int64), axis=0)
-    pieces = []
-    for step in np.eye(2) / steps:
-        start = (numbers[:, np.newaxis] + np.arange(steps)[:, np.newaxis] * step).reshape(-1, 2)
-        pieces.append((start, start + step))
-    starts, ends = (found.locate(found.lattice.from_cell(np.concatenate(part))) for part in zip(*pieces, strict=True))
-    size = np.array(image.shape[1::-1])
-    seen = ((starts >= -1) & (starts <= size) & (ends >= -1) & (ends <= size)).all(1)
-    return draw_segments(image, starts[seen], ends[seen])
 
 
 PANEL = (5.6, 4.8)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from math import ceil
 
 import numpy as np
@@ -155,30 +155,17 @@ def _axis_segments(reflection: Symmetry, shape: tuple[int, int], factor: float) 
             yield at - reach * along, at + reach * along
 
 
-def draw_segments(image: Image, starts: Points, ends: Points) -> Image:
-    """Return the image in color with anti-aliased segments one pixel wide drawn over it.
-
-    Parameters
-    ----------
-    image
-        ``(H, W, C)``.
-    starts, ends
-        ``(n, 2)`` each: (x, y) px.
-    """
+def draw_vertices(image: Image, vertices: Sequence[Vertex]) -> Image:
+    """Return the image in color with a line between each two vertices that are neighbors in a row or a column."""
     canvas = np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image.copy()
-    for start, end in zip(starts, ends, strict=True):
-        _draw_line(canvas, start, end)
+    at = {(vertex.row, vertex.column): (vertex.x, vertex.y) for vertex in vertices}
+    for (row, column), start in at.items():
+        for end in filter(None, (at.get((row, column + 1)), at.get((row + 1, column)))):
+            _draw_line(canvas, start, end)
     return canvas
 
 
-def draw_vertices(image: Image, vertices: Sequence[Vertex]) -> Image:
-    """Return the image in color with a line between each two vertices that are neighbors in a row or a column."""
-    at = {(vertex.row, vertex.column): (vertex.x, vertex.y) for vertex in vertices}
-    pairs = [(at[i, j], at[other]) for i, j in at for other in ((i, j + 1), (i + 1, j)) if other in at]
-    return draw_segments(image, *np.array(pairs, np.float64).reshape(-1, 2, 2).swapaxes(0, 1))
-
-
-def _draw_line(canvas: Image, start: Points, end: Points) -> None:
+def _draw_line(canvas: Image, start: Iterable[float], end: Iterable[float]) -> None:
     x0, y0, x1, y1 = np.rint([*start, *end]).astype(int)
     rows, columns, weight = skimage.draw.line_aa(y0, x0, y1, x1)  # type: ignore[no-untyped-call]
     inside = (rows >= 0) & (rows < canvas.shape[0]) & (columns >= 0) & (columns < canvas.shape[1])
