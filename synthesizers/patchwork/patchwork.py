@@ -497,6 +497,8 @@ class WholePatches:
         while (region := self.find_unknown()) is not None:
             self.cover_region(region)
             progress(filled * region[0] / work.shape[0])
+        if not passes:
+            return
         heat = SeamHeat(work, self.size)
         reach = max(whole - part for whole, part in zip(self.colors.shape[:2], self.size, strict=True))
         steps = math.ceil(math.prod(work.shape) / math.prod(self.size))
