@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -21,6 +22,7 @@ from nrbench.lattice.vertices import fit_lattice
 from nrbench.pictures.files import list_pictures, read_image, read_shape
 from nrbench.pictures.truth import KNOWN_FILE, read_known, read_truth, read_vertices, vertices_file
 from nrbench.plugins.forms import Region, Shape, Texture
+from nrbench.storage import find_path
 
 _ROW = ("family", "description", "figure", "departure", "level", "size", "recipe")
 """The keys of a suite's row that are read from ``truth.json``."""
@@ -258,13 +260,15 @@ def _named(pictures: list[Path]) -> Iterator[tuple[str, Path]]:
     """Yield the name and path of each picture. The name lacks the ending unless two pictures would share it.
 
     Backslashes and control characters, which the name of a texture cannot have, become underscores; so do bytes that
-    are no UTF-8, and characters that reverse the direction of the text after them. A long name is cut short.
+    are no UTF-8, and characters that reverse the direction of the text after them. Accented letters are one character
+    each (NFC). A long name is cut short.
     """
     stems = Counter(_plain(path.stem) for path in pictures)
     return ((_plain(path.stem if stems[_plain(path.stem)] == 1 else path.name), path) for path in pictures)
 
 
 def _plain(name: str) -> str:
+    name = unicodedata.normalize("NFC", name)
     plain = re.sub(r"[\\\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]", "_", name)
     if len(plain) > _LONGEST_NAME or (plain != name and set(plain) <= {"_", "."}):
         plain = f"{plain[:_LONGEST_NAME]}-{zlib.crc32(os.fsencode(name)):08x}"
@@ -295,5 +299,6 @@ def read_rendered(folder: Path) -> tuple[str, dict[str, dict[str, Any]]]:
             raise BadInput(f"{path}: picture {name!r}: {entry!r} is no table; render the textures again, or delete it")
         row = {key: entry[key] for key in _ROW if entry.get(key) not in (None, "")}
         shape = row["recipe"].get("shape") if isinstance(row.get("recipe"), dict) else None
-        rows[name] = {**row, "sample": shape} if shape else row  # the whole picture is the sample
+        row |= {"sample": shape} if shape else {}  # the whole picture is the sample
+        rows[find_path(folder / name).name] = row
     return str(content.get("sheet", "")), rows

@@ -1,12 +1,17 @@
-"""Write files atomically (under another name, then renamed), and read them."""
+"""Write files atomically (under another name, then renamed), find them, and read them."""
 
 from __future__ import annotations
 
+import codecs
 import contextlib
+import csv
+import io
 import json
 import os
+import re
 import shutil
 import tempfile
+import unicodedata
 import uuid
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
@@ -138,6 +143,69 @@ def read_json(path: Path) -> dict[str, Any] | None:
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None
+
+
+def read_table(path: Path, header: str) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
+    """Return the columns of a CSV file, and the number and the texts of each line that is not empty.
+
+    The file may be as a spreadsheet saves it in any country: with commas, semicolons or tabs between the fields, of
+    which the first line has most; with a line ``sep=;`` before the columns; in UTF-8 or UTF-16. Spaces around the names
+    of columns are left out. What a line has beyond its columns is a list under the key None.
+
+    Parameters
+    ----------
+    path
+        The file.
+    header
+        The columns that it should have, for the error.
+
+    Raises
+    ------
+    BadInput
+        When the file cannot be read as such a text.
+    """
+    try:
+        content = path.read_bytes()
+        wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        encoding = "utf-16" if wide else "utf-16-le" if content[1:2] == b"\0" else "utf-8-sig"
+        lines = io.StringIO(content.decode(encoding), newline="")
+        first, before = lines.readline(), 0
+        if named := re.fullmatch(r'"?sep=([,;\t])"?\s*', first, re.IGNORECASE):
+            before = 1
+        else:
+            lines.seek(0)
+        separator = named[1] if named else max(",;\t", key=first.count)
+        reader = csv.DictReader(lines, restval="", delimiter=separator)
+        fields = reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
+        return fields, [(reader.line_num + before, row) for row in reader if any(row.values())]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise BadInput(f"{path}: is no CSV text ({error}); save it as UTF-8 with the columns {header}") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
+
+
+def decimal_point(text: str) -> str:
+    """Return a number with a point where spreadsheets of some countries write a decimal comma."""
+    return text.strip().replace(",", ".")
+
+
+def find_path(path: Path) -> Path:
+    """Return a path, or the one that exists and differs from it only in how accented letters are stored.
+
+    ``é`` is one character (the form NFC) or an ``e`` and an accent (NFD). macOS and some archives store names in the
+    second form, while keyboards and spreadsheets write the first one.
+    """
+    if str(path).isascii() or os.path.exists(path):  # noqa: PTH110 - it takes any text
+        return path
+    found = Path(path.anchor)
+    for part in path.parts[1:] if path.anchor else path.parts:
+        name = unicodedata.normalize("NFC", part)
+        entries: list[str] = []
+        if not os.path.exists(found / part):  # noqa: PTH110
+            with contextlib.suppress(OSError, ValueError):
+                entries = os.listdir(found)  # noqa: PTH208
+        found /= next((entry for entry in entries if unicodedata.normalize("NFC", entry) == name), part)
+    return found
 
 
 def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:

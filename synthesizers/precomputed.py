@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from nrbench.imaging.convert import Image, match_channels
 from nrbench.pictures.files import read_image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.plugins.parameters import user_path
+from nrbench.storage import find_path, read_table
 from nrbench.streams import pixels_hash
 
 _NAMES = ("sample", "output")
@@ -85,7 +85,10 @@ def _listed(folder: Path, sample: Image) -> Iterator[Image]:
     if not index.exists():
         return
     wanted = pixels_hash(sample)
-    for line, row in _rows(index):
+    columns, rows = read_table(index, ",".join(_NAMES))
+    if not set(_NAMES) <= set(columns):
+        raise BadInput(f"{index}: columns {columns}; its first line must be sample,output")
+    for line, row in rows:
         if not (row["sample"] and row["output"]):
             raise BadInput(f"{index} line {line}: has an empty field; name a sample and an output")
         paths = [_inside(folder, row[name], f"{index} line {line}") for name in _NAMES]
@@ -93,21 +96,9 @@ def _listed(folder: Path, sample: Image) -> Iterator[Image]:
             yield read_image(paths[1])
 
 
-def _rows(index: Path) -> list[tuple[int, dict[str, str]]]:
-    """Return the number and the fields of each line of ``index.csv``."""
-    try:
-        with index.open(newline="", encoding="utf-8-sig") as lines:
-            rows = csv.DictReader(lines)
-            if not set(_NAMES) <= set(rows.fieldnames or ()):
-                raise BadInput(f"{index}: columns {rows.fieldnames}; its first line must be sample,output")
-            return [(rows.line_num, row) for row in rows]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"{index}: is no CSV text ({error}); save it as UTF-8 with the columns sample,output") from None
-
-
 def _inside(folder: Path, name: str, where: str) -> Path:
     """Return the path of a picture; raise BadInput if it is not in the folder, which may come from a stranger."""
-    path = (folder / name.replace("\0", "")).resolve()  # no name of a file has a null character
+    path = find_path(folder / name.replace("\0", "")).resolve()  # no name of a file has a null character
     if not path.is_relative_to(folder):
         raise BadInput(f"{where}: {name!r} is not in {folder}; put the picture there and give its path from there")
     return path

@@ -90,7 +90,7 @@ def run(
     textures
         Run only these textures; repeatable.
 
-        Shell patterns of names.
+        Names, or shell patterns of names. A pattern that is itself a name stands for this one.
     lattice
         The lattice that methods use: the true one, the one that each method finds, the one that a detector finds, or
         yours; repeatable.

@@ -16,6 +16,7 @@ import click
 from nrbench.errors import BadInput
 from nrbench.flags import ARGUMENT, Flag
 from nrbench.running.options import Options
+from nrbench.storage import find_path
 
 _ENTRY = re.compile(r"^(\w[\w, ]*)\n((?:    .*\n|\n)+)", re.MULTILINE)
 
@@ -91,7 +92,8 @@ def _first_paragraphs(docstring: str) -> Mapping[str, str]:
 
 def _make_option(name: str, flag: Flag, default: Any, text: str) -> click.Parameter:
     required = default is inspect.Parameter.empty
-    given: dict[str, Any] = {"type": _click_type(flag), "required": required, "metavar": flag.metavar}
+    kind = _InputPath() if flag.names == ARGUMENT and flag.kind is Path else _click_type(flag)
+    given: dict[str, Any] = {"type": kind, "required": required, "metavar": flag.metavar}
     plain = isinstance(default, int | float | str) and default != ""
     if plain:
         given["default"] = default
@@ -101,6 +103,14 @@ def _make_option(name: str, flag: Flag, default: Any, text: str) -> click.Parame
     if flag.kind is bool:
         return click.Option(spelled, is_flag=True, help=text)
     return click.Option(spelled, multiple=flag.many, help=text, show_default=plain, **given)
+
+
+class _InputPath(click.Path):
+    """A path that is read, see :func:`~nrbench.storage.find_path`."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path that exists."""
+        return find_path(Path(super().convert(value, param, ctx)))
 
 
 def _click_type(flag: Flag) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
 import hashlib
 import io
 import json
@@ -27,7 +26,7 @@ from nrbench.pictures.files import read_image
 from nrbench.plugins.forms import describe_silence
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RunDirectory
-from nrbench.storage import read_json, write_json, write_text
+from nrbench.storage import decimal_point, read_json, read_table, write_json, write_text
 from nrbench.streams import pixels_hash, stream
 
 ANSWERS = ("yes", "no", "cannot say")
@@ -447,15 +446,11 @@ def _read_answers(path: Path, items: Mapping[str, Item]) -> list[dict[str, str]]
 
 
 def _read_rows(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a file of answers. Spreadsheets may have added a byte order mark."""
-    try:
-        table = csv.DictReader(path.read_text("utf-8-sig").splitlines())
-        found, rows = table.fieldnames or [], list(table)
-    except (UnicodeDecodeError, OSError, csv.Error) as error:  # csv.Error: an entry is too long
-        raise BadInput(f"{path} cannot be read ({error}); pass the CSV that the page saved") from error
+    """Return the rows of a file of answers."""
+    found, lines = read_table(path, ",".join(COLUMNS))
     if sorted(COLUMNS) != sorted(found):
         raise BadInput(f"{path}: expected columns {', '.join(COLUMNS)}, got {', '.join(found) or 'none'}")
-    return [row for row in rows if any(row.values())]
+    return [{**row, "seconds": decimal_point(row["seconds"])} for _, row in lines]
 
 
 def _check_answer(row: Mapping[str, Any], items: Mapping[str, Item], where: str) -> None:

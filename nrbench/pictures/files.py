@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput, strip_control
 from nrbench.imaging.convert import MIN_SIDE, Image, as_image, to_bytes
-from nrbench.storage import write_aside
+from nrbench.storage import find_path, write_aside
 
 ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
 """Endings of picture files."""
@@ -86,11 +86,12 @@ def _opened(path: str | Path, where: str) -> Iterator[PIL.Image.Image]:
     Crafted files make Pillow raise errors of many types. The file is opened here because Pillow maps some TIFF files
     that it opens itself and garbles the rotated ones.
     """
-    _check_file(Path(path), where)
+    path = find_path(Path(path))
+    _check_file(path, where)
     try:
         with (
             warnings.catch_warnings(action="ignore"),
-            Path(path).open("rb") as file,
+            path.open("rb") as file,
             PIL.Image.open(file, formats=FORMATS) as picture,
         ):
             width, height = picture.size

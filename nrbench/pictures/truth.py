@@ -13,6 +13,7 @@ from typing import Any
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.lattice.vertices import Vertex, find_grid_fault
+from nrbench.storage import decimal_point, find_path, read_table
 
 TRUTH_FILE = "truth.csv"
 KNOWN_FILE = "truth.json"
@@ -67,7 +68,7 @@ class TruthTable:
         if not path.is_file():
             return cls(TRUTH_FIELDS, {})
         rows: dict[str, TruthRow] = {}
-        fields, lines = _lines(path)
+        fields, lines = read_table(path, _HEADER)
         _check_fields(fields, f"{path} line 1")
         for line, values in lines:
             row = _row(values, f"{path} line {line}", len(fields), folder)
@@ -102,7 +103,7 @@ def read_truth(folder: Path) -> dict[str, dict[str, Vector]]:
 
 def vertices_file(picture: Path) -> Path:
     """Return the file of a picture's vertices: ``wall.jpg.vertices.csv`` beside ``wall.jpg``."""
-    return picture.with_name(f"{picture.name}.vertices.csv")
+    return find_path(picture.with_name(f"{picture.name}.vertices.csv"))
 
 
 def read_vertices(path: Path, shape: tuple[int, int]) -> tuple[Vertex, ...]:
@@ -115,7 +116,7 @@ def read_vertices(path: Path, shape: tuple[int, int]) -> tuple[Vertex, ...]:
         they are no grid: fewer than four, none of them with a neighbor in its row and one in its column, or cells that
         are flat or turned over. The message names the line.
     """
-    fields, lines = _lines(path, _VERTEX_HEADER)
+    fields, lines = read_table(path, _VERTEX_HEADER)
     if tuple(fields) != Vertex._fields:
         raise BadInput(f"{path} line 1: has the columns {','.join(fields) or '(none)'}; give {_VERTEX_HEADER}")
     vertices = [_read_vertex(values, f"{path} line {line}", shape) for line, values in lines]
@@ -132,7 +133,7 @@ def read_vertices(path: Path, shape: tuple[int, int]) -> tuple[Vertex, ...]:
 
 def _read_vertex(values: Mapping[str, Any], where: str, shape: tuple[int, int]) -> Vertex:
     try:
-        x, y = (float(values[name]) for name in ("x", "y"))
+        x, y = (float(decimal_point(values[name])) for name in ("x", "y"))
         vertex = Vertex(int(values["row"]), int(values["column"]), x, y)
         if None in values or max(map(abs, vertex[:2])) >= 1e6:
             raise ValueError(values)
@@ -173,17 +174,6 @@ def table_text(fields: Sequence[str], rows: Sequence[Mapping[str, object]]) -> s
     return file.getvalue()
 
 
-def _lines(path: Path, header: str = _HEADER) -> tuple[Sequence[str], list[tuple[int, dict[str, Any]]]]:
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as lines:
-            reader = csv.DictReader(lines, restval="")
-            fields = [name.strip() for name in reader.fieldnames or ()]
-            reader.fieldnames = fields
-            return fields, [(reader.line_num, row) for row in reader]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"{path} is no CSV text ({error}); save it as UTF-8 with the columns {header}") from None
-
-
 def _check_fields(fields: Sequence[str], where: str) -> None:
     missing = [name for name in ("file", *VECTORS) if name not in fields]
     if missing:
@@ -203,6 +193,7 @@ def _row(values: Mapping[str, Any], where: str, columns: int, folder: Path) -> T
             f"{where}: has {columns + surplus} fields for {columns} columns; quote fields that contain a comma"
         )
     plain = {name: str(text).strip() for name, text in values.items()}
+    plain |= {name: decimal_point(plain[name]) for name in (*VECTORS, *ORIGIN) if name in plain}
     exact = str(values["file"])
     if Path(exact).name == exact and (folder / exact).is_file():
         plain["file"] = exact  # the name of a file may begin with a space, or contain a backslash
@@ -210,6 +201,8 @@ def _row(values: Mapping[str, Any], where: str, columns: int, folder: Path) -> T
         raise BadInput(f"{where}: has no file name; give it, or delete the line")
     elif "/" in plain["file"] or "\\" in plain["file"] or plain["file"] in (".", ".."):
         raise BadInput(f"{where}: {plain['file']!r} is a path; give the name of a picture in the folder of the table")
+    else:
+        plain["file"] = find_path(folder / plain["file"]).name
     return TruthRow(where, plain, _vectors(plain, where))
 
 

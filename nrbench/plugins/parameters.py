@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import difflib
+import fnmatch
 import inspect
 import itertools
 import os
 import re
 import sys
+import unicodedata
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -261,6 +263,19 @@ def _readings(value: Any) -> list[Any]:
     if value.lower() in ("none", "null"):
         return [None, value]
     return [value, value.split(",")] if "," in value else [value, (value,)]
+
+
+def match_pattern(pattern: str, names: Iterable[str]) -> set[str]:
+    """Return the names that a shell pattern matches; if the pattern itself is one of the names, only that one.
+
+    A bracket is a letter where it begins no set of letters that matches. Accents match in each form (NFC, NFD).
+    """
+    known = {unicodedata.normalize("NFC", name): name for name in names}
+    plain = unicodedata.normalize("NFC", pattern)
+    if plain in known:
+        return {known[plain]}
+    matches = [fnmatch.filter(known, each) for each in (plain, plain.replace("[", "[[]"))]
+    return {known[name] for name in matches[0] or matches[1]}
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import fnmatch
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from nrbench.errors import BadInput, describe_error
 from nrbench.imaging.convert import Image, as_image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape, Texture
-from nrbench.plugins.parameters import PRESET, list_parameters, parse_spec, take_label
+from nrbench.plugins.parameters import PRESET, list_parameters, match_pattern, parse_spec, take_label
 from nrbench.plugins.registry import read_fingerprint
 from nrbench.streams import pixels_hash
 from nrbench.suites.cell import Cell, DetectorIdentity, Recipe
@@ -398,7 +397,9 @@ def draw_samples(suite: Suite, textures: Sequence[str] = (), draw: Draw | None =
 
 def _matching_rows(suite: Suite, textures: Sequence[str]) -> list[TextureRow]:
     """Return the textures whose names match a pattern; all if there is none. Raise BadInput if none matches."""
-    rows = [row for row in suite.texture if not textures or any(fnmatch.fnmatch(row.name, each) for each in textures)]
+    known = [row.name for row in suite.texture]
+    wanted = set().union(*(match_pattern(each, known) for each in textures)) if textures else set(known)
+    rows = [row for row in suite.texture if row.name in wanted]
     if not rows:
         names = ", ".join(row.name for row in suite.texture[:12])
         raise BadInput(f"-t {' '.join(textures)}: matches no texture of suite {suite.name} ({names}, ...)")

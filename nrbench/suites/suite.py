@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import hashlib
 import itertools
 import json
@@ -20,7 +19,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.plugins.parameters import nearest
+from nrbench.plugins.parameters import match_pattern, nearest
+from nrbench.storage import find_path
 from nrbench.suites.cell import Recipe, Size
 from nrbench.suites.installed import builtin as builtin
 
@@ -154,7 +154,7 @@ class Claim(BaseModel):
     def uses(self, series: Series, level: float, texture: str) -> bool:
         """Return whether a texture is one of those of a series at a level."""
         patterns = series.patterns_at(level) or self.textures
-        return any(fnmatch.fnmatchcase(texture, pattern) for pattern in patterns)
+        return any(match_pattern(pattern, [texture]) for pattern in patterns)
 
     def runs(self, method: str, texture: str) -> bool:
         """Return whether the claim needs a method, written as in the claim, on a texture."""
@@ -453,7 +453,7 @@ def load_suite(what: str | Path) -> Suite:
     name = str(what)
     if name in builtin():
         return _read(builtin()[name], f"suite {name}")
-    path = Path(what)
+    path = find_path(Path(what))
     if path.is_dir():
         return directory_suite(path)
     if path.is_file():

@@ -10,7 +10,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from functools import cached_property
 from typing import ClassVar, TypeVar
 
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.plugins.parameters import append_parameters, nearest
+from nrbench.plugins.parameters import append_parameters, match_pattern, nearest
 from nrbench.runs.records import CellRecord, Run
 
 from .estimates import (
@@ -586,7 +585,8 @@ def match_names(kind: str, patterns: Sequence[str], items: Sequence[tuple[tuple[
     """
     found: list[T] = []
     for pattern in patterns:
-        known = [item for names, item in items if pattern in names or any(fnmatchcase(n, pattern) for n in names)]
+        wanted = match_pattern(pattern, [name for names, _ in items for name in names])
+        known = [item for names, item in items if not wanted.isdisjoint(names)]
         if not known:
             listed = ", ".join(names[0] for names, _ in items)
             raise BadInput(f"no {kind} {pattern!r} in this run; give some of: {listed}")
