@@ -6,7 +6,6 @@ People check the detected lattices by the contact sheets.
 from __future__ import annotations
 
 import dataclasses
-import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -50,10 +49,6 @@ ON_PAGE = 8
 """Number of pictures on a contact sheet."""
 REJECTED = "rejected"
 """The relation of a candidate that the detector rejected."""
-_LETTERS = 38
-"""Number of letters on a line of a caption."""
-_LINES = 5
-"""Number of lines of a caption."""
 _BLANK: Image = np.ones((1, 1, 3), np.float32)
 OnPicture = Callable[[int, int, str], object]
 """``progress(done, total, name)`` is called after each picture."""
@@ -307,7 +302,7 @@ class Survey:
         for row, texts in self._waiting:
             missing = columns - len(row)
             panels += row + [_BLANK] * missing
-            captions += [text + "\n" * (_LINES - 1 - text.count("\n")) for text in texts] + [""] * missing
+            captions += texts + [""] * missing
         path = self.directory / FOLDER / f"page-{len(self.pages) + 1}.png"
         self.pages.append(write_image(path, contact_sheet(panels, captions, columns)))
         self._waiting = []
@@ -337,13 +332,13 @@ def _read_row(name: str, row: TruthRow) -> SurveyedPicture:
 
 
 def _picture_caption(finding: SurveyedPicture, image: Image | None) -> str:
-    lines = textwrap.wrap(printable(finding.name), _LETTERS, max_lines=2, placeholder="...") or [""]
+    lines = [printable(finding.name)]
     if image is not None:
         lines.append(f"{image.shape[1]} x {image.shape[0]} px")
     state = finding.reason
     if finding.lattice is not None:
         state = f"kept from {TRUTH_FILE}" if finding.kept else f"candidate 1 is in {TRUTH_FILE}"
-    return "\n".join([*lines, *textwrap.wrap(printable(state), _LETTERS, max_lines=_LINES - len(lines))])
+    return "\n".join([*lines, printable(state)])
 
 
 def printable(text: str) -> str:

@@ -64,9 +64,6 @@ if TYPE_CHECKING:
     from nrbench.displacement.bent_detection import Followed
     from nrbench.displacement.deformation_field import Deformation
 
-_CAPTION_LETTERS = 38
-"""Number of letters on a line of a caption."""
-
 
 @dataclass(frozen=True)
 class LatticeResult:
@@ -364,8 +361,7 @@ def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Pat
     for result in results:
         panels, texts = draw_candidates(image, result.candidates)
         if not panels:
-            lines = textwrap.wrap(result.reason, _CAPTION_LETTERS, max_lines=4, placeholder=" ...")
-            panels, texts = [image[:1, :1]], ["\n".join(["no lattice", *lines])]
+            panels, texts = [image[:1, :1]], [f"no lattice\n{result.reason}"]
         pictures += panels
         captions += [f"{result.detector}\n{text}" for text in texts]
     write_image(output, contact_sheet(pictures, captions, columns=3))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import unicodedata
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import ceil
 
 import numpy as np
@@ -247,37 +249,47 @@ def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: i
     pictures
         Any sizes and channels; the widest one determines the width of all columns.
     captions
-        One for each image; lines that are too long for their column are cut.
+        One for each image; lines that are too long for their column are broken, if possible between words.
     columns
         Largest number of images in a row.
     letters
         Height of a letter, px.
     """
-    line = _line_height(letters)
+    font, line = PIL.ImageFont.load_default(size=letters), round(1.4 * letters) - 2
     columns = min(columns, len(pictures))
-    lines = max(caption.count("\n") + 1 for caption in captions)
     width = max(6 * _LETTERS, *(picture.shape[1] for picture in pictures)) + _MARGIN
+    texts = [break_lines(caption, lambda text: font.getlength(text) <= width - _MARGIN) for caption in captions]
     rows = [range(i, min(i + columns, len(pictures))) for i in range(0, len(pictures), columns)]
-    heights = [max(pictures[k].shape[0] for k in row) + lines * line + _MARGIN for row in rows]
+    lines = [max(len(texts[k]) for k in row) * line for row in rows]
+    heights = [max(pictures[k].shape[0] for k in row) + top + _MARGIN for row, top in zip(rows, lines, strict=True)]
     sheet = PIL.Image.new("RGB", (columns * width + _MARGIN, sum(heights) + _MARGIN), "white")
     pen, top = PIL.ImageDraw.Draw(sheet), _MARGIN
-    for row, height in zip(rows, heights, strict=True):
+    for row, height, above in zip(rows, heights, lines, strict=True):
         for column, k in enumerate(row):
             left = _MARGIN + column * width
-            _write(pen, (left, top), captions[k], width - _MARGIN, letters)
-            sheet.paste(to_pil(pictures[k]).convert("RGB"), (left, top + lines * line))
+            for i, text in enumerate(texts[k]):
+                pen.text((left, top + i * line), text, fill="black", font=font)
+            sheet.paste(to_pil(pictures[k]).convert("RGB"), (left, top + above))
         top += height
     return np.asarray(sheet, np.float32) / np.float32(255)
 
 
-def _line_height(letters: int) -> int:
-    """Return the height of a line of a caption, px."""
-    return round(1.4 * letters) - 2
+def break_lines(text: str, fits: Callable[[str], bool]) -> list[str]:
+    """Return the lines of a text, broken so that each one fits: between words, or within a word that is too long.
 
-
-def _write(pen: PIL.ImageDraw.ImageDraw, corner: tuple[int, int], caption: str, width: int, letters: int) -> None:
-    font = PIL.ImageFont.load_default(size=letters)
-    for i, line in enumerate(caption.split("\n")):
-        while font.getlength(line) > width:
-            line = line[:-1]
-        pen.text((corner[0], corner[1] + i * _line_height(letters)), line, fill="black", font=font)
+    Parameters
+    ----------
+    text
+        The text. Accented letters become one character each (NFC), which fonts draw better.
+    fits
+        Whether a line fits. A single letter counts as fitting.
+    """
+    lines = []
+    for rest in unicodedata.normalize("NFC", text).split("\n"):
+        while not fits(rest) and len(rest) > 1:
+            most = max(1, bisect_left(range(1, len(rest)), True, key=lambda count: not fits(rest[:count])))
+            end = max(rest.rfind(" ", 0, most + 1), 0) or most
+            lines.append(rest[:end].rstrip())
+            rest = rest[end:].lstrip()
+        lines.append(rest)
+    return lines

@@ -7,7 +7,7 @@ import pytest
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
-from nrbench.pictures.overlays import COLOR, contact_sheet, draw_lattice, draw_overview, zoom_panels
+from nrbench.pictures.overlays import COLOR, break_lines, contact_sheet, draw_lattice, draw_overview, zoom_panels
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -65,3 +65,20 @@ def test_every_picture_is_there() -> None:
         assert same.sum() >= picture.shape[0] * picture.shape[1]
         above = sheet[rows[-1] - picture.shape[0] - 20 : rows[-1] - picture.shape[0], columns[0] : columns[0] + 40]
         assert above.min() < 0.3 and above.max() == 1
+
+
+def test_captions_are_broken_not_cut() -> None:
+    """A long caption loses no letter: its lines end between words, or within a word that is wider than its column.
+
+    A sheet with it is higher, and its picture lies below its last line.
+    """
+    text = "quality at most 0.61, rank 1-4\ncannot tell: integrity; no peril: randomness\n" + "x" * 30
+    lines = break_lines(text, lambda line: len(line) <= 16)
+    assert max(map(len, lines)) <= 16 and lines[:3] == ["quality at most", "0.61, rank 1-4", "cannot tell:"]
+    assert "".join(lines).replace(" ", "") == "".join(text.split())
+    assert break_lines("", lambda line: False) == [""] and break_lines("abc", lambda line: False) == list("abc")
+    assert break_lines("e\u0301", lambda line: True) == ["\u00e9"]
+    picture = np.zeros((20, 40, 3), np.float32)
+    short, long = (contact_sheet([picture], [caption], letters=15) for caption in ("a", text))
+    assert long.shape[0] >= short.shape[0] + 4 * 19 and long.shape[1] == short.shape[1]
+    assert (long[-28:-8, 8:48] == 0).all()
