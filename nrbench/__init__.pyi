@@ -1,3 +1,4 @@
+from . import plugins as plugins
 from .api.catalog import Shown as Shown
 from .api.catalog import list_plugins as list_plugins
 from .api.catalog import show_plugin as show_plugin

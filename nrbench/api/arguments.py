@@ -191,17 +191,12 @@ def list_of(given: Any) -> list[Any]:
 
 
 def method_text(method: Pluginlike) -> str:
-    """Return a method as ``name:param=value``; raise BadInput for a class that is not registered."""
+    """Return a method as ``name:param=value``; register a class that is not registered yet."""
     if isinstance(method, str):
         return method
     instance = None if isinstance(method, type) else method
     cls = method if isinstance(method, type) else type(method)
-    name = plugins.name_of("synthesizers", cls)
-    if not name:
-        raise BadInput(
-            f"method {cls.__name__}: is not registered; put it into a file and call nrbench.plugins.add_file(file), "
-            f"or pass it to nrbench.synthesize"
-        )
+    name = plugins.name_of("synthesizers", cls) or plugins.add_method(cls)
     given = plugins.parameters_of(instance) if instance is not None else {}
     texts = [f"{key}={','.join(map(str, v)) if isinstance(v, list) else v}" for key, v in given.items()]
     return f"{name}:{','.join(texts)}" if texts else name

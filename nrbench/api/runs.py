@@ -85,8 +85,9 @@ def run(
     methods
         A method, with parameters, preset=NAME or label=TEXT; repeatable.
 
-        They replace those of the suite: ``name:param=value``, or registered classes or instances of them. A single one
-        needs no list, as a single texture or lattice needs none.
+        They replace those of the suite: ``name:param=value``, or classes or instances of them. A single one needs no
+        list, as a single texture or lattice needs none. A class that is not registered, such as one of a notebook, runs
+        in this process, without limits of time and memory.
     textures
         Run only these textures; repeatable.
 
@@ -124,8 +125,7 @@ def run(
     Raises
     ------
     BadInput
-        For an unknown suite, method, texture or lattice, or a class that is not registered: cells run in other
-        processes, which find plugins by their names.
+        For an unknown suite, method, texture or lattice, or a class that is no method.
 
     Examples
     --------
@@ -218,7 +218,7 @@ def audit(
     Parameters
     ----------
     method
-        ``name:param=value``, or a registered class or an instance of it.
+        ``name:param=value``, or a class or an instance of it.
     suite
         A suite of texture models, its name, or a TOML file.
     textures

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import unicodedata
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import ceil
+from pathlib import Path
 
 import numpy as np
 import PIL.Image
@@ -255,7 +257,7 @@ def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: i
     letters
         Height of a letter, px.
     """
-    font, line = PIL.ImageFont.load_default(size=letters), round(1.4 * letters) - 2
+    font, line = PIL.ImageFont.truetype(_find_font(), letters), round(1.4 * letters) - 2
     columns = min(columns, len(pictures))
     width = max(6 * _LETTERS, *(picture.shape[1] for picture in pictures)) + _MARGIN
     texts = [break_lines(caption, lambda text: font.getlength(text) <= width - _MARGIN) for caption in captions]
@@ -272,6 +274,13 @@ def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: i
             sheet.paste(to_pil(pictures[k]).convert("RGB"), (left, top + above))
         top += height
     return np.asarray(sheet, np.float32) / np.float32(255)
+
+
+def _find_font() -> str:
+    """Return the file of matplotlib's font, which has the letters of most alphabets; Pillow's own one has ASCII."""
+    package = importlib.util.find_spec("matplotlib")
+    assert package is not None and package.origin is not None
+    return str(Path(package.origin).with_name("mpl-data") / "fonts" / "ttf" / "DejaVuSans.ttf")
 
 
 def break_lines(text: str, fits: Callable[[str], bool]) -> list[str]:

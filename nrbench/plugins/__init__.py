@@ -8,6 +8,7 @@ from nrbench.plugins.registry import DoesNotLoad as DoesNotLoad
 from nrbench.plugins.registry import NamedDetector as NamedDetector
 from nrbench.plugins.registry import Plugin as Plugin
 from nrbench.plugins.registry import add_file as add_file
+from nrbench.plugins.registry import add_method as add_method
 from nrbench.plugins.registry import build as build
 from nrbench.plugins.registry import fault as fault
 from nrbench.plugins.registry import files as files

@@ -12,9 +12,11 @@ import dataclasses
 import hashlib
 import importlib.util
 import inspect
+import itertools
 import re
 import sys
 import traceback
+import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -98,6 +100,11 @@ class Plugin:
         return isinstance(self.source, type)
 
     @property
+    def in_session(self) -> bool:
+        """Whether a running program defines it, such as a notebook: no other process can import it."""
+        return self.distribution == SESSION
+
+    @property
     def is_loaded(self) -> bool:
         """Whether this process has imported it."""
         return "_loaded" in vars(self) and self.cls is not None
@@ -126,7 +133,10 @@ class Plugin:
         return "".join([self.version, *called])
 
 
+SESSION = "this session"
+"""The distribution of a method that :func:`add_method` has registered."""
 _files: dict[Path, list[Plugin]] = {}
+_session: dict[str, Plugin] = {}
 
 
 def add_file(path: str | Path) -> None:
@@ -160,6 +170,31 @@ def add_file(path: str | Path) -> None:
     _files[file] = found
 
 
+def add_method(cls: type[Any]) -> str:
+    """Register a method that this program defines, as a cell of a notebook does, and return its name.
+
+    Its version is a hash of the file that defines it. Without such a file, or if it is defined again, each definition
+    is a version of its own, because what it calls may have changed.
+
+    Raises
+    ------
+    BadInput
+        When it is no valid method, or another plugin has its name.
+    """
+    name = str(getattr(cls, "name", cls.__name__.lower()))
+    if wrong := fault("synthesizers", cls):
+        raise BadInput(wrong)
+    if name in names("synthesizers") and name not in _session:
+        raise BadInput(f"method {cls.__name__}: the name {name!r} is taken; give the class another `name`")
+    try:
+        content = uuid.uuid4().bytes if name in _session else Path(inspect.getfile(cls)).read_bytes()
+    except (OSError, TypeError):
+        content = uuid.uuid4().bytes
+    digest = hashlib.blake2b(content, digest_size=8).hexdigest()
+    _session[name] = Plugin("synthesizers", name, SESSION, digest, cls)
+    return name
+
+
 def files() -> list[str]:
     """Return the paths of the plain files whose plugins are registered."""
     return [str(file) for file in _files]
@@ -183,7 +218,8 @@ def _name_and_version(distribution: Distribution | None) -> tuple[str, str]:
 
 def inventory(kind: str) -> list[Plugin]:
     """Return every plugin of a kind, duplicates included. None is imported before its class is read."""
-    return [*_installed(kind), *(plugin for found in _files.values() for plugin in found if plugin.kind == kind)]
+    added = itertools.chain(*_files.values(), _session.values())
+    return [*_installed(kind), *(plugin for plugin in added if plugin.kind == kind)]
 
 
 def names(kind: str) -> list[str]:

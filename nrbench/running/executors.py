@@ -7,6 +7,7 @@ supervisors, as in a run without a cluster; Dask only places the jobs.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import importlib
 import importlib.metadata
@@ -72,6 +73,13 @@ def _run_now(job: Request) -> Future[Result]:
     except Exception as error:
         future.set_exception(error)
     return future
+
+
+def synthesize_here(job: Request) -> None:
+    """Do the part of a job that needs its method, in the caller's thread; whoever runs the job then does the rest."""
+    limit_threads: Any = threadpool_limits
+    with limit_threads(1):  # as in a worker: sums over several threads round otherwise
+        _run_now(dataclasses.replace(job, metrics=())).result()
 
 
 class _GroupedThreads:

@@ -90,6 +90,8 @@ class Request:
         1 if other cells run at the same time, else 0; it is recorded beside the costs.
     group
         Requests of one group, the cells of a texture, are best run by one worker, which learns their texture once.
+    here
+        Whether the method is defined in the process that plans the run, which has to synthesize itself.
     user_folder
         The folder in which the user started nrbench, which a worker of a cluster does not know: relative paths in
         parameters start from there.
@@ -108,6 +110,7 @@ class Request:
     built_in: bool = False
     side_by_side: float = 0.0
     group: str = ""
+    here: bool = False
     user_folder: str = dataclasses.field(default_factory=os.getcwd)
     temporary: str = ""
 

@@ -25,7 +25,7 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.imaging.convert import Image
 from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import FoundLattice, Shape, Texture
-from nrbench.running.executors import Executor, executor
+from nrbench.running.executors import Executor, executor, synthesize_here
 from nrbench.running.guard import LIMITS, Limits
 from nrbench.running.options import Options as Options
 from nrbench.running.options import print_notice
@@ -164,6 +164,12 @@ def execute(
     directory = RunDirectory(root)
     if options.reuse is not None:
         RunDirectory(options.reuse).info()
+    methods = sorted({cell.method for cell, _ in plan.cells})
+    for name in (name for name in methods if plugins.lookup("synthesizers", name).in_session):
+        options.tell(
+            f"method {name}: is defined in this session, so it runs in this process without limits of time and memory; "
+            "for limits put it into a file, and call nrbench.plugins.add_file(FILE)"
+        )
     directory.claim()
     with contextlib.ExitStack() as locked:
         locked.enter_context(directory.locked())
@@ -240,7 +246,8 @@ class _Runner:
             result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
             return {**where.write_result(result), "wall": 0.0}
         built_in = plugins.lookup("datasets", cell.recipe.dataset).built_in
-        return self._job("cell", where, cell.texture, built_in)
+        here = plugins.lookup("synthesizers", cell.method).in_session
+        return dataclasses.replace(self._job("cell", where, cell.texture, built_in), here=here)
 
     def _job(self, phase: str, where: CellFolder, group: str = "", built_in: bool = False) -> Request:
         options = self.options
@@ -283,6 +290,8 @@ class _Runner:
 
     def _start(self, job: Request | Result) -> Future[Result]:
         if isinstance(job, Request):
+            if job.here:
+                synthesize_here(job)
             return self.pool.submit(job)
         known: Future[Result] = Future()
         known.set_result(job)

@@ -261,7 +261,8 @@ class Supervisor:
 
 def third_party() -> tuple[list[str], list[tuple[str, str]]]:
     """Return the third-party plugins that a worker imports before it forks: files, and kind and name of the others."""
-    known = [plugin for kind in KINDS for plugin in plugins.inventory(kind) if plugin.is_loaded and not plugin.built_in]
+    known = [plugin for kind in KINDS for plugin in plugins.inventory(kind) if plugin.is_loaded]
+    known = [plugin for plugin in known if not (plugin.built_in or plugin.in_session)]
     apart = any(plugin.in_file and not plugin.shared for plugin in known)
     named = [(plugin.kind, plugin.name) for plugin in known if plugin.shared and not (plugin.in_file and apart)]
     return [] if apart else plugins.files(), named

@@ -1,0 +1,98 @@
+"""A method that a notebook defines runs in its process, and says so."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+import nrbench
+from nrbench import Options, Synthesis, Task, plugins
+from nrbench.plugins import registry
+from nrbench.running.supervisor import third_party
+
+COMMON: dict[str, Any] = {"textures": "brick-mild", "size": "64x64", "metrics": ["cost"]}
+
+
+@pytest.fixture(autouse=True)
+def _fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No test registers a method for another one."""
+    monkeypatch.setattr(registry, "_session", {})
+    yield
+
+
+def define(value: float) -> Any:
+    """Return a new class, as a cell that is run again does."""
+
+    @dataclass(frozen=True)
+    class Mine:
+        """Fills the output.
+
+        Parameters
+        ----------
+        k
+            A number.
+        """
+
+        k: float = 0.0
+        name: ClassVar[str] = "mine"
+        uses_lattice: ClassVar[bool] = False
+        threads: ClassVar[list[Any]] = []
+
+        def synthesize(self, task: Task) -> Synthesis:
+            """Return one color."""
+            self.threads.append(threading.current_thread())
+            return Synthesis(np.full((*task.shape, 3), value + self.k, np.float32))
+
+    return Mine
+
+
+def test_a_class_of_a_notebook_runs_in_its_process_and_says_so(tmp_path: Path) -> None:
+    """Instances and the class are methods beside others; each runs in the thread of the caller, others in workers.
+
+    Its scores are those of the judge. The same class is not run again, and a new definition of it is.
+    """
+    told: list[str] = []
+    options, mine = Options(jobs=1, tell=told.append), define(0.25)
+    done = nrbench.run("core", methods=[mine(k=0.5), mine, "scatter"], out=tmp_path, options=options, **COMMON)
+    assert [(one.method, one.status) for one in done.cells] == [(n, "ok") for n in ("mine:k=0.5", "mine", "scatter")]
+    assert all(one.values["cost.seconds"] is not None for one in done.cells)
+    assert mine.threads == [threading.current_thread()] * 2
+    said = [line for line in told if "mine" in line]
+    assert len(said) == 1 and "in this process without limits" in said[0] and "add_file" in said[0]
+    images = [nrbench.read_image(one.folder / "output.png").flat[0] for one in done.cells[:2]]
+    np.testing.assert_allclose(images, [0.75, 0.25], atol=1 / 255)
+    nrbench.run("core", methods=[mine(k=0.5)], out=tmp_path, options=options, **COMMON)
+    assert len(mine.threads) == 2
+    again = nrbench.run("core", methods=define(0.125)(k=0.5), out=tmp_path, options=Options(jobs=0, tell=str), **COMMON)
+    np.testing.assert_allclose(nrbench.read_image(again.cells[0].folder / "output.png"), 0.625, atol=1 / 255)
+    assert third_party() == ([], [])
+
+
+def test_what_cannot_run_is_one_clear_error(tmp_path: Path) -> None:
+    """A class that is no method, or has the name of another one, is refused before anything runs; errors are cells."""
+    with pytest.raises(nrbench.BadInput, match=r"method 'Path'.*dataclass"):
+        nrbench.run("core", methods=[Path], out=tmp_path / "a", **COMMON)
+    taken = define(0.5)
+    taken.name = "rsgf"
+    with pytest.raises(nrbench.BadInput, match="the name 'rsgf' is taken; give the class another `name`"):
+        nrbench.run("core", methods=[taken()], out=tmp_path / "a", **COMMON)
+    assert not (tmp_path / "a").exists()
+    broken = define(0.5)
+    broken.synthesize = lambda self, task: 1 / 0
+    done = nrbench.run("core", methods=broken, out=tmp_path / "b", options=Options(jobs=1, tell=str), **COMMON)
+    assert done.cells[0].status == "error" and "ZeroDivisionError" in done.cells[0].message
+
+
+def test_the_function_that_the_message_names_is_there() -> None:
+    """``import nrbench`` alone gives nrbench.plugins.add_file."""
+    program = "import nrbench; print(nrbench.plugins.add_file.__name__)"
+    assert subprocess.check_output([sys.executable, "-c", program], text=True) == "add_file\n"
+    assert nrbench.plugins is plugins
