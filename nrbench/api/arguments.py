@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -186,7 +187,7 @@ def names_of(given: Sequence[str] | str) -> list[str]:
 
 
 def list_of(given: Any) -> list[Any]:
-    """Return a sequence as a list; a text or a single plugin counts as one entry."""
+    """Return a sequence as a list; a text, a lattice or a single plugin counts as one entry."""
     return list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
 
 
@@ -200,6 +201,14 @@ def method_text(method: Pluginlike) -> str:
     given = plugins.parameters_of(instance) if instance is not None else {}
     texts = [f"{key}={','.join(map(str, v)) if isinstance(v, list) else v}" for key, v in given.items()]
     return f"{name}:{','.join(texts)}" if texts else name
+
+
+def lattice_source_texts(lattice: Any) -> list[str]:
+    """Return the entries of the lattice axis as texts. Numbers, or vectors, are one lattice and no list of lattices."""
+    entries = list_of(lattice)
+    parts = [[each] if isinstance(each, Real) else each for each in entries]
+    one = all(isinstance(each, Sized) and len(each) < 3 and all(isinstance(x, Real) for x in each) for each in parts)
+    return [lattice_source_text(each) for each in ([lattice] if one and len(parts) > 1 else entries)]
 
 
 def lattice_source_text(lattice: Latticelike) -> str:

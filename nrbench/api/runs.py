@@ -26,7 +26,7 @@ from nrbench.api.arguments import (
     Suitelike,
     SuiteSeed,
     Textures,
-    lattice_source_text,
+    lattice_source_texts,
     list_of,
     method_text,
     names_of,
@@ -186,8 +186,7 @@ def plan_cells(
 
     chosen = find_suite(suite)
     specs = [method_text(method) for method in list_of(methods)]
-    lattices: list[Any] = [lattice] if hasattr(lattice, "t1") else list_of(lattice)
-    sources = [lattice_source_text(each) for each in lattices]
+    sources = lattice_source_texts(lattice)
     root = run_directory(out, chosen, seed)
     changes |= choose_seed(seed, root)
     return plan_run(changed(chosen, specs, sources, **changes), list_of(textures), limits or LIMITS, progress), root
@@ -712,7 +711,7 @@ def sheet(
 
     with tempfile.TemporaryDirectory() as folder:
         suite = photo_suite(picture_file(photo, Path(folder)), sample, size)
-        sources = [lattice or plugins.in_role("detector")]
+        sources = plugins.in_role("detector") if lattice is None else lattice
         cells, root = plan_cells(suite, methods, (), sources, Path(folder) / "run", seed=seed)
         rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)
         made = [pair for pair in rated if pair[0].status == "ok"]

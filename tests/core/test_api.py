@@ -10,7 +10,7 @@ import PIL.Image
 import pytest
 
 import nrbench
-from nrbench.api.arguments import as_lattice
+from nrbench.api.arguments import as_lattice, lattice_source_texts
 from nrbench.api.textures import score
 from nrbench.errors import BadInput, strip_control
 from nrbench.lattice.geometry import Lattice
@@ -24,6 +24,29 @@ def test_a_lattice_may_be_given_in_any_form() -> None:
     assert as_lattice(vectors[:2]) == as_lattice("27.3,0,13.65,12.2")  # type: ignore[arg-type]
     assert as_lattice((27.3, 0, 13.65, 12.2)) == as_lattice(vectors[:2])  # type: ignore[arg-type]
     assert as_lattice(np.ravel(vectors)) == lattice and as_lattice(None) is None
+
+
+def test_the_lattice_axis_takes_every_form_too() -> None:
+    """Numbers, vectors and arrays are one entry; a list of lattices, of texts or of both is several."""
+    vectors = ((27.3, 0.0), (13.65, 12.2))
+    flat = (27.3, 0.0, 13.65, 12.2)
+    text = "27.3,0.0,13.65,12.2"
+    forms = (
+        flat,
+        list(flat),
+        vectors,
+        list(map(list, vectors)),
+        np.array(flat),
+        np.array(vectors),
+        np.array([flat])[0],
+    )
+    for form in (*forms, tuple(map(np.array, vectors)), Lattice(*vectors)):
+        assert lattice_source_texts(form)[0].startswith(text) and len(lattice_source_texts(form)) == 1
+    assert lattice_source_texts(["own", flat]) == ["own", text] and lattice_source_texts([flat, vectors]) == [text] * 2
+    assert lattice_source_texts("given") == ["given"] and lattice_source_texts(["given"]) == ["given"]
+    assert lattice_source_texts(()) == []
+    with pytest.raises(BadInput, match="lattice 27: give two vectors"):
+        lattice_source_texts([27, "own"])
 
 
 def test_an_origin_of_zero_is_known() -> None:
