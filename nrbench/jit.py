@@ -12,7 +12,15 @@ import contextlib
 import hashlib
 import importlib
 import inspect
+import os
+import stat
+import sys
+import tempfile
+import time
+import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import FunctionType
 from typing import Annotated, Any, Generic, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
@@ -54,6 +62,53 @@ _SCALARS: dict[Any, str] = {float: "float64", int: "int64", bool: "boolean", typ
 
 KERNELS: list[Kernel[..., Any]] = []
 """Every kernel declared so far."""
+COMPILING = "compiling kernels (once per machine, up to some minutes)"
+"""The notice of a process that compiles kernels."""
+_PATIENCE = 2.0
+"""Seconds of compilation after which the notice is given."""
+
+
+@dataclass
+class Compilation:
+    """How long this process has compiled kernels.
+
+    Parameters
+    ----------
+    ended
+        Seconds of the compilations that have ended.
+    since
+        When the present one began, of :func:`time.monotonic`; None if there is none.
+    told
+        Whether the user knows, so that no notice is printed.
+    """
+
+    ended: float = 0.0
+    since: float | None = None
+    told: bool = False
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of all compilations."""
+        return self.ended + (0.0 if self.since is None else time.monotonic() - self.since)
+
+    @contextlib.contextmanager
+    def timed(self) -> Iterator[None]:
+        """Measure a compilation, in which others may be nested; print a notice if all together take long."""
+        if self.since is not None:
+            yield
+            return
+        if self.ended > _PATIENCE and not self.told:
+            self.told = True
+            print(f"nrbench: {COMPILING}", file=sys.stderr, flush=True)
+        self.since = time.monotonic()
+        try:
+            yield
+        finally:
+            self.ended, self.since = self.seconds, None
+
+
+COMPILATION = Compilation()
+"""The compilation of this process."""
 
 
 class Kernel(Generic[P, R]):
@@ -159,14 +214,50 @@ def _lock(name: str, waits: bool) -> Iterator[bool]:
         with contextlib.suppress(ImportError, OSError):
             import fcntl
 
-            folder = platformdirs.user_cache_path("nrbench", appauthor=False)
-            folder.mkdir(parents=True, exist_ok=True)
-            file = stack.enter_context((folder / f".{name}.lock").open("w"))
+            file = stack.enter_context((find_cache() / f".{name}.lock").open("w"))
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | (0 if waits else fcntl.LOCK_NB))
             except BlockingIOError:
                 own = False
         yield own
+
+
+def find_cache() -> Path:
+    """Return the folder of all machine code: that of the user, or a temporary one, with a warning."""
+    own = os.environ.get("NUMBA_CACHE_DIR")
+    return Path(own) if own else _writable(platformdirs.user_cache_path("nrbench", appauthor=False))
+
+
+@cache
+def _writable(usual: Path) -> Path:
+    """Return a folder if it can be written to, else a temporary one of this user, which lasts as long as the system."""
+    try:
+        if not usual.is_absolute():  # a user without a home
+            raise FileNotFoundError(None, "there is no home directory")
+        usual.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=usual):
+            return usual
+    except OSError as error:
+        why = error.strerror
+    user = 0 if sys.platform == "win32" else os.getuid()
+    folder = Path(tempfile.gettempdir()) / f"nrbench-{user}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()  # machine code is run, so nobody else may be able to write it
+        if (
+            not stat.S_ISDIR(found.st_mode)
+            or found.st_uid != user
+            or (sys.platform != "win32" and found.st_mode & 0o022)
+        ):
+            folder = Path(tempfile.mkdtemp(prefix="nrbench-"))
+    except OSError:
+        return usual
+    warnings.warn(
+        f"compiled kernels: {usual} cannot be written ({why}), so they are kept in {folder}; set XDG_CACHE_HOME to a "
+        "folder that lasts, else they may be compiled again, which takes up to some minutes",
+        stacklevel=2,
+    )
+    return folder
 
 
 def cache_folder(function: Callable[..., Any], version: str) -> Path:
@@ -177,7 +268,7 @@ def cache_folder(function: Callable[..., Any], version: str) -> Path:
     sources = [Path(inspect.getfile(each)) for each in (function, *_list_called(function))]
     texts = b"".join(source.read_bytes() for source in dict.fromkeys(sources))
     digest = hashlib.blake2b(texts, digest_size=8).hexdigest()
-    return platformdirs.user_cache_path("nrbench", appauthor=False) / f"{sources[0].stem}-{digest}-numba-{version}"
+    return find_cache() / f"{sources[0].stem}-{digest}-numba-{version}"
 
 
 def find_called_kernels(function: Callable[..., Any]) -> dict[str, Kernel[..., Any]]:
@@ -219,7 +310,8 @@ def _compile(declared: Kernel[P, R]) -> Callable[P, R]:
         # functions to numba: if it has to compile after all, as for another processor, it says so.
         with contextlib.suppress(numba.TypingError):
             return _njit(numba, function, signature, folder, declared.allocates)
-    return _njit(numba, _link_kernels(function), signature, folder, declared.allocates)
+    with COMPILATION.timed():
+        return _njit(numba, _link_kernels(function), signature, folder, declared.allocates)
 
 
 def _njit(numba: Any, function: Callable[P, R], signature: Any, folder: Path, allocates: bool) -> Callable[P, R]:

@@ -60,7 +60,7 @@ def waiting(what: str) -> Iterator[Callable[[float], None]]:
     """Tell on standard error how far one long step is, from :data:`PATIENCE` seconds on; nothing for a shorter one.
 
     The time that is left is estimated from the fraction that is done. Where no fraction is known, the time that has
-    passed is shown.
+    passed is shown. The compilation of kernels is shown as such, and its time is not counted.
 
     Parameters
     ----------
@@ -72,7 +72,10 @@ def waiting(what: str) -> Iterator[Callable[[float], None]]:
     Callable
         Takes the fraction that is done, in [0, 1].
     """
+    from nrbench.jit import COMPILATION, COMPILING
+
     start, ended, fraction = time.monotonic(), threading.Event(), 0.0
+    before, COMPILATION.told = COMPILATION.seconds, True
 
     def advance(done: float) -> None:
         nonlocal fraction
@@ -83,11 +86,15 @@ def waiting(what: str) -> Iterator[Callable[[float], None]]:
         if ended.wait(PATIENCE):
             return
         while True:
-            passed = time.monotonic() - start
-            state = f"{passed:.0f} s"
-            if fraction >= SHARE:
-                state = f"{100 * fraction:.0f} %, about {max(1, round(passed / fraction * (1 - fraction)))} s left"
-            print(f"{begin}{what}: {state}", end=end, file=sys.stderr, flush=True)
+            compiled = COMPILATION.seconds - before
+            passed = time.monotonic() - start - compiled
+            state = f"{what}: {passed:.0f} s"
+            if COMPILATION.since is not None:
+                state = f"{COMPILING}: {compiled:.0f} s"
+            elif fraction >= SHARE:
+                left = max(1, round(passed / fraction * (1 - fraction)))
+                state = f"{what}: {100 * fraction:.0f} %, about {left} s left"
+            print(f"{begin}{state}", end=end, file=sys.stderr, flush=True)
             if ended.wait(pause):
                 break
         print(begin, end="", file=sys.stderr, flush=True)  # removes the last line from a terminal

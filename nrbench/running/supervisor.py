@@ -20,6 +20,7 @@ import numpy as np
 
 from nrbench import plugins
 from nrbench.errors import describe_error, storage_fault
+from nrbench.jit import COMPILING, find_cache
 from nrbench.running import guard
 from nrbench.running.guard import Message, Reply
 from nrbench.running.options import print_notice
@@ -42,8 +43,6 @@ ROOM = 4 << 20
 """Bytes that must find room on the disk of a run for it to go on after an error of a disk."""
 START = 900.0
 """Seconds that a worker may take to start. A busy machine compiles all kernels for minutes."""
-COMPILING = "compiling kernels (once per machine, up to some minutes)"
-"""The notice of a worker that compiles kernels."""
 KINDS = ("synthesizers", "detectors", "datasets", "metrics")
 """The kinds of plugins that run in child processes."""
 _compiling = threading.Lock()
@@ -216,6 +215,7 @@ class Supervisor:
         if first.get("compiling"):
             start, tells = time.monotonic(), _compiling.acquire(blocking=False)  # one of several workers
             if tells:
+                find_cache()  # which warns if it does not last
                 self._tell(COMPILING)
             first = self._read_first_message()
             if tells:

@@ -1,3 +1,4 @@
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import pytest
 from numba.core import sigutils
 
 from nrbench import jit
+from nrbench.cli import progress
 from nrbench.jit import BoolView2, Float64x2, Int64x1, kernel
 from nrbench.synthesizers.matching.matching_kernels import correlate_at
 
@@ -62,13 +64,74 @@ def test_load_kernels_loads_every_declared_kernel() -> None:
     assert kernel.load() is not double
 
 
-@pytest.mark.usefixtures("undeclared")
-def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A kernel works where no folder can be written to."""
-    blocked = tmp_path / "file"
+@pytest.fixture
+def homeless(undeclared: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the folder of temporary files of a user whose cache cannot be written."""
+    blocked, temporary = tmp_path / "file", tmp_path / "temporary"
     blocked.write_text("")
+    temporary.mkdir()
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
+    monkeypatch.setattr(jit.tempfile, "tempdir", str(temporary))
+    jit._writable.cache_clear()
+    return temporary
+
+
+def test_without_a_home_machine_code_is_temporary(homeless: Path) -> None:
+    """One warning says so and what to set; the next process of the user reads the code, and has its own warning."""
+    for hits in (0, 1):
+        jit._writable.cache_clear()
+        with pytest.warns(UserWarning, match=r"file/nrbench cannot be written .*set XDG_CACHE_HOME") as said:
+            compiled = jit.kernel(double).load()
+            jit.load_kernels()
+        assert compiled(3.0) == 6.0 and sum(compiled.stats.cache_hits.values()) == hits  # type: ignore[attr-defined]
+        assert len(said) == 1 and len(list(homeless.rglob("*.nbi"))) == 1
+    (folder,) = homeless.iterdir()
+    assert folder.stat().st_mode & 0o777 == 0o700
+
+
+def test_machine_code_that_others_may_write_is_not_run(homeless: Path) -> None:
+    """A folder of the expected name that others can write to is not used, nor one that is a link."""
+    for made in (lambda name: name.mkdir(), lambda name: name.symlink_to(homeless.parent)):
+        with pytest.warns(UserWarning, match="cannot be written"):
+            expected = jit.find_cache()
+        expected.rmdir()
+        made(expected)
+        if not expected.is_symlink():
+            expected.chmod(0o777)
+        jit._writable.cache_clear()
+        with pytest.warns(UserWarning, match="cannot be written"):
+            assert jit.find_cache() not in (expected, expected.resolve())
+        for folder in homeless.iterdir():
+            folder.unlink() if folder.is_symlink() else folder.rmdir()
+        jit._writable.cache_clear()
+
+
+def test_a_kernel_works_where_nothing_can_be_written(homeless: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is compiled in each process then."""
+    monkeypatch.setattr(jit.tempfile, "tempdir", str(homeless / "missing"))
     assert jit.kernel(double)(3.0) == 6.0
+
+
+def test_time_of_compilation_is_named(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line of a long step names it, and does not count it; without such a line one notice is printed."""
+    now = [100.0]
+    monkeypatch.setattr(jit, "COMPILATION", spent := jit.Compilation())
+    monkeypatch.setattr(jit.time, "monotonic", lambda: now[0])
+    for _ in range(3):
+        with spent.timed(), spent.timed():
+            now[0] += 1.5
+    assert spent.seconds == 4.5 and capsys.readouterr().err.splitlines() == [f"nrbench: {jit.COMPILING}"]
+    monkeypatch.undo()
+    monkeypatch.setattr(jit, "COMPILATION", spent := jit.Compilation())
+    monkeypatch.setattr(progress, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "PAUSE", 0.02)
+    with progress.waiting("gncc looks"):
+        with spent.timed():
+            time.sleep(0.1)
+        time.sleep(0.1)
+    lines = capsys.readouterr().err.splitlines()
+    assert any(line.startswith(jit.COMPILING) for line in lines) and lines[-1] == "gncc looks: 0 s"
+    assert spent.ended >= 0.1
 
 
 @pytest.mark.usefixtures("undeclared")
