@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Mapping, Sequence, Sized
+from collections.abc import Collection, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -57,7 +57,9 @@ Detectorlike = Pluginlike | None
 Method = Annotated[Pluginlike, Flag("-m", METHOD)]
 Methods = Annotated[Sequence[Pluginlike] | Pluginlike, Flag("-m", METHOD, many=True)]
 Textures = Annotated[Sequence[str] | str, Flag("-t", "GLOB", many=True)]
-LatticeSources = Annotated["Sequence[Latticelike] | str", Flag(metavar=f"given|own|DETECTOR|{LATTICE}", many=True)]
+LatticeSources = Annotated[
+    "Sequence[Latticelike] | Latticelike", Flag(metavar=f"given|own|DETECTOR|{LATTICE}", many=True)
+]
 SampleSize = Annotated["str | Shape | None", Flag(metavar="WxH")]
 SuiteSeed = Annotated["int | str | None", Flag(metavar="NUMBER|fresh")]
 Folder = Annotated["str | os.PathLike[str] | None", Flag(kind=Path)]
@@ -207,7 +209,9 @@ def lattice_source_texts(lattice: Any) -> list[str]:
     """Return the entries of the lattice axis as texts. Numbers, or vectors, are one lattice and no list of lattices."""
     entries = list_of(lattice)
     parts = [[each] if isinstance(each, Real) else each for each in entries]
-    one = all(isinstance(each, Sized) and len(each) < 3 and all(isinstance(x, Real) for x in each) for each in parts)
+    one = all(
+        isinstance(each, Collection) and len(each) < 3 and all(isinstance(x, Real) for x in each) for each in parts
+    )
     return [lattice_source_text(each) for each in ([lattice] if one and len(parts) > 1 else entries)]
 
 

@@ -110,7 +110,7 @@ class _InputPath(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Return the path that exists."""
-        return find_path(Path(super().convert(value, param, ctx)))
+        return find_path(Path(str(super().convert(value, param, ctx))))
 
 
 def _click_type(flag: Flag) -> Any:
