@@ -61,6 +61,29 @@ def write_aside(path: Path, write: Callable[[BinaryIO], object], durable: bool =
         aside.unlink(missing_ok=True)
 
 
+def make_writable(folder: Path, remedy: str) -> None:
+    """Make a folder if there is none, and write a file into it that is gone at once.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    remedy
+        What the user should do if that fails.
+
+    Raises
+    ------
+    BadInput
+        When it fails, whatever the rights of the folder are.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise BadInput(f"{folder}: cannot be written ({error.strerror}); {remedy}") from None
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file, atomically."""
     write_aside(path, lambda file: file.write(content))

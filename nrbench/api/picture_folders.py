@@ -9,7 +9,6 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +33,7 @@ from nrbench.pictures.truth import (
 )
 from nrbench.plugins.forms import Alternative, Detection, Detector, NoLatticeFound, Texture
 from nrbench.plugins.parameters import parse_spec, size_text
-from nrbench.storage import write_json, write_text
+from nrbench.storage import make_writable, write_json, write_text
 from nrbench.streams import pixels_hash
 from nrbench.suites.plan import Sample
 from nrbench.suites.suite import Suite, validated_suite
@@ -229,13 +228,8 @@ class Survey:
         BadInput
             If the directory cannot be written.
         """
-        try:
-            (self.directory / FOLDER).mkdir(parents=True, exist_ok=True)
-            for place in (self.directory, self.directory / FOLDER):  # before hours of work, not after them
-                with TemporaryFile(dir=place):
-                    pass
-        except OSError as error:
-            raise BadInput(f"{self.directory}: cannot be written ({error.strerror}); pass another -o") from None
+        for place in (self.directory, self.directory / FOLDER):  # before hours of work, not after them
+            make_writable(place, "pass another -o")
         try:
             for done, path in enumerate(self._pictures, 1):
                 finding, image = self._examine(path)

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from nrbench import plugins
-from nrbench.errors import describe_error, strip_control
+from nrbench.errors import BadInput, describe_error, strip_control
 from nrbench.plugins.parameters import parse_spec
 from nrbench.runs.records import CellRecord, Run
-from nrbench.runs.store import FAILED
+from nrbench.runs.store import FAILED, RUN_FILE
+from nrbench.storage import make_writable
 from nrbench.suites.cell import RESULTS_VERSION
 
 
@@ -74,6 +75,7 @@ def write_reports(
     shared: Mapping[str, Any] | None = None,
     progress: Callable[[int, int, str], None] | None = None,
     tell_failure: Callable[[str], None] = warnings.warn,
+    output: Path | None = None,
 ) -> list[Path]:
     """Write the reports of a run.
 
@@ -91,11 +93,18 @@ def write_reports(
         Called after each report with the number of reports done, of all, and the name of the last one.
     tell_failure
         Called with a sentence about each report that fails.
+    output
+        The directory of their folders; None: that of the run.
 
     Returns
     -------
     list of Path
         The files that were written.
+
+    Raises
+    ------
+    BadInput
+        If the directory cannot be written, or is that of another run.
     """
     from nrbench.running.runner import working_plugins
 
@@ -110,12 +119,15 @@ def write_reports(
         formats = {name: {} for name in working_plugins("reports")}
     reports = {name: build_report(name, shared or {}, given) for name, given in formats.items()}
     wanted = {name: report for name, report in reports.items() if not tables_only or _folder(report) == "tables"}
+    root = run.root if output is None else output
+    if (root / RUN_FILE).exists() and not root.samefile(run.root):
+        raise BadInput(f"-o {root}: is another run, whose reports would be lost; pass another directory")
+    for folder in sorted({root / _folder(report) for report in wanted.values()}):
+        make_writable(folder, "write the reports to another directory with -o DIR")
     written: list[Path] = []
     for number, (name, report) in enumerate(wanted.items(), 1):
         try:
-            folder = run.root / _folder(report)
-            folder.mkdir(parents=True, exist_ok=True)
-            written += [Path(path) for path in report.write(run, folder)]
+            written += [Path(path) for path in report.write(run, root / _folder(report))]
         except (Exception, SystemExit) as error:
             tell_failure(f"report {name} failed: {describe_error(error)}")
         if progress:

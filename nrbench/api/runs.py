@@ -35,7 +35,7 @@ from nrbench.api.arguments import (
 from nrbench.errors import BadInput
 from nrbench.flags import ARGUMENT, Count, Flag, Number, Switch
 from nrbench.plugins.parameters import parse_spec, size_text
-from nrbench.storage import read_json
+from nrbench.storage import make_writable, read_json
 
 # What reads and runs cells is imported by the functions that need it: the help of a command needs none of it.
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ Runs = Annotated["Sequence[Runlike]", Flag(ARGUMENT, "RUN...", kind=Path, many=T
 Columns = Annotated[str | Sequence[str], Flag(metavar="NAME,...")]
 Formats = Annotated[Sequence[str] | str, Flag(metavar="NAME[:param=value,...],...", many=True)]
 AnswerFiles = Annotated[Sequence[str | os.PathLike[str]], Flag(metavar="FILE...", kind=Path, many=True)]
+ReportFolder = Annotated["str | os.PathLike[str] | None", Flag("-o --output", "DIR", kind=Path)]
 LabelFile = Annotated[str | os.PathLike[str] | None, Flag("-o", "FILE.html", kind=Path)]
 SheetFile = Annotated[str | os.PathLike[str], Flag("-o --output", "SHEET.png", kind=Path)]
 Share = Annotated[float, Flag(metavar="SHARE", kind=float, least=0, most=1)]
@@ -511,6 +512,7 @@ def report(
     run: Runlike,
     format: Formats = (),
     *,
+    output: ReportFolder = None,
     labels: AnswerFiles = (),
     single_file: Switch = False,
     population: Switch = False,
@@ -528,6 +530,10 @@ def report(
         The reports to write, e.g. html,latex:labels=...; repeatable.  [default: all]
 
         As ``"html,latex:width=column"`` or as a list of such texts.
+    output
+        Directory of the reports, for a run that cannot be written.  [default: RUN]
+
+        It is made if it does not exist.
     labels
         Files with answers to pages, one for each labeler. The reports then compare the verdicts with them.
     single_file
@@ -549,7 +555,8 @@ def report(
     Raises
     ------
     BadInput
-        If the directory is no run, or for an unknown report, parameter or file of answers.
+        If the directory is no run, for an unknown report, parameter or file of answers, or if no report can be written
+        there.
 
     Examples
     --------
@@ -562,7 +569,8 @@ def report(
     read_labels(read, files)
     wanted = parse_formats(list_of(format)) if format else None
     shared = {"labels": files, "single_file": single_file, "population": population, **parameters}
-    return write_reports(read, wanted, False, shared, progress, tell_failure)
+    place = None if output is None else Path(output)
+    return write_reports(read, wanted, False, shared, progress, tell_failure, place)
 
 
 def label(
@@ -639,7 +647,7 @@ def site(runs: Runs, output: OutputFolder) -> list[Path]:
     ``site(["runs/mine", "runs/yours"], "site")`` writes ``site/index.html`` and the pages that it links.
     """
     loaded, folder = [as_run(each) for each in runs], Path(output)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_writable(folder, "pass another -o")
     given = {"runs": tuple(each.root for each in loaded)}
     written: list[Path] = plugins.build("reports", plugins.in_role("run-site"), given).write(loaded[0], folder)
     return written

@@ -26,7 +26,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput, strip_control
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind
-from nrbench.storage import json_text, read_json, remove, write_bytes, write_json
+from nrbench.storage import json_text, make_writable, read_json, remove, write_bytes, write_json
 from nrbench.suites.cell import RESULTS_VERSION
 from nrbench.version import read_checkout
 
@@ -457,7 +457,8 @@ class RunDirectory:
         Raises
         ------
         BadInput
-            When the path is a file, or a directory with something else in it, or with a link, a pipe or a device.
+            When the path is a file, or a directory with something else in it, or with a link, a pipe or a device, or
+            one that cannot be written.
         """
         if self.root.exists() and not self.root.is_dir():
             raise BadInput(f"{self.root}: is a file; pass another --out")
@@ -465,7 +466,9 @@ class RunDirectory:
         if occupied and not self.cells.is_dir():
             raise BadInput(f"{self.root}: holds something that is no run; pass an empty or new directory as --out")
         self.check_files()
-        self.cells.mkdir(parents=True, exist_ok=True)
+        reuse = f" (--reuse {self.root} takes its results)" if self.cells.is_dir() else ""
+        for place in (self.root, self.cells):
+            make_writable(place, f"pass another --out{reuse}")
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:

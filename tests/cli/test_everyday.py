@@ -172,6 +172,38 @@ def test_runs_that_share_a_directory(capsys: pytest.CaptureFixture[str]) -> None
     assert call("run suite.toml --out R --columns quarters") == 2
 
 
+def test_reports_of_a_run_that_cannot_be_written(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With -o they lie elsewhere, and the run stays as it is; without it, one line says what to do, as `run` does.
+
+    The folder of another run is refused.
+    """
+    for name in ("R", "other"):
+        run("core", methods="scatter", textures="brick-mild", out=name, options=Options(jobs=0), size="64x64",
+            metrics=["cost"])  # fmt: skip
+    before = sorted(Path("R").rglob("*"))
+    assert call("report R --format text,html -o made/here") == 0
+    assert capsys.readouterr().out.split() == ["made/here/tables/comparison.txt", "made/here/report/report.html"]
+    assert call("report R --format text -o other") == 2
+    assert "-o other: is another run" in capsys.readouterr().err
+    assert sorted(Path("R").rglob("*")) == before
+    written = nrbench.report("R", "text", output="R")
+    assert written == [Path("R/tables/comparison.txt")]
+
+    def refuse(dir: Path) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("nrbench.storage.tempfile.TemporaryFile", refuse)
+    for line, remedy in {
+        "report R": "with -o DIR",
+        "run core -t brick-mild -m scatter --out R": "R takes its results",
+    }.items():
+        assert call(line) == 2
+        error = capsys.readouterr().err
+        assert len(error.splitlines()) == 1 and "cannot be written (Permission denied); " in error and remedy in error
+
+
 def test_show_prints_the_file_of_a_suite(capsys: pytest.CaptureFixture[str]) -> None:
     """What `show SUITE --toml` prints is a suite with the same content."""
     assert call("show core --toml") == 0

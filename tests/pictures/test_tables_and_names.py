@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import call
 
 from nrbench import read_image, write_image
 from nrbench.errors import BadInput
@@ -16,7 +17,6 @@ from nrbench.plugins.parameters import match_pattern
 from nrbench.storage import find_path, read_table
 from nrbench.suites.plan import draw_samples
 from nrbench.suites.suite import load_suite
-from tests.shared.commands import call
 
 NAME = "Mauer café ü.png"
 NFD = unicodedata.normalize("NFD", NAME)
