@@ -28,6 +28,8 @@ class Flag(NamedTuple):
         Whether it may be given several times.
     choices
         The words of which one is given.
+    alone
+        The one that is meant if the option has no value.
     """
 
     names: str = ""
@@ -38,6 +40,7 @@ class Flag(NamedTuple):
     above: bool = False
     many: bool = False
     choices: tuple[str, ...] = ()
+    alone: str = ""
 
 
 ARGUMENT = "(position)"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,7 +29,7 @@ from nrbench.api.arguments import (
     shape_in,
 )
 from nrbench.errors import BadInput, require
-from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber, Switch
+from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber
 from nrbench.plugins.parameters import parse_spec
 
 # The help of a command imports no array library.
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 Metrics = Annotated[Sequence[str] | str, Flag(metavar="NAME,...")]
 Rendered = Annotated["str | Suite", Flag(ARGUMENT, "MODEL[:param=value,...]|SUITE")]
 RenderedSize = Annotated["Shape | str | None", Flag("--sample --size", "WxH")]
+Tileable = Annotated[bool | str, Flag(metavar="[x|y]", choices=("both", "x", "y"), alone="both")]
 LARGEST_FOLLOWED = 1024
 """px; a larger image is followed only by :func:`track_lattice` and ``--straighten``, because it takes long."""
 FOLLOWS_BENT = "symmetry: the detector follows bent lattices; choose another, or straighten the image first"
@@ -263,7 +265,7 @@ def synthesize(
     lattice: Latticelike = None,
     seed: Number = 0,
     progress: Callable[[float], None] | None = None,
-    tileable: Switch = False,
+    tileable: Tileable = False,
     **parameters: Any,
 ) -> Synthesis:
     """Synthesize a larger texture from a sample.
@@ -288,10 +290,10 @@ def synthesize(
     progress
         Called with the fraction that is done, in [0, 1].
     tileable
-        Make an output that repeats without a seam, if the method can.
+        Make an output that repeats without a seam, if the method can: along both axes, or along x or y only.
 
-        Its opposite edges continue each other. The sample is strained so that its lattice closes, by at most 2.5 %; the
-        note says by how much.
+        True, ``"both"``, ``"x"`` or ``"y"``. Its opposite edges continue each other. The sample is strained so that its
+        lattice closes, by at most 2.5 %; the note says by how much.
     **parameters
         The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -318,20 +320,22 @@ def synthesize(
 
     from nrbench.calling.bent_samples import synthesize_in_geometry
     from nrbench.calling.method_calls import briefly_prepared, checked_synthesis, synthesize_from_part
-    from nrbench.calling.tileable import require_wrapping, synthesize_tileable
+    from nrbench.calling.tileable import AXES, require_wrapping, synthesize_tileable
     from nrbench.imaging.convert import match_ndim, quantize
     from nrbench.plugins.forms import Refused, Task
     from nrbench.streams import pixels_hash, stream
 
     plugin = plugin_in("synthesizers", method, parameters)
-    if tileable:
+    along = {True: "both", False: ""}.get(tileable, tileable)
+    require(along in ("", *AXES), f"tileable {tileable!r}: give True, or one of {', '.join(AXES)}")
+    if along:
         require_wrapping(type(plugin))
     sample = quantize(image_in(image))
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     task = Task(sample, shape_in(shape), lattice_in(sample, lattice), rng, progress or (lambda fraction: None))
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
-    make = synthesize_tileable if tileable else synthesize_in_geometry
+    make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
     with briefly_prepared(plugin, task, seed) as ready:
         synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape)
     given = image if hasattr(image, "ndim") else sample

@@ -1,4 +1,7 @@
-"""Outputs that repeat without a seam: the sample is strained so that its lattice closes, and the method wraps."""
+"""Outputs that repeat without a seam: the sample is strained so that its lattice closes, and the method wraps.
+
+An output that repeats along one axis only is cut from a longer one that repeats along both.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +28,15 @@ _NEAR = 0.2
 """Largest change of a side, as a share of it, to a size that needs little strain."""
 _ROWS = 256
 """Rows of an output whose sources are traced at a time."""
+AXES: Final[dict[str, tuple[int, ...]]] = {"both": (0, 1), "x": (0,), "y": (1,)}
+"""The axes along which an output can repeat: x to the right, y down."""
+_BEYOND = 48
+"""Least px that an output which repeats along one axis is cut from beyond its other side, if there is no lattice."""
 _STILL = 0.05
 """px: a sample that would move by less anywhere stays as it is."""
 
 
-def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
+def synthesize_tileable(method: Synthesizer, task: Task, along: str = "both") -> Synthesis:
     """Return a synthesis whose opposite edges continue each other.
 
     The sides of the output must be vectors of the lattice. The sample is therefore stretched and sheared by the
@@ -43,6 +50,8 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
         A method whose class variable ``wraps`` is True.
     task
         The task.
+    along
+        A key of :data:`AXES`. The sides along the other axis need not be vectors of the lattice.
 
     Raises
     ------
@@ -54,14 +63,17 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
     """
     require_wrapping(type(method))
     found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or in_role("detector")))
+    axes = AXES[along]
     if found.lattice is None:
-        return method.synthesize(replace(task, tileable=True))
+        shape = _lengthened(None, task.shape, axes)
+        return _cut(method.synthesize(replace(task, shape=shape, tileable=True)), task.shape)
     bent, bending = None, ""
     if getattr(method, "geometry", "as-is") != "as-is":
         bent, bending = find_bend(task.sample, found.lattice, task.lattice is not None)
     sample, lattice = (task.sample, found.lattice) if bent is None else bent.straighten()
-    strained = StrainedSample.of(sample, lattice, task.shape)
-    made = method.synthesize(replace(task, sample=strained.image, lattice=strained.lattice, tileable=True))
+    strained = StrainedSample.of(sample, lattice, task.shape, axes)
+    wrapped = replace(task, sample=strained.image, shape=strained.shape, lattice=strained.lattice, tileable=True)
+    made = _cut(method.synthesize(wrapped), task.shape)
     source = made.source
     if source is not None and (strained.image is not sample or bent is not None):
         source = source.copy()
@@ -70,9 +82,34 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
             if bent is not None:
                 points = bent.locate(points + bent.corner)
             rows[:] = np.where(np.isfinite(rows), trace_points(points, task.sample.shape, rows[..., 2]), np.nan)
-    note = "; ".join(filter(None, (made.note, bending, describe_strain(lattice, task.shape))))
+    note = "; ".join(filter(None, (made.note, bending, describe_strain(lattice, task.shape, axes))))
     seconds = made.detection_seconds + found.seconds
     return replace(made, lattice=found.lattice, source=source, detection_seconds=seconds, note=note)
+
+
+def _lengthened(lattice: Lattice | None, shape: Shape, axes: tuple[int, ...]) -> Shape:
+    """Return a shape that is longer along the axes that are left out, by a period or more, where the lattice closes."""
+    sides = list(shape[::-1])
+    for axis in {0, 1}.difference(axes):
+        sides[axis] += _BEYOND if lattice is None else math.ceil(2 * lattice.covering_radius)
+        if lattice is not None:
+            lengths = sides[axis] + np.arange(max(shape[1 - axis], sides[axis]))
+            strains = _strains(lattice, axis, lengths)
+            sides[axis] = int(lengths[(strains <= _LITTLE).argmax() if strains.min() <= _LITTLE else strains.argmin()])
+    return sides[1], sides[0]
+
+
+def _cut(made: Synthesis, shape: Shape) -> Synthesis:
+    """Return the upper left part of a synthesis; all of it if it has the shape."""
+    whole = made.image.shape[:2]
+    if whole == shape:
+        return made
+    image, source, *pictures = (
+        None if array is None else array[: shape[0], : shape[1]] if array.shape[:2] == whole else array
+        for array in (made.image, made.source, *made.extras.values())
+    )
+    extras = {name: array for name, array in zip(made.extras, pictures, strict=True) if name != "tileable"}
+    return replace(made, image=image, source=source, extras=extras)
 
 
 def require_wrapping(method: type) -> None:
@@ -83,18 +120,18 @@ def require_wrapping(method: type) -> None:
         raise BadInput(f"--tileable: {name} cannot make an output that repeats without a seam; {able} can")
 
 
-def describe_strain(lattice: Lattice, shape: Shape) -> str:
-    """Return by how much the sample was strained, and a size nearby that needs less."""
-    strain, better = closing_strain(lattice, shape), _better_shape(lattice, shape)
-    less = closing_strain(lattice, better)
+def describe_strain(lattice: Lattice, shape: Shape, axes: tuple[int, ...] = (0, 1)) -> str:
+    """Return by how much the sample was strained along some axes, and a size nearby that needs less."""
+    strain, better = closing_strain(lattice, shape, axes), _better_shape(lattice, shape, axes)
+    less = closing_strain(lattice, better, axes)
     other = f", {better[1]}x{better[0]} would need {100 * less:.2g} %" if less < strain / 2 else ""
     return f"the lattice closes by a strain of {100 * strain:.2g} %" + (other if strain > _LITTLE else "")
 
 
-def _better_shape(lattice: Lattice, shape: Shape) -> Shape:
+def _better_shape(lattice: Lattice, shape: Shape, axes: tuple[int, ...]) -> Shape:
     """Return the nearest shape that needs little strain; if it is not near, the nearest that needs more."""
     for strain in (_LITTLE, 2 * _LITTLE, MOST_STRAIN / 2, MOST_STRAIN):
-        better = nearest_closing_shape(lattice, shape, strain)
+        better = nearest_closing_shape(lattice, shape, strain, axes)
         if max(abs(new - old) / old for new, old in zip(better, shape, strict=True)) < _NEAR:
             break
     return better
@@ -114,25 +151,29 @@ class StrainedSample:
         (x, y) px of the first pixel of ``image`` on the strained plane.
     back
         ``(2, 2)``: the linear map from the strained plane to the sample.
+    shape
+        (height, width) px on which the lattice closes along both axes.
     """
 
     image: Image
     lattice: Lattice
     corner: Points
     back: Points
+    shape: Shape
 
     @classmethod
-    def of(cls, sample: Image, lattice: Lattice, shape: Shape) -> StrainedSample:
-        """Return the sample, strained so that the lattice closes on an output of ``shape``.
+    def of(cls, sample: Image, lattice: Lattice, shape: Shape, axes: tuple[int, ...]) -> StrainedSample:
+        """Return the sample, strained so that the lattice closes on an output of ``shape`` along some axes.
 
         Raises
         ------
         Refused
             If the strain is too large.
         """
-        closed, strain = close_lattice(lattice, shape), closing_strain(lattice, shape)
-        if closed is None or strain > MOST_STRAIN:
-            height, width = _better_shape(lattice, shape)
+        whole = _lengthened(lattice, shape, axes)
+        closed, strain = close_lattice(lattice, whole), closing_strain(lattice, shape, axes)
+        if closed is None or max(strain, closing_strain(lattice, whole)) > MOST_STRAIN:
+            height, width = _better_shape(lattice, shape, axes)
             raise Refused(
                 f"a tileable output of {shape[1]}x{shape[0]} px would need a strain of {100 * strain:.2g} % to close "
                 f"the lattice, more than {100 * MOST_STRAIN:g} %; use --size {width}x{height}"
@@ -141,13 +182,13 @@ class StrainedSample:
         back = np.asarray(np.linalg.solve(closed.matrix, lattice.matrix), np.float64)
         ends = np.array([(width, 0), (0, height), (width, height)])
         if np.abs(ends @ back - ends).max() < _STILL:
-            return cls(sample, closed, np.zeros(2), np.eye(2))
+            return cls(sample, closed, np.zeros(2), np.eye(2), whole)
         reach = np.ceil((ends @ np.linalg.inv(back)).max(0)).astype(int)
         places = pixel_places(int(reach[1]), int(reach[0])) @ back
         box = largest_box(np.asarray(((places >= 0) & (places <= (width - 1, height - 1))).all(-1)))
         image = quantize(read_spline(sample, places[box[0] : box[1], box[2] : box[3]]))
         corner = np.array([box[2], box[0]], np.float64)
-        return cls(image, closed.shifted(-corner), corner, back)
+        return cls(image, closed.shifted(-corner), corner, back, whole)
 
     def locate(self, points: Points) -> Points:
         """Return the places (x, y) px in the sample of points of :attr:`image`, ``(..., 2)``."""
@@ -189,13 +230,15 @@ def close_lattice(lattice: Lattice, shape: tuple[int, int]) -> Lattice | None:
     return Lattice.from_basis(lattice.matrix @ change, np.array(lattice.origin) @ change)
 
 
-def closing_strain(lattice: Lattice, shape: tuple[int, int]) -> float:
-    """Return how far the sides of an output are from vectors of a lattice, over their length; the larger of both."""
-    return max(float(_strains(lattice, axis, np.array([side]))[0]) for axis, side in enumerate(shape[::-1]))
+def closing_strain(lattice: Lattice, shape: tuple[int, int], axes: tuple[int, ...] = (0, 1)) -> float:
+    """Return how far sides of an output are from vectors of a lattice, over their length; the most along ``axes``."""
+    return max(float(_strains(lattice, axis, np.array([shape[1 - axis]]))[0]) for axis in axes)
 
 
-def nearest_closing_shape(lattice: Lattice, shape: tuple[int, int], strain: float) -> tuple[int, int]:
-    """Return the (height, width) px nearest to a shape at which a lattice closes with at most some strain.
+def nearest_closing_shape(
+    lattice: Lattice, shape: tuple[int, int], strain: float, axes: tuple[int, ...] = (0, 1)
+) -> tuple[int, int]:
+    """Return the (height, width) px nearest to a shape at which a lattice closes along ``axes`` with at most a strain.
 
     Examples
     --------
@@ -203,12 +246,13 @@ def nearest_closing_shape(lattice: Lattice, shape: tuple[int, int], strain: floa
     >>> nearest_closing_shape(Lattice((31, 0), (15.5, 15)), (50, 128), 0.002)
     (60, 124)
     """
-    found: list[int] = []
-    for axis, side in enumerate(shape[::-1]):
+    found = list(shape[::-1])
+    for axis in axes:
+        side = found[axis]
         # A vector lies no farther from a side than the covering radius, so that a long side always closes.
         lengths = np.arange(1, max(2 * side, math.ceil(lattice.covering_radius / strain)) + 1)
         good = lengths[_strains(lattice, axis, lengths) <= strain]
-        found.append(int(good[np.abs(good - side).argmin()]))
+        found[axis] = int(good[np.abs(good - side).argmin()])
     return found[1], found[0]
 
 

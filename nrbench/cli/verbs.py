@@ -51,7 +51,7 @@ class Verb(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the command line into the arguments of ``show``."""
-        rest = super().parse_args(ctx, args)
+        rest = super().parse_args(ctx, [*self._complete(args)])
         given = {name: value for name, value in ctx.params.items() if value is not None}
 
         def chosen(names: Collection[str]) -> dict[str, Any]:
@@ -63,6 +63,17 @@ class Verb(click.Command):
         values["options"] = Options(**chosen(self.options))
         ctx.params = {name: values[name] for name in self.wanted if name in values}
         return rest
+
+    def _complete(self, args: list[str]) -> Iterator[str]:
+        """Yield the words of a command line, each option that may stand alone with its value."""
+        choices = [
+            each for each in self.params if isinstance(each, click.Option) and isinstance(each.type, click.Choice)
+        ]
+        alone: dict[str, Any] = {each.opts[0]: each for each in choices if isinstance(each.flag_value, str)}
+        for word, following in zip(args, [*args[1:], ""], strict=True):
+            yield word
+            if word in alone and following not in alone[word].type.choices:
+                yield alone[word].flag_value
 
 
 def verb(
@@ -94,7 +105,7 @@ def _make_option(name: str, flag: Flag, default: Any, text: str) -> click.Parame
     required = default is inspect.Parameter.empty
     kind = _InputPath() if flag.names == ARGUMENT and flag.kind is Path else _click_type(flag)
     given: dict[str, Any] = {"type": kind, "required": required, "metavar": flag.metavar}
-    plain = isinstance(default, int | float | str) and default != ""
+    plain = isinstance(default, int | float | str) and default != "" and not flag.alone
     if plain:
         given["default"] = default
     if flag.names == ARGUMENT:
@@ -102,6 +113,8 @@ def _make_option(name: str, flag: Flag, default: Any, text: str) -> click.Parame
     spelled = [*(flag.names.split() or [f"--{name.replace('_', '-')}"]), name]
     if flag.kind is bool:
         return click.Option(spelled, is_flag=True, help=text)
+    if flag.alone:
+        given |= {"is_flag": False, "flag_value": flag.alone}
     return click.Option(spelled, multiple=flag.many, help=text, show_default=plain, **given)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from commands import call
 
 import nrbench
 from nrbench import plugins
@@ -27,10 +28,10 @@ def hexagons() -> nrbench.Texture:
     return nrbench.texture("hexagon", shape=(128, 128), seed=3, color=0.3, rotation=17)
 
 
-def step_across_edges(image: nrbench.Image) -> float:
-    """Return the mean step across the edges over the 0.99 quantile of the steps inside, the larger one of both axes."""
+def step_across_edges(image: nrbench.Image, axes: tuple[int, ...] = (0, 1)) -> float:
+    """Return the mean step across the edges over the 0.99 quantile of the steps inside, the largest one of the axes."""
     ratios = []
-    for axis in (0, 1):
+    for axis in axes:
         steps = np.abs(np.roll(image, -1, axis) - image).mean((1 - axis, 2))
         ratios.append(steps[-1] / np.quantile(steps[:-1], 0.99))
     return float(max(ratios))
@@ -61,6 +62,49 @@ def test_a_representative_tile_repeats_a_whole_number_of_times(hexagons: nrbench
         nrbench.synthesize("representative-tile", hexagons, SHAPE, hexagons.lattice, tileable=True)
 
 
+@pytest.mark.parametrize(("along", "shape"), [("x", (170, 196)), ("y", (196, 170))])
+@pytest.mark.parametrize("name", ["tile-set", "quilting", "rsgf"])
+def test_an_output_may_repeat_along_one_axis(name: str, along: str, shape: tuple[int, int]) -> None:
+    """It continues across two edges, is cut between the others, and is part of an output that repeats along both.
+
+    The side along which it repeats is the one that has to close.
+    """
+    brick = nrbench.texture("brick", (128, 128), seed=1, color=0.3, rotation=7.0 if along == "x" else 97.0)
+    made = nrbench.synthesize(name, brick, shape, brick.lattice, seed=1, tileable=along)
+    axis = 1 if along == "x" else 0
+    assert made.image.shape[:2] == shape
+    assert step_across_edges(made.image, (axis,)) < 1.1 and step_across_edges(made.image, (1 - axis,)) > 1.5
+    assert made.source is None or made.source.shape[:2] == shape
+    other = {"x": "y", "y": "x"}[along]
+    with pytest.raises(nrbench.Refused, match=r"of \d+x\d+ px would need .* use --size (196x\d+|\d+x196)$"):
+        nrbench.synthesize("rsgf", brick, shape, brick.lattice, tileable=other)
+    for wrong in ("z", 2):
+        with pytest.raises(nrbench.BadInput, match="give True, or one of both, x, y"):
+            nrbench.synthesize("rsgf", brick, shape, tileable=wrong)
+
+
+def test_the_option_takes_an_axis_or_stands_alone(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before a picture, before another option, and last, ``--tileable`` alone means both axes."""
+    nrbench.write_image("wall.png", nrbench.texture("brick", (96, 96)).image)
+    seen = []
+    monkeypatch.setattr("nrbench.calling.tileable.synthesize_tileable", lambda method, task, along: seen.append(along))
+    rest = "-m scatter --size 64x64 -o out.png"
+    for line in (
+        f"wall.png --tileable {rest}",
+        f"--tileable wall.png {rest}",
+        f"wall.png {rest} --tileable",
+        f"--tileable x wall.png {rest}",
+        f"wall.png {rest} --tileable=y",
+        f"wall.png {rest} --tileable both",
+    ):
+        call(f"synth {line}")
+    assert seen == ["both"] * 3 + ["x", "y", "both"]
+    assert call(f"synth wall.png {rest} --tileable=z") == 2
+    assert "'z' is not one of 'both', 'x', 'y'" in capsys.readouterr().err
+
+
 def test_other_outputs_have_edges(hexagons: nrbench.Texture) -> None:
     """Without the option, the edges are rougher than the inside, also at a size at which the lattice closes."""
     assert step_across_edges(nrbench.synthesize("rsgf", hexagons, SHAPE, hexagons.lattice, seed=1).image) > 1.8
@@ -73,6 +117,8 @@ def test_a_texture_without_a_lattice_repeats(name: str) -> None:
     smooth = np.mean([np.roll(noise, (i, j), (0, 1)) for i in range(5) for j in range(5)], 0)
     sample = (smooth - smooth.min()) / np.ptp(smooth)
     assert step_across_edges(nrbench.synthesize(name, sample, (150, 170), seed=1, tileable=True).image) < 1.1
+    strip = nrbench.synthesize(name, sample, (150, 170), seed=1, tileable="x").image
+    assert strip.shape[:2] == (150, 170) and step_across_edges(strip, (1,)) < 1.1 < step_across_edges(strip, (0,))
 
 
 def test_a_size_that_does_not_close_is_refused(hexagons: nrbench.Texture) -> None:
