@@ -326,7 +326,7 @@ def synthesize(
     from nrbench.streams import pixels_hash, stream
 
     plugin = plugin_in("synthesizers", method, parameters)
-    along = {True: "both", False: ""}.get(tileable, tileable)
+    along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
     require(along in ("", *AXES), f"tileable {tileable!r}: give True, or one of {', '.join(AXES)}")
     if along:
         require_wrapping(type(plugin))

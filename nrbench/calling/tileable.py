@@ -101,15 +101,13 @@ def _lengthened(lattice: Lattice | None, shape: Shape, axes: tuple[int, ...]) ->
 
 def _cut(made: Synthesis, shape: Shape) -> Synthesis:
     """Return the upper left part of a synthesis; all of it if it has the shape."""
-    whole = made.image.shape[:2]
+    whole, part = made.image.shape[:2], np.s_[: shape[0], : shape[1]]
     if whole == shape:
         return made
-    image, source, *pictures = (
-        None if array is None else array[: shape[0], : shape[1]] if array.shape[:2] == whole else array
-        for array in (made.image, made.source, *made.extras.values())
-    )
-    extras = {name: array for name, array in zip(made.extras, pictures, strict=True) if name != "tileable"}
-    return replace(made, image=image, source=source, extras=extras)
+    kept = {name: array for name, array in made.extras.items() if name != "tileable"}
+    extras = {name: array[part] if np.shape(array)[:2] == whole else array for name, array in kept.items()}
+    source = None if made.source is None else made.source[part]
+    return replace(made, image=made.image[part], source=source, extras=extras)
 
 
 def require_wrapping(method: type) -> None:
