@@ -188,7 +188,7 @@ def read_table(path: Path, header: str) -> tuple[list[str], list[tuple[int, dict
         When the file cannot be read as such a text.
     """
     try:
-        content = path.read_bytes()
+        content = find_path(path).read_bytes()
         wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         encoding = "utf-16" if wide else "utf-16-le" if content[1:2] == b"\0" else "utf-8-sig"
         lines = io.StringIO(content.decode(encoding), newline="")
@@ -209,7 +209,7 @@ def read_table(path: Path, header: str) -> tuple[list[str], list[tuple[int, dict
 
 def decimal_point(text: str) -> str:
     """Return a number with a point where spreadsheets of some countries write a decimal comma."""
-    return text.strip().replace(",", ".")
+    return text.strip().replace(",", ".").replace("\N{MINUS SIGN}", "-")
 
 
 def find_path(path: Path) -> Path:

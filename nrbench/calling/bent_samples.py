@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,6 +15,7 @@ from nrbench.displacement.free_form import REPEATS, FreeForm
 from nrbench.displacement.random_field import output_field
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
+from nrbench.jit import work_clock
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import (
     FoundLattice,
@@ -75,10 +75,10 @@ def survey_sample(method: Synthesizer, task: Task) -> SampleSurvey | None:
     """
     if getattr(method, "geometry", "as-is") == "as-is" or not getattr(method, "uses_lattice", True):
         return None
-    start = time.perf_counter()
+    start = work_clock()
     found = find_lattice(task, _detector_of(method))
     bent, note = find_bend(task.sample, found.lattice, task.lattice is not None)
-    return SampleSurvey(found, bent, note, time.perf_counter() - start)
+    return SampleSurvey(found, bent, note, work_clock() - start)
 
 
 def _detector_of(method: Synthesizer) -> NamedDetector:

@@ -10,7 +10,6 @@ import os
 import secrets
 import sys
 import textwrap
-import time
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -41,7 +40,7 @@ from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image
 from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
-from nrbench.jit import load_kernels
+from nrbench.jit import load_kernels, work_clock
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.lattice.vertices import Vertex, lay_vertices
 from nrbench.pictures.files import encode_png, read_image, write_image
@@ -343,16 +342,16 @@ def _compare_detectors(image: Image, options: LatticeQuestion) -> int:
 def _run_detector(image: Image, name: str) -> LatticeResult:
     """Return the result of a detector; an error of the detector is a failed result."""
     detector = plugins.build("detectors", name)
-    start = time.perf_counter()
+    start = work_clock()
     try:
         detection = detector.detect(image)
     except NoLatticeFound as none:
-        return LatticeResult(name, None, reason=none.reason, seconds=time.perf_counter() - start)
+        return LatticeResult(name, None, reason=none.reason, seconds=work_clock() - start)
     except BadInput:
         raise
     except Exception as error:
         return LatticeResult(name, None, reason=f"failed: {type(error).__name__}: {error}", failed=True)
-    return LatticeResult.of_detection(name, detection, time.perf_counter() - start)
+    return LatticeResult.of_detection(name, detection, work_clock() - start)
 
 
 def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
+from nrbench.jit import work_clock
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.vertices import Vertex
 
@@ -542,14 +542,14 @@ def timed_detection(detector: Detector, image: Image) -> FoundLattice:
     TypeError
         When the detector returns no :class:`Detection`.
     """
-    start = time.perf_counter()
+    start = work_clock()
     try:
         found: object = detector.detect(image)
     except NoLatticeFound as none:
-        return FoundLattice(None, time.perf_counter() - start, none.reason)
+        return FoundLattice(None, work_clock() - start, none.reason)
     if not isinstance(found, Detection):
         raise TypeError(f"returned {type(found).__name__} instead of a Detection")
-    seconds = time.perf_counter() - start
+    seconds = work_clock() - start
     return FoundLattice(found.lattice, seconds, confidence=float(found.confidence), vertices=found.vertices)
 
 

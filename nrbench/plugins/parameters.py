@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from nrbench.errors import BadInput
+from nrbench.storage import find_path
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -246,7 +247,7 @@ def user_path(path: str | Path) -> Path:
     >>> user_path("picture.png").name
     'picture.png'
     """
-    return Path(path) if _user_folder is None else _user_folder / path
+    return find_path(Path(path) if _user_folder is None else _user_folder / path)
 
 
 def _located(value: Any) -> Any:

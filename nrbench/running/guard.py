@@ -17,6 +17,7 @@ from typing import Any, Protocol, cast
 
 import psutil
 
+from nrbench.jit import COMPILATION
 from nrbench.runs.store import Result, is_result_part
 
 TICK = 0.02
@@ -518,6 +519,9 @@ def peak_bytes() -> int:
 
 
 def cpu_seconds() -> float:
-    """Return the processor seconds so far of this process, all threads, and of the programs that it has waited for."""
+    """Return the processor seconds so far of this process, all threads, and of the programs that it has waited for.
+
+    The compilation of kernels is left out.
+    """
     times = os.times()
-    return time.process_time() + times.children_user + times.children_system
+    return time.process_time() + times.children_user + times.children_system - COMPILATION.seconds

@@ -132,6 +132,10 @@ def test_time_of_compilation_is_named(capsys: pytest.CaptureFixture[str], monkey
     lines = capsys.readouterr().err.splitlines()
     assert any(line.startswith(jit.COMPILING) for line in lines) and lines[-1] == "gncc looks: 0 s"
     assert spent.ended >= 0.1
+    before = jit.work_clock()
+    with spent.timed():
+        time.sleep(0.1)
+    assert jit.work_clock() - before < 0.1
 
 
 @pytest.mark.usefixtures("undeclared")
