@@ -177,7 +177,9 @@ def table_text(fields: Sequence[str], rows: Sequence[Mapping[str, object]]) -> s
 def _check_fields(fields: Sequence[str], where: str) -> None:
     missing = [name for name in ("file", *VECTORS) if name not in fields]
     if missing:
-        raise BadInput(f"{where}: column {missing[0]!r} is missing; the first line must have {_HEADER}")
+        found = ", ".join(map(repr, fields)) or "nothing"
+        wanted = f"the first line must have {_HEADER}, and has {found:.200}"
+        raise BadInput(f"{where}: column {missing[0]!r} is missing; {wanted}")
     twice = [name for i, name in enumerate(fields) if name and name in fields[:i]]
     if twice:
         raise BadInput(f"{where}: column {twice[0]!r} occurs a second time; keep one")
