@@ -257,7 +257,7 @@ def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: i
     letters
         Height of a letter, px.
     """
-    font, line = PIL.ImageFont.truetype(_find_font(), letters), round(1.4 * letters) - 2
+    font, line = _load_font(letters), round(1.4 * letters) - 2
     columns = min(columns, len(pictures))
     width = max(6 * _LETTERS, *(picture.shape[1] for picture in pictures)) + _MARGIN
     texts = [break_lines(caption, lambda text: font.getlength(text) <= width - _MARGIN) for caption in captions]
@@ -276,11 +276,14 @@ def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: i
     return np.asarray(sheet, np.float32) / np.float32(255)
 
 
-def _find_font() -> str:
-    """Return the file of matplotlib's font, which has the letters of most alphabets; Pillow's own one has ASCII."""
+def _load_font(letters: int) -> PIL.ImageFont.FreeTypeFont | PIL.ImageFont.ImageFont:
+    """Return matplotlib's font, which has the letters of most alphabets; else that of Pillow, which has ASCII."""
     package = importlib.util.find_spec("matplotlib")
-    assert package is not None and package.origin is not None
-    return str(Path(package.origin).with_name("mpl-data") / "fonts" / "ttf" / "DejaVuSans.ttf")
+    folder = Path(package.origin).parent if package and package.origin else Path()
+    try:
+        return PIL.ImageFont.truetype(str(folder / "mpl-data" / "fonts" / "ttf" / "DejaVuSans.ttf"), letters)
+    except OSError:
+        return PIL.ImageFont.load_default(letters)
 
 
 def break_lines(text: str, fits: Callable[[str], bool]) -> list[str]:
