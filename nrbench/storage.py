@@ -202,7 +202,7 @@ def read_table(path: Path, header: str) -> tuple[list[str], list[tuple[int, dict
         fields = reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
         return fields, [(reader.line_num + before, row) for row in reader if any(row.values())]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"{path}: is no CSV text ({error}); save it as UTF-8 with the columns {header}") from None
+        raise BadInput(f"{path}: is no CSV text ({error}); save it as CSV UTF-8 with the columns {header}") from None
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
 

@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,7 @@ class Verb(click.Command):
             each for each in self.params if isinstance(each, click.Option) and isinstance(each.type, click.Choice)
         ]
         alone: dict[str, Any] = {each.opts[0]: each for each in choices if isinstance(each.flag_value, str)}
-        for word, following in zip(args, [*args[1:], ""], strict=True):
+        for word, following in zip_longest(args, args[1:]):
             yield word
             if word in alone and following not in alone[word].type.choices:
                 yield alone[word].flag_value

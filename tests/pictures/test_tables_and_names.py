@@ -64,7 +64,7 @@ def test_an_error_names_the_line_of_the_file(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"truth\.csv line 3: lattice '1\.5,0,0,9'"):
         read_truth(tmp_path)
     (tmp_path / "truth.csv").write_bytes(_table(";").encode("cp1252"))
-    with pytest.raises(BadInput, match=r"truth\.csv: is no CSV text .* save it as UTF-8 with the columns file,t1x"):
+    with pytest.raises(BadInput, match=r"truth\.csv: is no CSV text .* save it as CSV UTF-8 with the columns file,t1x"):
         read_truth(tmp_path)
 
 
