@@ -168,6 +168,12 @@ def read_json(path: Path) -> dict[str, Any] | None:
     return content if isinstance(content, dict) else None
 
 
+def decode_text(content: bytes) -> str:
+    """Return the text of a file as programs of a desktop save it: UTF-8 or UTF-16, with or without a mark."""
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return content.decode("utf-16" if wide else "utf-16-le" if content[1:2] == b"\0" else "utf-8-sig")
+
+
 def read_table(path: Path, header: str) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
     """Return the columns of a CSV file, and the number and the texts of each line that is not empty.
 
@@ -188,10 +194,7 @@ def read_table(path: Path, header: str) -> tuple[list[str], list[tuple[int, dict
         When the file cannot be read as such a text.
     """
     try:
-        content = find_path(path).read_bytes()
-        wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-        encoding = "utf-16" if wide else "utf-16-le" if content[1:2] == b"\0" else "utf-8-sig"
-        lines = io.StringIO(content.decode(encoding), newline="")
+        lines = io.StringIO(decode_text(find_path(path).read_bytes()), newline="")
         first, before = lines.readline(), 0
         if named := re.fullmatch(r'"?sep=([,;\t])"?\s*', first, re.IGNORECASE):
             before = 1

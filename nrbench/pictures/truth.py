@@ -160,7 +160,7 @@ def read_known(folder: Path, remedy: str) -> Any:
     """
     path = folder / KNOWN_FILE
     try:
-        return json.loads(path.read_text("utf-8")) if path.is_file() else {}
+        return json.loads(path.read_bytes()) if path.is_file() else {}
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: is no JSON ({error}); {remedy}") from None
 

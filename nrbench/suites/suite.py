@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.parameters import match_pattern, nearest
-from nrbench.storage import find_path
+from nrbench.storage import decode_text, find_path
 from nrbench.suites.cell import Recipe, Size
 from nrbench.suites.installed import builtin as builtin
 
@@ -463,7 +463,7 @@ def load_suite(what: str | Path) -> Suite:
 
 def _read(file: Path | Traversable, where: str) -> Suite:
     try:
-        content = tomllib.loads(file.read_text("utf-8"))
+        content = tomllib.loads(decode_text(file.read_bytes()))
     except UnicodeDecodeError:
         raise BadInput(
             f"{where}: is no TOML file; for one picture use `nrbench synth`, or pass its directory"

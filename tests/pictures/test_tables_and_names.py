@@ -11,6 +11,7 @@ import pytest
 from commands import call
 
 from nrbench import read_image, write_image
+from nrbench.datasets_procedural.images import read_rendered
 from nrbench.errors import BadInput
 from nrbench.pictures.truth import read_truth, read_vertices
 from nrbench.plugins.parameters import match_pattern
@@ -75,6 +76,16 @@ def test_vertices_and_lists_of_outputs_are_such_tables_too(tmp_path: Path) -> No
     assert [(each.x, each.y) for each in read_vertices(path, (40, 40))] == [(3, 4), (23.5, 4), (3, 24.5), (23, 24)]
     path.write_text("sample\toutput\na.png\tb.png\n")
     assert read_table(path, "sample,output") == (["sample", "output"], [(2, {"sample": "a.png", "output": "b.png"})])
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le"])
+def test_suites_and_truth_are_read_as_editors_save_them(encoding: str, tmp_path: Path) -> None:
+    """A mark of the encoding, line ends of Windows and UTF-16 do not change a suite or a truth.json."""
+    text = 'name = "größe"\r\nmethods = ["scatter"]\r\n[[texture]]\r\nname = "a"\r\ndataset = "brick"\r\n'
+    (tmp_path / "suite.toml").write_bytes(text.encode(encoding))
+    assert load_suite(tmp_path / "suite.toml").name == "größe"
+    (tmp_path / "truth.json").write_text('{"textures": {"ä.png": {"family": "wall"}}}', encoding)
+    assert read_rendered(tmp_path)[1] == {"ä.png": {"family": "wall"}}
 
 
 def test_names_are_equal_in_each_form_of_unicode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
