@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
 from itertools import zip_longest
@@ -17,7 +16,7 @@ import click
 from nrbench.errors import BadInput
 from nrbench.flags import ARGUMENT, Flag
 from nrbench.running.options import Options
-from nrbench.storage import find_path
+from nrbench.storage import find_path, make_writable
 
 _ENTRY = re.compile(r"^(\w[\w, ]*)\n((?:    .*\n|\n)+)", re.MULTILINE)
 
@@ -157,8 +156,4 @@ def check_output(path: Path, suffix: str = ".png") -> None:
         raise BadInput(f"{path}: its directory does not exist; make it first")
     if path.is_dir():
         raise BadInput(f"{path}: is a directory; give the name of a file")
-    try:
-        with tempfile.TemporaryFile(dir=path.absolute().parent):
-            pass
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written: {error.strerror or error}; choose another directory") from None
+    make_writable(path.absolute().parent, f"choose another directory for {path.name}")

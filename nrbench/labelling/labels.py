@@ -26,7 +26,7 @@ from nrbench.pictures.files import read_image
 from nrbench.plugins.forms import describe_silence
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RunDirectory
-from nrbench.storage import decimal_point, read_json, read_table, write_json, write_text
+from nrbench.storage import decimal_point, make_writable, read_json, read_table, write_json, write_text
 from nrbench.streams import pixels_hash, stream
 
 ANSWERS = ("yes", "no", "cannot say")
@@ -294,6 +294,7 @@ def write_page(
 def write_key(root: Path, page: LabelPage) -> Path:
     """Write the key file of a page, which lists the cell of each item, and return its path."""
     path = page.key_file(root)
+    make_writable(path.parent, "the key of a page lies in its run: label a copy of the run")
     write_json(path, {"sheet": page.name, "items": ITEMS.dump_python(list(page.items), by_alias=True)})
     return path
 

@@ -197,6 +197,8 @@ def test_reports_of_a_run_that_cannot_be_written(
     monkeypatch.setattr("nrbench.storage.tempfile.TemporaryFile", refuse)
     for line, remedy in {
         "report R": "with -o DIR",
+        "label R --questions more": "label a copy of the run",
+        "site R -o S": "pass another -o",
         "run core -t brick-mild -m scatter --out R": "R takes its results",
     }.items():
         assert call(line) == 2
