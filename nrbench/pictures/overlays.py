@@ -45,6 +45,8 @@ _SIZE = 11
 """Height of a letter, px."""
 _MARGIN = 8
 """px; space between images."""
+_GAP = 3
+"""px; space between a caption and its picture."""
 _LETTERS = 30
 """Least number of letters on a line of a caption."""
 
@@ -262,7 +264,7 @@ def contact_sheet(pictures: Sequence[Image], captions: Sequence[str], columns: i
     width = max(6 * _LETTERS, *(picture.shape[1] for picture in pictures)) + _MARGIN
     texts = [break_lines(caption, lambda text: font.getlength(text) <= width - _MARGIN) for caption in captions]
     rows = [range(i, min(i + columns, len(pictures))) for i in range(0, len(pictures), columns)]
-    lines = [max(len(texts[k]) for k in row) * line for row in rows]
+    lines = [max(len(texts[k]) for k in row) * line + _GAP for row in rows]
     heights = [max(pictures[k].shape[0] for k in row) + top + _MARGIN for row, top in zip(rows, lines, strict=True)]
     sheet = PIL.Image.new("RGB", (columns * width + _MARGIN, sum(heights) + _MARGIN), "white")
     pen, top = PIL.ImageDraw.Draw(sheet), _MARGIN
