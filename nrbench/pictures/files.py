@@ -87,11 +87,11 @@ def _opened(path: str | Path, where: str) -> Iterator[PIL.Image.Image]:
     that it opens itself and garbles the rotated ones.
     """
     path = find_path(Path(path))
-    _check_file(path, where)
+    _check_file(Path(path), where)
     try:
         with (
             warnings.catch_warnings(action="ignore"),
-            path.open("rb") as file,
+            Path(path).open("rb") as file,
             PIL.Image.open(file, formats=FORMATS) as picture,
         ):
             width, height = picture.size
