@@ -173,6 +173,7 @@ def add_file(path: str | Path) -> None:
 def add_method(cls: type[Any]) -> str:
     """Register a method that this program defines, as a cell of a notebook does, and return its name.
 
+    A class of a file that :func:`add_file` has loaded is registered already, also if it was imported in another way.
     Its version is a hash of the file that defines it. Without such a file, or if it is defined again, each definition
     is a version of its own, because what it calls may have changed.
 
@@ -184,12 +185,15 @@ def add_method(cls: type[Any]) -> str:
     name = str(getattr(cls, "name", cls.__name__.lower()))
     if wrong := fault("synthesizers", cls):
         raise BadInput(wrong)
-    if name in names("synthesizers") and name not in _session:
+    content, file = uuid.uuid4().bytes, Path()
+    with contextlib.suppress(OSError, TypeError):
+        file = Path(inspect.getfile(cls)).resolve()
+        content = content if name in _session else file.read_bytes()
+    known = {plugin.name: plugin.distribution for plugin in inventory("synthesizers")}
+    if known.get(name) == str(file):
+        return name
+    if name in known and name not in _session:
         raise BadInput(f"method {cls.__name__}: the name {name!r} is taken; give the class another `name`")
-    try:
-        content = uuid.uuid4().bytes if name in _session else Path(inspect.getfile(cls)).read_bytes()
-    except (OSError, TypeError):
-        content = uuid.uuid4().bytes
     digest = hashlib.blake2b(content, digest_size=8).hexdigest()
     _session[name] = Plugin("synthesizers", name, SESSION, digest, cls)
     return name

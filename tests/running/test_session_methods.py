@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import subprocess
 import sys
+import textwrap
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -89,6 +92,19 @@ def test_what_cannot_run_is_one_clear_error(tmp_path: Path) -> None:
     broken.synthesize = lambda self, task: 1 / 0
     done = nrbench.run("core", methods=broken, out=tmp_path / "b", options=Options(jobs=1, tell=str), **COMMON)
     assert done.cells[0].status == "error" and "ZeroDivisionError" in done.cells[0].message
+
+
+def test_a_class_of_a_loaded_file_has_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Imported as a module, it is the method that was loaded from its file, and runs in a child process."""
+    text = inspect.getsource(define).partition("    @dataclass")[2].partition("    return Mine")[0]
+    head = "from dataclasses import dataclass\nfrom nrbench import *\nfrom typing import Any, ClassVar\nvalue = 0.5\n"
+    (tmp_path / "own_cell.py").write_text(head + textwrap.dedent("    @dataclass" + text).replace('"mine"', '"own"'))
+    monkeypatch.syspath_prepend(tmp_path)
+    plugins.add_file("own_cell.py")
+    mine = importlib.import_module("own_cell").Mine
+    assert plugins.add_method(mine) == "own" and not plugins.lookup("synthesizers", "own").in_session
+    table = nrbench.plan("core", methods=[mine(k=0.25)], textures="brick-mild")
+    assert list(table["method"]) == ["own:k=0.25"]
 
 
 def test_the_function_that_the_message_names_is_there() -> None:
