@@ -257,6 +257,7 @@ def _writable(usual: Path) -> Path:
             folder = Path(tempfile.mkdtemp(prefix="nrbench-"))
     except OSError:
         return usual
+    os.environ.setdefault("MPLCONFIGDIR", str(folder))  # else matplotlib has two lines of its own about it
     warnings.warn(
         f"compiled kernels: {usual} cannot be written ({why}), so they are kept in {folder}; set XDG_CACHE_HOME to a "
         "folder that lasts, else they may be compiled again, which takes up to some minutes",

@@ -203,6 +203,7 @@ class Supervisor:
 
     def _start(self) -> None:
         """Start the worker, and wait until it is ready."""
+        find_cache()  # which warns if it does not last
         self._imports = third_party()
         folder = self._stack.enter_context(temporary_folder())
         (files, named), known = self._imports, plugins.inventory("synthesizers")
@@ -215,7 +216,6 @@ class Supervisor:
         if first.get("compiling"):
             start, tells = time.monotonic(), _compiling.acquire(blocking=False)  # one of several workers
             if tells:
-                find_cache()  # which warns if it does not last
                 self._tell(COMPILING)
             first = self._read_first_message()
             if tells:

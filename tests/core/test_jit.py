@@ -1,3 +1,4 @@
+import os
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -72,6 +73,8 @@ def homeless(undeclared: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     temporary.mkdir()
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
     monkeypatch.setattr(jit.tempfile, "tempdir", str(temporary))
+    monkeypatch.setenv("MPLCONFIGDIR", "")  # so that it is put back
+    monkeypatch.delenv("MPLCONFIGDIR")
     jit._writable.cache_clear()
     return temporary
 
@@ -86,6 +89,7 @@ def test_without_a_home_machine_code_is_temporary(homeless: Path) -> None:
         assert compiled(3.0) == 6.0 and sum(compiled.stats.cache_hits.values()) == hits  # type: ignore[attr-defined]
         assert len(said) == 1 and len(list(homeless.rglob("*.nbi"))) == 1
     (folder,) = homeless.iterdir()
+    assert os.environ["MPLCONFIGDIR"] == str(folder)
     assert folder.stat().st_mode & 0o777 == 0o700
 
 
