@@ -20,6 +20,7 @@ from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
 from .resampling.element_colors import ElementColors
 from .resampling.element_detail import ElementDetail
 from .resampling.element_map import FEWEST, map_grid, segment
+from .resampling.novelty import NoveltyTest
 from .tile_set import TileSet
 
 MOST_VARIATION: Final = 4.0
@@ -61,7 +62,7 @@ class Resample:
     and few colors are left; the note tells how many.
 
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
-    An element that the sample shows whole fewer than six times joins its neighbor. If this holds for every element,
+    An element that the sample shows whole fewer than three times joins its neighbor. If this holds for every element,
     the output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the
     same sample in the same process reuses the model.
 
@@ -84,7 +85,7 @@ class Resample:
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     wraps: ClassVar[bool] = True
-    version: ClassVar[str] = "9"
+    version: ClassVar[str] = "10"
     family: ClassVar[str] = "elements drawn anew"
 
     def __post_init__(self) -> None:
@@ -101,14 +102,13 @@ class Resample:
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no elements to vary")
         require_two_periods(lattice, task.sample.shape)
         model = VariationModel.of(task.sample, lattice)
-        fewest = min(map(len, model.detail.whole))
-        if fewest < FEWEST:
-            copied = TileSet().synthesize(replace(task, lattice=lattice))
-            shown = f"the sample shows {fewest} whole instances of an element, fewer than {FEWEST}"
-            return replace(copied, detection_seconds=seconds, note=f"copied by tile-set: {shown}")
+        if model.copied:
+            tiles = TileSet().synthesize(replace(task, lattice=lattice))
+            return replace(tiles, detection_seconds=seconds, note=f"copied by tile-set: {model.copied}")
         image = model.draw(task, self.variation)
         whole = "elements are whole cells: colors of smaller elements explain too little" if model.whole_cells else ""
-        note = "; ".join(filter(None, (whole, model.describe_threads(task))))
+        copied = "elements are whole instances: new colors are stranger than they are" if model.instances else ""
+        note = "; ".join(filter(None, (whole, copied, model.describe_threads(task))))
         return Synthesis(image, lattice, extras=model.pictures(), detection_seconds=seconds, note=note)
 
 
@@ -130,6 +130,10 @@ class VariationModel:
         What runs on across the borders of elements; None if nothing does.
     colored
         Whether the colors of elements are drawn. If not, the field holds them.
+    instances
+        Whether each element is a whole instance of the sample, with its color and its detail.
+    copied
+        Why the sample should be copied instead; empty if it need not be.
     """
 
     mean: Tile
@@ -138,6 +142,8 @@ class VariationModel:
     whole_cells: bool
     field: CellField | None = None
     colored: bool = True
+    instances: bool = False
+    copied: str = ""
 
     @classmethod
     def of(cls, sample: Image, lattice: Lattice) -> VariationModel:
@@ -158,12 +164,18 @@ class VariationModel:
             fitted = sum(int(color.known.sum()) for color in colors.colors.values())
             if rest.var() < (1 - _EXPLAINED - _BY_CHANCE * fitted / (height * width)) * residual.var():
                 break
-        return cls(mean, colors, ElementDetail(elements, rest), whole_cells)._join(residual)
+        model = cls(mean, colors, ElementDetail(elements, rest), whole_cells)
+        if min(map(len, model.detail.whole)) < FEWEST:
+            return replace(model, copied=f"the sample shows fewer than {FEWEST} whole instances of an element")
+        test = NoveltyTest(sample, elements, colors.threads)
+        task = Task(sample, (height, width), lattice, np.random.default_rng(0))
+        for candidate in (model._join(residual), replace(model, instances=True)):
+            if test.passes(candidate.draw(task, 1.0)):
+                return candidate
+        return replace(model, copied="what it draws is stranger than the elements of the sample are to each other")
 
     def _join(self, residual: Values) -> VariationModel:
         """Return the model with a field, if the residual, or the detail, runs on across the borders of elements."""
-        if min(map(len, self.detail.whole)) < FEWEST:
-            return self
         threads = any(thread.turn != (0, 0) for thread in self.colors.threads)  # they are longer than a field's memory
         steps = self.compare_steps(residual)
         for colored in (True,) if threads else (False, True):
@@ -211,7 +223,10 @@ class VariationModel:
         torus = self.torus(task)
         colors = self.colors.draw(task.shape, task.rng, torus)
         own = self.colors.of_sample(self.detail.rest.shape[:2])
-        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, torus)
+        threads = [thread.turn != (0, 0) for thread in self.colors.threads] if self.instances else []
+        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, torus, threads)
+        if self.instances:
+            colors = self.detail.colors_of(copied, own)
         field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,6 +23,8 @@ _SOFTNESS = 1.0
 _AROUND: tuple[Lag, ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
 _ALIKE = 0.8
 """How far, in standard deviations, the color of a new element differs from that of the one whose detail it copies."""
+_EXACT = 0.02
+"""The same for the crossings of a thread, which have one color."""
 _REDRAWS = 20
 """Times that copies beside an equal one are drawn again."""
 
@@ -56,7 +59,12 @@ class ElementDetail:
         return [scipy.ndimage.spline_filter(plane, 5, mode="mirror") for plane in np.moveaxis(self.rest, -1, 0)]
 
     def draw(
-        self, shape: Shape, rng: np.random.Generator, colors: Colors | None = None, torus: CellTorus | None = None
+        self,
+        shape: Shape,
+        rng: np.random.Generator,
+        colors: Colors | None = None,
+        torus: CellTorus | None = None,
+        exact: Sequence[bool] = (),
     ) -> Numbers:
         """Return the cell of the sample from which each element of a picture is copied, ``(E, I, J, 2)``.
 
@@ -74,6 +82,8 @@ class ElementDetail:
             The colors ``(E, I, J, C)`` of the sample's elements, and those of the picture's.
         torus
             The cells of a picture that repeats.
+        exact
+            For each element whether the nearest color is taken.
         """
         places = self.elements.cells(shape)
         box, equal = places.shape[:2], ... if torus is None else torus.find_equal(places)
@@ -84,9 +94,17 @@ class ElementDetail:
             if colors is not None:
                 own, new = colors[0][k][tuple((cells - corner).T)], colors[1][k]
                 apart = np.square(new[:, :, np.newaxis] - own).sum(-1)
-                likelihood -= apart / (2 * _ALIKE**2 * max(float(own.var(0).sum()), 1e-12))
+                alike = _EXACT if exact and exact[k] else _ALIKE
+                likelihood -= apart / (2 * alike**2 * max(float(own.var(0).sum()), 1e-12))
             drawn.append(cells[_draw_apart(likelihood, rng, equal)])
         return np.stack(drawn)
+
+    def colors_of(self, drawn: Numbers, own: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the colors of the sample's elements that were drawn, ``(E, I, J, C)``."""
+        corner = self.elements.cells(self.rest.shape[:2])[0, 0]
+        return np.stack(
+            [table[tuple(np.moveaxis(cells - corner, -1, 0))] for table, cells in zip(own, drawn, strict=True)]
+        )
 
     def render(self, drawn: Numbers, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
         """Return the copied detail at some rows of a picture.
