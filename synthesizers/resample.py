@@ -18,8 +18,10 @@ from nrbench.plugins.registry import NamedDetector
 from .lattice_places.equal_places import CellTorus, require_two_periods
 from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
 from .resampling.element_colors import ElementColors
-from .resampling.element_detail import ElementDetail
+from .resampling.element_copies import ElementCopies
 from .resampling.element_map import FEWEST, map_grid, segment
+from .resampling.element_outlines import ElementOutlines
+from .resampling.novelty import NoveltyTest
 from .tile_set import TileSet
 
 MOST_VARIATION: Final = 4.0
@@ -29,7 +31,7 @@ _EXPLAINED = 0.05
 _BY_CHANCE = 5.0
 """Pixels of noise whose variance one more color, and its gains, explain by chance."""
 _CONTINUOUS = 0.8
-"""Coarse residuals are drawn as one field if they step less than this share of what independent elements would."""
+"""Coarse rests are drawn as one field if they step less than this share of what independent elements would."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
 
@@ -49,9 +51,8 @@ class Resample:
        chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
     5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
        color are more likely. Where elements meet, rests are mixed so that their variance stays.
-    6. Stains, prints and panes run on across the elements that are found. Where the coarse residual of the sample steps
-       at their borders by less than 0.8 of what the draws do, it is drawn as one field: the spot noise of the lattice,
-       with the covariance of the sample. Where only the rest runs on, so is the coarse part of the rest.
+    6. Stains run on across elements. Where the coarse rest of the sample steps at their borders by less than 0.8 of what
+       the copies do, it is drawn as one field: the spot noise of the lattice, with the covariance of the sample.
 
     The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
     the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
@@ -61,7 +62,7 @@ class Resample:
     and few colors are left; the note tells how many.
 
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
-    An element that the sample shows whole fewer than six times joins its neighbor. If this holds for every element,
+    An element that the sample shows whole fewer than three times joins its neighbor. If this holds for every element,
     the output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the
     same sample in the same process reuses the model.
 
@@ -84,7 +85,7 @@ class Resample:
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     wraps: ClassVar[bool] = True
-    version: ClassVar[str] = "9"
+    version: ClassVar[str] = "10"
     family: ClassVar[str] = "elements drawn anew"
 
     def __post_init__(self) -> None:
@@ -101,14 +102,13 @@ class Resample:
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no elements to vary")
         require_two_periods(lattice, task.sample.shape)
         model = VariationModel.of(task.sample, lattice)
-        fewest = min(map(len, model.detail.whole))
-        if fewest < FEWEST:
-            copied = TileSet().synthesize(replace(task, lattice=lattice))
-            shown = f"the sample shows {fewest} whole instances of an element, fewer than {FEWEST}"
-            return replace(copied, detection_seconds=seconds, note=f"copied by tile-set: {shown}")
+        if model.copied:
+            tiles = TileSet().synthesize(replace(task, lattice=lattice))
+            return replace(tiles, detection_seconds=seconds, note=f"copied by tile-set: {model.copied}")
         image = model.draw(task, self.variation)
         whole = "elements are whole cells: colors of smaller elements explain too little" if model.whole_cells else ""
-        note = "; ".join(filter(None, (whole, model.describe_threads(task))))
+        copied = "elements are whole instances: new colors are stranger than they are" if model.instances else ""
+        note = "; ".join(filter(None, (whole, copied, model.describe_threads(task))))
         return Synthesis(image, lattice, extras=model.pictures(), detection_seconds=seconds, note=note)
 
 
@@ -128,16 +128,19 @@ class VariationModel:
         Whether the elements are whole cells, since no smaller ones were found.
     field
         What runs on across the borders of elements; None if nothing does.
-    colored
-        Whether the colors of elements are drawn. If not, the field holds them.
+    instances
+        Whether each element is a whole instance of the sample, with its color and its detail.
+    copied
+        Why the sample should be copied instead; empty if it need not be.
     """
 
     mean: Tile
     colors: ElementColors
-    detail: ElementDetail
+    detail: ElementCopies
     whole_cells: bool
     field: CellField | None = None
-    colored: bool = True
+    instances: bool = False
+    copied: str = ""
 
     @classmethod
     def of(cls, sample: Image, lattice: Lattice) -> VariationModel:
@@ -158,36 +161,34 @@ class VariationModel:
             fitted = sum(int(color.known.sum()) for color in colors.colors.values())
             if rest.var() < (1 - _EXPLAINED - _BY_CHANCE * fitted / (height * width)) * residual.var():
                 break
-        return cls(mean, colors, ElementDetail(elements, rest), whole_cells)._join(residual)
+        outlines = ElementOutlines.fit(sample, mean.unfold((height, width)), colors)
+        rest = residual - outlines.lay(colors.of_sample((height, width)))
+        model = cls(mean, colors, ElementCopies(elements, rest, outlines), whole_cells)
+        if min(map(len, model.detail.whole)) < FEWEST:
+            return replace(model, copied=f"the sample shows fewer than {FEWEST} whole instances of an element")
+        test = NoveltyTest(sample, elements, colors.threads)
+        task = Task(sample, (height, width), lattice, np.random.default_rng(0))
+        copies = replace(model, detail=ElementCopies(elements, residual), instances=True)
+        for candidate in (model._join(), copies):
+            if test.passes(candidate.draw(task, 1.0)):
+                return candidate
+        return replace(model, copied="what it draws is stranger than the elements of the sample are to each other")
 
-    def _join(self, residual: Values) -> VariationModel:
-        """Return the model with a field, if the residual, or the detail, runs on across the borders of elements."""
-        if min(map(len, self.detail.whole)) < FEWEST:
-            return self
-        threads = any(thread.turn != (0, 0) for thread in self.colors.threads)  # they are longer than a field's memory
-        steps = self.compare_steps(residual)
-        for colored in (True,) if threads else (False, True):
-            if steps[colored] < _CONTINUOUS:
-                return self.with_field(residual, colored)
-        return self
+    def _join(self) -> VariationModel:
+        """Return the model with a field, if the detail runs on across the borders of elements."""
+        return self.with_field() if self.compare_steps() < _CONTINUOUS else self
 
-    def compare_steps(self, residual: Values) -> dict[bool, float]:
-        """Return the steps at borders of elements, over those of independent elements: of residuals and of details.
+    def compare_steps(self) -> float:
+        """Return the steps of the detail at borders of elements, over those of independent elements."""
+        elements, shape = self.detail.elements, self.detail.rest.shape[:2]
+        drawn = self.detail.render(self.detail.draw(shape, np.random.default_rng(0)), shape)
+        return measure_steps(self.detail.rest, elements) / measure_steps(drawn, elements)
 
-        The keys are False for the residuals, True for the details.
-        """
-        elements, shape, rng = self.detail.elements, residual.shape[:2], np.random.default_rng(0)
-        detail = self.detail.render(self.detail.draw(shape, rng), shape)
-        both = detail + self.colors.render(self.colors.draw(shape, rng), shape)
-        pairs = ((residual, both), (self.detail.rest, detail))
-        ratios = [measure_steps(own, elements) / measure_steps(drawn, elements) for own, drawn in pairs]
-        return dict(zip((False, True), ratios, strict=True))
-
-    def with_field(self, residual: Values, colored: bool) -> VariationModel:
-        """Return the model with a field of the residual; with ``colored``, of the detail."""
-        own = self.detail.rest if colored else residual
-        rest = ElementDetail(self.detail.elements, own - smooth_coarsely(own, self.detail.elements))
-        return replace(self, detail=rest, field=CellField.fit(self.detail.elements, own), colored=colored)
+    def with_field(self) -> VariationModel:
+        """Return the model with a field of the detail."""
+        own, elements = self.detail.rest, self.detail.elements
+        detail = replace(self.detail, rest=own - smooth_coarsely(own, elements))
+        return replace(self, detail=detail, field=CellField.fit(elements, own))
 
     def torus(self, task: Task) -> CellTorus | None:
         """Return the cells of the output, if it repeats."""
@@ -196,7 +197,7 @@ class VariationModel:
     def describe_threads(self, task: Task) -> str:
         """Return how many threads differ in an output that repeats, if fewer do than in the sample."""
         torus = self.torus(task)
-        if torus is None or not self.colored:
+        if torus is None:
             return ""
         threads = {t.first: t.torus for t in self.colors.on_torus(torus).threads if t.turn != (0, 0)}
         count = sum(own.columns * own.rows for own in threads.values() if own is not None)
@@ -211,19 +212,19 @@ class VariationModel:
         torus = self.torus(task)
         colors = self.colors.draw(task.shape, task.rng, torus)
         own = self.colors.of_sample(self.detail.rest.shape[:2])
-        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, torus)
+        threads = [thread.turn != (0, 0) for thread in self.colors.threads] if self.instances else []
+        copied = self.detail.draw(task.shape, task.rng, (own, colors), torus, threads)
         field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
+        laid = variation * colors if not self.instances else None
         image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)
         for top in range(0, height, _ROWS):
             rows = slice(top, min(top + _ROWS, height))
             part = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
-            if self.colored:
-                part += variation * self.colors.render(colors, task.shape, rows)
             if self.field is not None and field is not None:
                 part += variation * self.field.render(field, task.shape, rows)
-            part += strength * self.detail.render(copied, task.shape, rows)
+            part += self.detail.render(copied, task.shape, rows, laid, variation if self.instances else strength)
             image[rows] = np.clip(part, 0, 1)
             task.progress(rows.stop / height)
         return image

@@ -17,13 +17,12 @@ from skimage.segmentation import watershed
 from nrbench.plugins.forms import Shape
 
 from ..lattice_places.equal_places import CellTorus
+from .element_outlines import OUTLINE_REACH, ElementOutlines
 from .element_map import WHOLE, ElementMap, ElementShares, Lag, Numbers
 
 Table = NDArray[np.float64]
 Colors = tuple[Table, Table]
 
-_REACH = 0.05
-"""Standard deviation, in s, of the Gaussian that spreads an element over its surroundings."""
 _CORE = 0.97
 """Share from which a place belongs to its element; elsewhere copies meet along a seam."""
 _MEETING = 0.05
@@ -78,7 +77,7 @@ class ElementCopies:
 
     @cached_property
     def _shares(self) -> ElementShares:
-        return ElementShares.of(self.elements, _REACH * self.elements.lattice.s)
+        return ElementShares.of(self.elements, OUTLINE_REACH * self.elements.lattice.s)
 
     @cached_property
     def _splines(self) -> list[NDArray[np.float64]]:
@@ -177,6 +176,11 @@ class ElementCopies:
             bias[k] -= _EVEN * np.log2((count + 1) / (count.mean() + 1))
         return np.stack([cells[number] for cells, number in zip(self.whole, drawn, strict=True)])
 
+    def colors_of(self, drawn: Numbers, own: Table) -> Table:
+        """Return the colors of the sample's elements that were drawn, ``(E, I, J, C)``."""
+        corner = self.elements.cells(self.rest.shape[:2])[0, 0]
+        return np.stack([table[tuple(np.moveaxis(cells - corner, -1, 0))] for table, cells in zip(own, drawn, strict=True)])
+
     def _box(self, shape: Shape, torus: CellTorus | None) -> tuple[Shape, Any]:
         """Return the shape of the box of cells, and the index of the cell that stands for each."""
         cells = self.elements.cells(shape)
@@ -206,33 +210,49 @@ class ElementCopies:
         return cost
 
     def render(
-        self, drawn: Numbers, shape: Shape, rows: slice = slice(None), colors: Table | None = None
+        self,
+        drawn: Numbers,
+        shape: Shape,
+        rows: slice = slice(None),
+        colors: Table | None = None,
+        strength: float = 1.0,
     ) -> NDArray[np.float64]:
-        """Return the copies at some rows of a picture, with new colors of their elements.
+        """Return the copies at some rows of a picture, times ``strength``, with new colors inside their own outlines.
 
         Where elements meet, each pixel shows the copy that it is joined to by the least visible path: the watersheds of
         the difference of the copies, from the places inside elements.
         """
-        pad = math.ceil(6 * _REACH * self.elements.lattice.s) + 2
         top, bottom, _ = rows.indices(shape[0])
+        pad = math.ceil(6 * OUTLINE_REACH * self.elements.lattice.s) + 2
         size, corner = (bottom - top + 2 * pad, shape[1] + 2 * pad), self.elements.cells(shape)[0, 0]
-        around = [
-            (at, label, cell, share, *np.argwhere(at).T) for at, share, label, cell in self._shares.within(size, (-pad, top - pad))
-        ]
-        copies = np.zeros((len(around), *size, self.rest.shape[2]))
-        shares, owner = np.zeros((len(around), *size)), np.full((len(around), *size), -1)
-        for rank, (at, label, cell, share, row, column) in enumerate(around):
-            index = (label, *(cell - corner).T)
-            step = drawn[index] - cell
-            x, y = (step @ self.elements.lattice.matrix + np.stack([column - pad, row + top - pad], -1)).T
+        around = list(self._shares.within(size, (-pad, top - pad)))
+        ranks = len(around)
+        shares, index = np.zeros((ranks, *size)), np.zeros((3, ranks, *size), np.int64)
+        for rank, (at, share, label, cell) in enumerate(around):
+            shares[rank, at], index[:, rank, at] = share, (label, *(cell - corner).T)
+        row, column, _ = self.elements.places(size, (-pad, top - pad))
+        copies = np.zeros((ranks, *size, self.rest.shape[2]))
+        for rank, (at, _, label, cell) in enumerate(around):
+            step = drawn[label, *(cell - corner).T] - cell
+            place = np.argwhere(at)[:, ::-1] + (-pad, top - pad) + step @ self.elements.lattice.matrix
             for channel, plane in enumerate(self._splines):
-                copies[rank, at, channel] = _interpolate(plane, y, x)
-            if colors is not None:
-                copies[rank, at] += self._lay_colors(...)
-            shares[rank, at], owner[rank, at] = share, np.ravel_multi_index(index, drawn.shape[:3])
-        weight = _cut_seams(copies, shares, owner)
+                copies[rank, at, channel] = strength * _interpolate(plane, place)
+            if colors is not None and self.outlines is not None:
+                laid = np.zeros((len(place), self.rest.shape[2]))
+                for other in range(ranks):
+                    shown = shares[other, at] > 0
+                    k, i, j = index[:, other, at][:, shown]
+                    source = step[shown] + np.stack([i, j], -1) + corner
+                    laid[shown] += self.outlines.read(k, source, place[shown])[:, np.newaxis] * colors[k, i, j]
+                copies[rank, at] += laid * self.outlines.gain[row[at], column[at]]
+        weight = _cut_seams(copies, shares, np.ravel_multi_index(tuple(index), drawn.shape[:3]))
         inner = slice(pad, size[0] - pad), slice(pad, size[1] - pad)
         return np.asarray((copies * weight[..., np.newaxis]).sum(0)[inner])
+
+
+def _interpolate(plane: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    x, y = places.T
+    return np.asarray(scipy.ndimage.map_coordinates(plane, [y, x], order=_ORDER, mode="mirror", prefilter=False))
 
 
 def _cut_seams(copies: NDArray[np.float64], shares: NDArray[np.float64], owner: Numbers) -> NDArray[np.float64]:
@@ -254,9 +274,9 @@ def _cut_seams(copies: NDArray[np.float64], shares: NDArray[np.float64], owner: 
     names, inside = np.unique(owner[0], return_inverse=True)
     markers = np.where(shares[0] > _CORE, inside.reshape(apart.shape) + 1, 0)
     basin = names[watershed(relief, markers) - 1]  # type: ignore[no-untyped-call]
-    basin = np.where((basin == owner).any(0), basin, owner[0])
+    basin = np.where(((basin == owner) & (shares > 0)).any(0), basin, owner[0])
     weight, around = np.zeros(owner.shape), np.pad(basin, 1, mode="edge")
     for y, x in np.ndindex(3, 3):
         shown = around[y : y + len(basin), x : x + basin.shape[1]]
-        weight += math.exp(-((y - 1) ** 2 + (x - 1) ** 2) / (2 * _SOFTNESS**2)) * (shown == owner)
+        weight += math.exp(-((y - 1) ** 2 + (x - 1) ** 2) / (2 * _SOFTNESS**2)) * ((shown == owner) & (shares > 0))
     return weight / weight.sum(0)

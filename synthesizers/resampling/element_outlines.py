@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -13,7 +13,7 @@ from nrbench.imaging.mean_tile import Values, fold
 from .element_colors import ElementColors, Table
 from .element_map import ElementMap, ElementShares, Numbers
 
-_REACH = 0.05
+OUTLINE_REACH = 0.05
 """Standard deviation, in s, of the Gaussian that spreads an element over its surroundings, where its outline may lie."""
 _SHARP = 6.0
 """Exponent of the shares that are the first probabilities of elements."""
@@ -25,13 +25,14 @@ _SEEN = 0.01
 """Smallest probability of an element at a place where its outline may lie, and of the ground."""
 _CORE = 0.95
 """Share from which a place is inside its element."""
-_GROUND = 0.3
+_GROUND = 0.5
 """Gain below which a place may be ground."""
 _LEAST_GROUND = 0.005
 """Least share of the sample that is ground; with less there is none."""
 _SOFTNESS = 0.5
 """px, standard deviation of the Gaussian that softens outlines."""
 _MOST_GAIN = 1.6
+_GAIN_SPREAD = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ class ElementOutlines:
             The colors of its elements.
         """
         elements, shape = colors.shares.elements, sample.shape[:2]
-        shares = ElementShares.of(elements, _REACH * elements.lattice.s)
+        shares = ElementShares.of(elements, OUTLINE_REACH * elements.lattice.s)
         row, column, _ = elements.places(shape)
         smooth = scipy.ndimage.gaussian_filter(sample.astype(np.float64), (_SMOOTH, _SMOOTH, 0))
         core = (shares.share[0] > _CORE)[row, column]
@@ -100,12 +101,35 @@ class ElementOutlines:
             ground = found[0]
             tile = fold(np.moveaxis(found, 0, -1).astype(np.float32), elements.lattice, grid=gain.shape).values
             prior = np.moveaxis(scipy.ndimage.gaussian_filter(tile, (_SMOOTH, _SMOOTH, 0), mode="wrap"), -1, 0)
-        mattes = np.zeros((4 * elements.count, *shape), np.float32)
+        table, residual = colors.of_sample(shape), sample - mean
+        usual, moved = np.zeros((2, 4 * elements.count, *shape), np.float32)
+        for at, share, label, cell in colors.shares.within(shape):
+            usual[find_plane(label, cell), *np.nonzero(at)] += share
         for matte, (at, _, label, cell) in zip(found[1:], shares.within(shape), strict=True):
-            mattes[find_plane(label, cell), *np.nonzero(at)] += matte[at]
-        mattes = scipy.ndimage.gaussian_filter(mattes, (0, _SOFTNESS, _SOFTNESS))
-        inner = colors.gain / np.maximum(prior[1:].sum(0), _GROUND)[..., np.newaxis]
-        return cls(shares, mattes, np.clip(inner, 0, _MOST_GAIN).astype(np.float32))
+            moved[find_plane(label, cell), *np.nonzero(at)] += matte[at]
+        moved = scipy.ndimage.gaussian_filter(moved, (0, _SOFTNESS, _SOFTNESS))
+        outlines = cls(shares, usual, np.ones((*gain.shape, sample.shape[2]), np.float32))
+        flat = outlines.lay(table)
+        shown = prior[1:].sum(0)[..., np.newaxis]
+        draw = float((residual - flat * shown[row, column]).var()) / _GAIN_SPREAD**2
+        product, power = (fold(f.astype(np.float32), elements.lattice, grid=gain.shape) for f in (flat * residual, flat**2))
+        count = power.counts[..., np.newaxis]
+        fitted = (product.values * count + draw * shown) / (power.values * count + draw)
+        fitted = np.clip(scipy.ndimage.gaussian_filter(fitted, (_SMOOTH, _SMOOTH, 0), mode="wrap"), 0, _MOST_GAIN)
+        level = fitted.mean(-1, keepdims=True)
+        balance = np.clip(fitted / np.maximum(level, 0.1), 0.5, 2).astype(np.float32)
+        usual *= level[row, column, 0]
+        moved *= np.clip(level / np.maximum(shown, _GROUND), 0, _MOST_GAIN)[row, column, 0]
+        outlines = cls(shares, usual, balance)
+        rest = residual - outlines.lay(table)
+        step = replace(outlines, mattes=moved - usual).lay(table)
+        gained, power = (
+            fold(f.sum(-1, keepdims=True).astype(np.float32), elements.lattice, grid=gain.shape).values
+            for f in (step * rest, step * step)
+        )
+        noise = 0.1 * float(np.mean(rest**2)) * sample.shape[2]
+        trust = np.clip(scipy.ndimage.gaussian_filter(gained, (1,1,0), mode="wrap") / (scipy.ndimage.gaussian_filter(power, (1,1,0), mode="wrap") + noise), 0, 1)[row, column, 0]
+        return replace(outlines, mattes=usual + trust * (moved - usual))
 
     def lay(self, table: Table) -> NDArray[np.float64]:
         """Return the color of the elements at each pixel of the sample, from a table of its instances."""
@@ -117,6 +141,15 @@ class ElementOutlines:
             laid[at] += self.mattes[find_plane(label, cell), *np.nonzero(at)][:, np.newaxis] * table[label, i, j]
         row, column, _ = self.shares.elements.places(shape)
         return np.asarray(laid * self.gain[row, column])
+
+    def read(self, label: Numbers, cell: Numbers, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the mattes of n instances at one place (x, y) of the sample each, ``(n,)``."""
+        planes, matte = find_plane(label, cell), np.empty(len(label))
+        for plane in np.unique(planes):
+            at = planes == plane
+            x, y = places[at].T
+            matte[at] = scipy.ndimage.map_coordinates(self.mattes[plane], [y, x], order=1, mode="mirror")
+        return matte
 
 
 def find_plane(label: Numbers, cell: Numbers) -> Numbers:
