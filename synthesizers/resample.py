@@ -62,7 +62,7 @@ class Resample:
     and few colors are left; the note tells how many.
 
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
-    An element that the sample shows whole fewer than six times joins its neighbor. If this holds for every element,
+    An element that the sample shows whole fewer than three times joins its neighbor. If this holds for every element,
     the output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the
     same sample in the same process reuses the model.
 

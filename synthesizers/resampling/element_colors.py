@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from nrbench.imaging.mean_tile import Values, fold
 from nrbench.plugins.forms import Shape
 
 from ..lattice_places.equal_places import CellTorus
-from .element_map import ElementMap, ElementShares, InstanceColors, Lag, Numbers
+from .element_map import ElementMap, ElementShares, InstanceColors, Lag, Numbers, number_along
 
 Table = NDArray[np.float64]
 """``(E, I, J, C)``: the color of each element in a box of cells."""
@@ -27,17 +28,18 @@ _CORE = 0.95
 _ROUNDS = 3
 """Fits of colors, with a fit of gains between two of them."""
 _MOST_GAIN = 1.6
-_LINKED = (0.3, 2.0)
-"""Instances of an element whose colors correlate at a lag and its multiples by a + b / sqrt(pairs) are one thread."""
-_LINKED_ELEMENTS = (0.5, 1.0)
-"""The same for different elements at one lag."""
-_MULTIPLES = (1, 2, 3, 4)
+_LEAST_SHARED = 0.3
+"""Least share of the variance of an element's colors that threads explain. Detail hides a part, stains fade."""
+_EVIDENCE = 2.5
+"""Least evidence for threads of all elements: the sum of -log10 of the probabilities that chance explains as much."""
+_LINKED = (0.5, 1.0)
+"""Different elements whose colors correlate at a lag by a + b / sqrt(pairs) are one thread."""
+_LINKED_THREADS = (0.3, 1.0)
+"""The same for the threads of elements that have the same turn."""
 _REACH = 2
 """Largest lag, in cells, at which colors are correlated."""
 _CHANCE = 2.5
 """Correlations of fewer standard errors count as 0."""
-_FEWEST = 6
-"""With fewer colors than this, new ones are Gaussian."""
 _BASES = 8
 """Orthonormal bases along whose axes colors are moved."""
 _LEVELS = (np.arange(64) + 0.5) / 64
@@ -72,54 +74,57 @@ class ElementThread:
             return self.torus.wrap(number)
         if self.turn == (0, 0):
             return number
-        axis = int(np.argmax(np.abs(self.turn)))
-        turns = np.floor_divide(number[..., axis], self.turn[axis])
-        return np.asarray(number - turns[..., np.newaxis] * np.array(self.turn))
+        return number_along(number, self.turn)
 
 
 def link_threads(colors: Sequence[InstanceColors]) -> list[ElementThread]:
-    """Return the thread of each element. Elements whose colors agree at a lag are linked.
+    """Return the thread of each element: which of its instances, and which other elements, have one color.
 
-    The closest links come first. A thread that has a turn takes no further one. Detail hides a part of a thread's
-    correlation, at all lags alike. Stains fade with the lag, so that an element is compared at its multiples as well.
-    Few pairs agree by chance, so that they have to agree more.
+    First, each element may have a turn: the lag along which its instances agree. The evidence of all elements is added,
+    so that little of each is enough where all agree. Then elements at a lag are linked, the closest first, if the
+    colors of their instances, or of their turns, correlate. Few pairs agree by chance, so that they have to agree more.
     """
-    reach = range(-_REACH, _REACH + 1)
+    threads = [ElementThread(k, turn=turn) for k, turn in enumerate(_find_turns(colors))]
     links = []
-    for a, color in enumerate(colors):
-        for lag in ((i, j) for i in reach for j in reach):
-            if lag > (0, 0) and math.gcd(*lag) == 1:
-                found = [color.correlation(color, (n * lag[0], n * lag[1])) for n in _MULTIPLES]
-                links.append((_excess(found, _LINKED), a, a, lag))
-            if max(map(abs, lag)) <= 1:
-                links += [
-                    (_excess([color.correlation(colors[b], lag)], _LINKED_ELEMENTS), a, b, lag)
-                    for b in range(a + 1, len(colors))
-                ]
-    threads = [ElementThread(k) for k in range(len(colors))]
+    for a, b in itertools.combinations(range(len(colors)), 2):
+        turn = threads[a].turn
+        for lag in ((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
+            if turn == (0, 0) == threads[b].turn:
+                links.append((_excess(colors[a].correlation(colors[b], lag), _LINKED), a, b, lag))
+            elif turn == threads[b].turn:
+                links.append((_excess(colors[a].compare_along(colors[b], lag, turn), _LINKED_THREADS), a, b, lag))
     for excess, a, b, lag in sorted(links, reverse=True):
         if excess < 0:
             break
         one, other = threads[a], threads[b]
         shift = (one.base[0] + lag[0] - other.base[0], one.base[1] + lag[1] - other.base[1])
         if one.first == other.first:
-            turn = shift if one.turn == (0, 0) else one.turn
-            threads = [replace(t, turn=turn) if t.first == one.first else t for t in threads]
-        elif (0, 0) in (one.turn, other.turn):
-            turn = other.turn if one.turn == (0, 0) else one.turn
-            for k, thread in enumerate(threads):
-                if thread.first == other.first:
-                    base = (thread.base[0] + shift[0], thread.base[1] + shift[1])
-                    threads[k] = ElementThread(one.first, base, turn)
-                elif thread.first == one.first:
-                    threads[k] = replace(thread, turn=turn)
+            continue
+        for k, thread in enumerate(threads):
+            if thread.first == other.first:
+                base = (thread.base[0] + shift[0], thread.base[1] + shift[1])
+                threads[k] = ElementThread(one.first, base, one.turn)
     return threads
 
 
-def _excess(found: Sequence[tuple[float, int]], limit: tuple[float, float]) -> float:
-    """Return by how much the mean of some correlations of so many pairs each exceeds a limit."""
-    pairs = max(sum(count for _, count in found), 1)
-    return sum(r * count for r, count in found) / pairs - limit[0] - limit[1] / math.sqrt(pairs)
+def _find_turns(colors: Sequence[InstanceColors]) -> list[Lag]:
+    """Return the turn of each element; (0, 0) for none."""
+    reach = range(-_REACH, _REACH + 1)
+    lags = [(i, j) for i in reach for j in reach if (i, j) > (0, 0) and math.gcd(i, j) == 1]
+    tests = np.array([[color.test_along(lag) for lag in lags] for color in colors])
+    evidence = np.where(tests[..., 1] >= _LEAST_SHARED, tests[..., 0], 0)
+    best = evidence.max(1) - math.log10(len(lags))
+    if best[best > 0].sum() < _EVIDENCE:
+        return [(0, 0)] * len(colors)
+    seen = np.isin(np.arange(len(lags)), evidence.argmax(1)[best >= 1])
+    evidence = np.where(seen, tests[..., 0], 0)
+    return [lags[int(row.argmax())] if row.max() >= 1 else (0, 0) for row in evidence]
+
+
+def _excess(found: tuple[float, int], limit: tuple[float, float]) -> float:
+    """Return by how much a correlation of so many pairs exceeds a limit."""
+    r, pairs = found
+    return r - limit[0] - limit[1] / math.sqrt(max(pairs, 1))
 
 
 @dataclass(frozen=True)
@@ -313,8 +318,6 @@ def match_distribution(field: Table, sample: NDArray[np.float64], rng: np.random
     power, axes = np.linalg.eigh(np.atleast_2d(np.cov(sample.T)))
     root = (axes * np.sqrt(np.maximum(power, 0))).T
     colors = field.reshape(-1, channels) @ root
-    if count < _FEWEST:
-        return np.asarray(colors.reshape(field.shape))
     width = 0.6 * count ** (-1 / 7)
     size = (max(4096, 8 * count), channels)
     target = (sample[rng.integers(count, size=size[0])] - sample.mean(0)) * np.sqrt(count / (count - 1))
