@@ -24,13 +24,21 @@ _AROUND: tuple[Lag, ...] = ((0, 0), (0, 1), (1, 0), (1, 1), (1, -1))
 """Lags in cells at which classes may go together."""
 _BY_CHANCE = 4.0
 """Twice the log-likelihood by which pairs of classes have to exceed chance, after BIC."""
-_SWEEPS = 12
+_EXPECTED = 1.0
+"""A pair of classes that chance would show so often, but that is never seen, is kept away."""
+_SWEEPS = 30
 """Times that all classes are drawn again, given their neighbors'."""
+_RATE = 0.3
+"""Part of the logarithm of its ratio to the sample's by which a pair's share is corrected in a sweep."""
+_MOST = 12.0
+"""Largest potential of a pair."""
+_BALANCES = 3
+"""Steps in which the shares of classes are made the sample's, before they are drawn."""
 _UNSEEN = 1e-3
 """Share of a pair of classes that the sample does not show."""
 
 
-def find_classes(color: InstanceColors) -> Numbers | None:
+def group_colors(color: InstanceColors) -> Numbers | None:
     """Return the class of each instance, ``(I, J)``, -1 where it is not known; None if the colors form no classes.
 
     The colors are grouped by Ward's method. Groups of 2 to 8 are compared with one Gaussian by their classification
@@ -102,13 +110,16 @@ def _test_pairs(table: NDArray[np.float64], same: bool) -> NDArray[np.float64] |
         return None
     shares = table / count
     apart = shares.sum(1, keepdims=True) * shares.sum(0)
-    excess = 2 * count * scipy.special.rel_entr(shares, apart).sum() - (apart.size - sum(apart.shape) + 1) * np.log(count)
+    excess = 2 * count * scipy.special.rel_entr(shares, apart).sum() - (apart.size - sum(apart.shape) + 1) * np.log(
+        count
+    )
+    shares = np.where((table == 0) & (count * apart < _EXPECTED), apart / (count + 1), shares)
     if same:
         equal = np.eye(len(apart), dtype=bool)
         ratios = [shares[part].sum() / max(float(apart[part].sum()), 1e-12) for part in (equal, ~equal)]
         alike = apart * np.where(equal, *ratios)
         less = 2 * count * scipy.special.rel_entr(alike, apart).sum() - np.log(count)
-        if less > excess:
+        if less > excess - _BY_CHANCE:
             excess, shares = less, alike
     return np.asarray(shares) if excess > _BY_CHANCE else None
 
@@ -116,8 +127,9 @@ def _test_pairs(table: NDArray[np.float64], same: bool) -> NDArray[np.float64] |
 def draw_classes(classes: Sequence[Numbers], torus: CellTorus, rng: np.random.Generator) -> Numbers:
     """Return new classes on a torus, ``(I, J, E)``: a random field with the sample's shares of classes and of pairs.
 
-    It is a Markov random field. Classes are drawn in an order in which each is given the neighbors before it, then again
-    given all neighbors. After each sweep, the potentials of pairs that are too rare are raised, and of others lowered.
+    It is a Markov random field. Classes are drawn in an order in which each is given the neighbors before it, then
+    again given all neighbors, in parts that keep the shares of classes. Before each sweep, the potentials of pairs that
+    are too rare are raised, and of others lowered.
 
     Parameters
     ----------
@@ -129,64 +141,55 @@ def draw_classes(classes: Sequence[Numbers], torus: CellTorus, rng: np.random.Ge
         Draws the classes.
     """
     shares = [np.bincount(own[own >= 0]) / (own >= 0).sum() for own in classes]
-    extent = torus.columns, torus.rows
-    links = link_classes(classes)
-    drawn = np.stack([rng.choice(len(share), extent, p=share) for share in shares], -1)
-    if not links:
-        return drawn
-    field = _ClassField(torus, links, [np.log(share) for share in shares], drawn)
-    order = (2 * np.arange(extent[0])[:, np.newaxis] + np.arange(extent[1])) * len(classes)
-    for turn in range(int(order.max()) + len(classes)):
-        element = turn % len(classes)
-        field.redraw(element, *np.nonzero(order == turn - element), rng, order, turn)
-    for _ in range(_SWEEPS):
-        field.adapt(shares)
+    field = _ClassField(torus, link_classes(classes), shares)
+    cells = np.stack(np.meshgrid(np.arange(torus.columns), np.arange(torus.rows), indexing="ij"), -1).reshape(-1, 2)
+    order = cells @ (2, 1)  # no two neighbors are equal in it
+    for turn in range(int(order.max()) + 1 if field.links else 1):
+        for element in range(len(classes)):
+            field.redraw(element, cells[order == turn] if field.links else cells, rng)
+    for _ in range(_SWEEPS if field.links else 0):
+        field.correct()
         for part, element in np.ndindex(5, len(classes)):
-            field.redraw(element, *np.nonzero(order // len(classes) % 5 == part), rng)
-    return field.drawn
+            field.redraw(element, cells[order % 5 == part], rng, balanced=True)
+    return field.classes
 
 
 class _ClassField:
-    """The state of :func:`draw_classes`: potentials, and classes that are redrawn in place."""
+    """The classes that are drawn, -1 where they are not drawn yet, and the potentials of their pairs."""
 
-    def __init__(
-        self, torus: CellTorus, links: list[ClassLink], alone: list[NDArray[np.float64]], drawn: Numbers
-    ) -> None:
-        self.torus, self.drawn, self.alone, self.links = torus, drawn, alone, links
-        self.pairs = [np.log((s + _UNSEEN) / (s.sum(1, keepdims=True) * s.sum(0) + _UNSEEN)) for *_, s in links]
+    def __init__(self, torus: CellTorus, links: list[ClassLink], shares: list[NDArray[np.float64]]) -> None:
+        self.torus, self.links, self.shares = torus, links, shares
+        self.classes = np.full((torus.columns, torus.rows, len(shares)), -1)
+        pairs = [np.log((s + _UNSEEN) / (s.sum(1, keepdims=True) * s.sum(0) + _UNSEEN)) for *_, s in links]
+        # Links of one element repeat each other, but what the sample does not show stays away.
+        repeats = max(1, len(links) // max(len(shares), 1))
+        self.pairs = [np.where(s > 0, pair / repeats, pair) for pair, (*_, s) in zip(pairs, links, strict=True)]
 
-    def redraw(
-        self,
-        element: int,
-        i: Numbers,
-        j: Numbers,
-        rng: np.random.Generator,
-        order: Numbers | None = None,
-        turn: int = 0,
-    ) -> None:
-        """Draw the classes of an element in some cells, given its neighbors; with ``order``, those before ``turn``."""
-        likelihood = np.tile(self.alone[element], (len(i), 1))
+    def redraw(self, element: int, cells: Numbers, rng: np.random.Generator, balanced: bool = False) -> None:
+        """Draw the classes of an element in cells ``(n, 2)``, given its neighbors; ``balanced``: with its shares."""
+        likelihood = np.tile(np.log(self.shares[element]), (len(cells), 1))
         for (a, b, lag, _), pairs in zip(self.links, self.pairs, strict=True):
             for own, other, table, sign in ((a, b, pairs, 1), (b, a, pairs.T, -1)):
                 if own == element:
-                    at = self._neighbors(i, j, sign * np.array(lag))
-                    known = table.T[self.drawn[(*at, other)]]
-                    likelihood += known if order is None else known * (order[at] + other < turn)[:, np.newaxis]
-        self.drawn[i, j, element] = (likelihood + rng.gumbel(size=likelihood.shape)).argmax(-1)
+                    neighbors = self._read(other, cells + sign * np.array(lag))
+                    likelihood += np.where(neighbors[:, np.newaxis] >= 0, table.T[neighbors], 0)
+        for _ in range(_BALANCES if balanced else 0):
+            share = scipy.special.softmax(likelihood, -1).mean(0)
+            likelihood += np.log((self.shares[element] + _UNSEEN) / (share + _UNSEEN))
+        self.classes[cells[:, 0], cells[:, 1], element] = (likelihood + rng.gumbel(size=likelihood.shape)).argmax(-1)
 
-    def adapt(self, shares: list[NDArray[np.float64]]) -> None:
-        """Raise the potentials of classes and pairs that are rarer than they should be, lower the others."""
-        for k, share in enumerate(shares):
-            now = np.bincount(self.drawn[..., k].ravel(), minlength=len(share)) / self.drawn[..., k].size
-            self.alone[k] = self.alone[k] + 0.5 * np.log((share + _UNSEEN) / (now + _UNSEEN))
+    def correct(self) -> None:
+        """Raise the potentials of pairs that are rarer than they should be, lower the others."""
+        cells = np.moveaxis(np.indices(self.classes.shape[:2]), 0, -1)
         for n, (a, b, lag, target) in enumerate(self.links):
-            there = self.drawn[(*self._neighbors(*np.indices(self.drawn.shape[:2]), np.array(lag)), b)]
             now = np.zeros(target.shape)
-            np.add.at(now, (self.drawn[..., a], there), 1 / there.size)
-            change = 0.5 * np.log((target + _UNSEEN) / (now + _UNSEEN))
-            self.pairs[n] = np.clip(self.pairs[n] + change, -12, 12)
+            np.add.at(
+                now, (self.classes[..., a], self._read(b, cells + np.array(lag))), 1 / len(cells) / cells.shape[1]
+            )
+            change = _RATE * np.log((target + _UNSEEN) / (now + _UNSEEN))
+            self.pairs[n] = np.clip(self.pairs[n] + change, -_MOST, _MOST)
 
-    def _neighbors(self, i: Numbers, j: Numbers, lag: Numbers) -> tuple[Numbers, Numbers]:
-        """Return the cells that lie a lag from others on the torus."""
-        at = self.torus.wrap(np.stack([i, j], -1) + lag)
-        return at[..., 0], at[..., 1]
+    def _read(self, element: int, cells: Numbers) -> Numbers:
+        """Return the classes of an element in cells, ``(..., 2)``."""
+        at = self.torus.wrap(cells)
+        return np.asarray(self.classes[at[..., 0], at[..., 1], element])
