@@ -176,6 +176,8 @@ class VariationModel:
 
     def _join(self, residual: Values) -> VariationModel:
         """Return the model with a field, if the residual, or the detail, runs on across the borders of elements."""
+        if self.colors.classes:
+            return self
         threads = any(thread.turn != (0, 0) for thread in self.colors.threads)  # they are longer than a field's memory
         steps = self.compare_steps(residual)
         for colored in (True,) if threads else (False, True):
@@ -222,11 +224,14 @@ class VariationModel:
         height, width = task.shape
         torus = self.torus(task)
         colors = self.colors.draw(task.shape, task.rng, torus)
-        own = self.colors.of_sample(self.detail.rest.shape[:2])
-        threads = [thread.turn != (0, 0) for thread in self.colors.threads] if self.instances else []
-        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, torus, threads)
-        if self.instances:
-            colors = self.detail.colors_of(copied, own)
+        shape, own = self.detail.rest.shape[:2], self.colors.of_classes(self.detail.rest.shape[:2])
+        classed = [thread.first in self.colors.classes for thread in self.colors.threads]
+        exact = [
+            one or (self.instances and t.turn != (0, 0)) for one, t in zip(classed, self.colors.threads, strict=True)
+        ]
+        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, torus, exact)
+        kept = [self.instances or one for one in classed]
+        colors[kept] = self.detail.colors_of(copied, self.colors.of_sample(shape))[kept]
         field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from nrbench.imaging.mean_tile import Values, fold
 from nrbench.plugins.forms import Shape
 
 from ..lattice_places.equal_places import CellTorus
+from .element_classes import draw_classes, group_colors
 from .element_map import ElementMap, ElementShares, InstanceColors, Lag, Numbers, number_along
 
 Table = NDArray[np.float64]
@@ -234,16 +236,38 @@ class ElementColors:
         row, column, _ = self.shares.elements.places(laid.shape[:2], rows.indices(shape[0])[0])
         return np.asarray(laid * self.gain[row, column])
 
+    @cached_property
+    def classes(self) -> dict[int, Numbers]:
+        """The classes of the threads' colors, where they form classes (:func:`.element_classes.group_colors`)."""
+        found = {name: group_colors(color) for name, color in self.colors.items()}
+        return {name: classes for name, classes in found.items() if classes is not None}
+
     def of_sample(self, shape: Shape) -> Table:
         """Return the sample's own colors, for :meth:`lay` and :meth:`render`."""
         return self.spread({k: c.values for k, c in self.colors.items()}, self.low, shape)
+
+    def of_classes(self, shape: Shape) -> Table:
+        """Return the sample's own colors; for elements that are in classes but in no thread, the mean of the class."""
+        return self.spread({k: self._prototypes(k) for k in self.colors}, self.low, shape)
+
+    def _prototypes(self, name: int) -> Table:
+        """Return the colors of threads; for elements that are in classes but in no thread, the mean of the class."""
+        values, classes = self.colors[name].values, self.classes.get(name)
+        if classes is None or self.threads[name].turn != (0, 0):
+            return values
+        means = np.stack([values[classes == k].mean(0) for k in range(classes.max() + 1)])
+        return np.where(classes[..., np.newaxis] < 0, values, means[classes])
 
     def on_torus(self, torus: CellTorus) -> ElementColors:
         """Return the model for an output that repeats: a thread runs around its edges, and may meet itself."""
         return replace(self, threads=[replace(thread, torus=torus.joined(thread.turn)) for thread in self.threads])
 
     def draw(self, shape: Shape, rng: np.random.Generator, torus: CellTorus | None = None) -> Table:
-        """Return new colors for a picture: a Gaussian field with the sample's correlations, and its distribution."""
+        """Return new colors for a picture: a Gaussian field with the sample's correlations, and its distribution.
+
+        Where colors form classes, those are drawn (:func:`.element_classes.draw_classes`), and each has the color of a
+        random member.
+        """
         if torus is not None:
             return self.on_torus(torus)._draw_numbers(shape, rng, np.zeros(2, np.int64), torus)
         cells = self.shares.elements.cells(shape)
@@ -258,6 +282,11 @@ class ElementColors:
             name: match_distribution(field[:, :, k], color.values[color.known], rng)
             for k, (name, color) in enumerate(self.colors.items())
         }
+        classes = draw_classes(list(self.classes.values()), torus, rng)
+        for new, (name, own) in zip(np.moveaxis(classes, -1, 0), self.classes.items(), strict=True):
+            for k in range(own.max() + 1):
+                members = self._prototypes(name)[own == k]
+                drawn[name][new == k] = members[rng.integers(len(members), size=(new == k).sum())]
         return self.spread(drawn, low, shape)
 
 

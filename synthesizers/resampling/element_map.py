@@ -77,8 +77,8 @@ class InstanceColors:
 
         The channels are added; with fewer than four pairs it is 0.
         """
-        both = np.logical_and(*_overlap(self.known, other.known, lag))
-        return _correlate(*(part[both] for part in _overlap(self.values, other.values, lag)))
+        both = np.logical_and(*overlap(self.known, other.known, lag))
+        return _correlate(*(part[both] for part in overlap(self.values, other.values, lag)))
 
     def compare_along(self, other: InstanceColors, lag: Lag, turn: Lag) -> tuple[float, int]:
         """Return the correlation of threads along a turn with those of another element ``lag`` cells on, as above."""
@@ -135,7 +135,7 @@ def _group_means(values: NDArray[np.float64], group: Numbers) -> NDArray[np.floa
     return np.asarray(sums / np.bincount(group)[:, np.newaxis])
 
 
-def _overlap(a: NDArray[Any], b: NDArray[Any], lag: Lag) -> tuple[NDArray[Any], NDArray[Any]]:
+def overlap(a: NDArray[Any], b: NDArray[Any], lag: Lag) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the parts of two arrays of cells that lie ``lag`` apart."""
     steps = list(zip(lag, a.shape, strict=False))
     here = tuple(slice(max(0, -d), max(0, n - max(0, d))) for d, n in steps)
