@@ -120,8 +120,12 @@ def make_key(shown: Sequence[tuple[CellRecord, ...]], name: str, suite: str) -> 
 
 
 def ask(suite: str, target: Path, photographs: Path, name: str, seed: int) -> None:
-    """Make the outputs, the pages and the key."""
+    """Make the outputs, the pages and the key. Outputs of `resample` are always made anew, those of others are kept."""
     target = target.resolve()
+    if (target / "run").exists():
+        for cell in nrbench.load(target / "run").cells:
+            if cell.method == OURS:
+                shutil.rmtree(cell.folder)
     with folder_of(suite, photographs, target):
         run = nrbench.run(LABELS / f"{suite}.toml", out=target / "run", options=nrbench.Options(jobs=1))
     shown = pair_outputs(run, seed)
@@ -186,12 +190,16 @@ def add(target: Path, files: Sequence[Path], labeled_by: str) -> None:
 
 
 def preferences(answers: pd.DataFrame) -> pd.DataFrame:
-    """Return one row a pair: ``texture``, ``grader``, ``other`` method, ``value`` 1 preferred, 0.5 equal, 0 not."""
+    """Return one row a pair: ``texture``, ``grader``, ``other`` method, ``value`` 1 preferred, 0.5 equal, 0 not.
+
+    ``same`` tells whether both outputs had the same pixels, as where `resample` falls back to `tile-set`.
+    """
     pairs = answers[answers["better"] != ""]
     is_a = pairs["a"] == OURS
     ours = np.where(is_a, "A", "B")
     value = np.where(pairs["better"] == "equal", 0.5, (pairs["better"] == ours) * 1.0)
-    return pairs[["texture", "grader"]].assign(other=pairs["b"].where(is_a, pairs["a"]), value=value)
+    other, same = pairs["b"].where(is_a, pairs["a"]), pairs["a_pixels"] == pairs["b_pixels"]
+    return pairs[["texture", "grader"]].assign(other=other, value=value, same=same)
 
 
 def oddities(answers: pd.DataFrame) -> pd.DataFrame:
@@ -221,16 +229,15 @@ def print_set(answers: pd.DataFrame) -> None:
     print(f"\n{answers['set'].iloc[0]}: {len(graders)} graders ({kinds}), {answers['texture'].nunique()} regions")
     for who, part in views:
         rows = preferences(part)
-        for other in ("", *sorted(rows["other"].unique())):
+        for other in ("", *sorted(rows["other"].unique())) if len(rows) else ():
             some = rows if not other else rows[rows["other"] == other]
-            if len(some):
-                either, better = share_text(some, some["value"] > 0), share_text(some, some["value"] == 1)
-                name = other or "any other method"
-                print(f"  {who}: {OURS} and {name}: preferred or equal {either}, preferred {better}, n {len(some)}")
+            either, better = share_text(some, some["value"] > 0), share_text(some, some["value"] == 1)
+            same = f"{len(some)} pairs, {some['same'].sum()} of the same pixels"
+            print(f"  {who}: {OURS} and {other or 'others'}: preferred or equal {either}, preferred {better}; {same}")
         rows = oddities(part)
         for method in sorted(rows["method"].unique()):
             some = rows[rows["method"] == method]
-            print(f"  {who}: {method} odd {share_text(some, some['value'])}, n {len(some)}")
+            print(f"  {who}: {method} odd {share_text(some, some['value'])}; shown {len(some)} times")
 
 
 def main() -> None:
