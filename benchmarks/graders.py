@@ -96,8 +96,10 @@ def enlarge(image: Image, factor: int) -> Image:
 
 
 def write_pages(shown: Sequence[tuple[CellRecord, ...]], folder: Path) -> list[Path]:
-    """Write the pages, and return their files."""
+    """Write the pages in place of earlier ones, and return their files."""
     folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("page_*.png"):
+        old.unlink()
     pages, rows = [], ON_PAGE[len(shown[0])]
     for first in range(0, len(shown), rows):
         pictures, captions = [], []
