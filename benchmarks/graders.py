@@ -50,8 +50,10 @@ GIVEN = {"graders-pairs.md": ["better", "odd_a", "odd_b", "why"], "graders-print
 ALLOWED = {"better": ("A", "B", "equal"), "odd": ("0", "1"), "odd_a": ("0", "1"), "odd_b": ("0", "1")}
 STORED = [*KEY, "labeled_by", "grader", "better", "odd_a", "odd_b", "why"]
 """The columns of the stored answers, one row for each grader and showing."""
-SIDE, ON_PAGE = 512, 2
-"""px: smaller outputs are enlarged up to this side; rows on a page."""
+SIDE = 512
+"""px: smaller outputs are enlarged up to this side."""
+ON_PAGE = {1: 2, 2: 1}
+"""Rows on a page with one and with two outputs in a row: larger pages would be scaled down where they are shown."""
 RESAMPLES = 9999
 
 
@@ -94,12 +96,14 @@ def enlarge(image: Image, factor: int) -> Image:
 
 
 def write_pages(shown: Sequence[tuple[CellRecord, ...]], folder: Path) -> list[Path]:
-    """Write the pages, and return their files."""
+    """Write the pages in place of earlier ones, and return their files."""
     folder.mkdir(parents=True, exist_ok=True)
-    pages = []
-    for first in range(0, len(shown), ON_PAGE):
+    for old in folder.glob("page_*.png"):
+        old.unlink()
+    pages, rows = [], ON_PAGE[len(shown[0])]
+    for first in range(0, len(shown), rows):
         pictures, captions = [], []
-        for number, cells in enumerate(shown[first : first + ON_PAGE], first + 1):
+        for number, cells in enumerate(shown[first : first + rows], first + 1):
             outputs = [read_image(cell.folder / "output.png") for cell in cells]
             factor = max(1, SIDE // max(outputs[0].shape))
             pictures += [enlarge(each, factor) for each in (read_image(cells[0].folder / "sample.png"), *outputs)]

@@ -74,11 +74,11 @@ def test_each_pair_has_one_output_of_resample(script: ModuleType, run: SimpleNam
 
 
 def test_pages_tell_no_method(script: ModuleType, run: SimpleNamespace, tmp_path: Path) -> None:
-    """Pages have two rows each and numbers for names; their pixels follow from what is shown."""
+    """Each pair has a page of its own, which is no larger than what is shown at full size; its name is a number."""
     pages = script.write_pages(script.pair_outputs(run, 46), tmp_path / "pages")
-    assert [page.name for page in pages] == [f"page_{number:02d}.png" for number in range(1, 5)]
+    assert [page.name for page in pages] == [f"page_{number:02d}.png" for number in range(1, 9)]
     height, width, _ = script.read_image(pages[0]).shape
-    assert height <= 1200 and width <= 1600
+    assert height <= 600 and width <= 1600
 
 
 def test_preferences_and_oddities_follow_the_key(script: ModuleType, run: SimpleNamespace, tmp_path: Path) -> None:
