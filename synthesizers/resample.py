@@ -150,29 +150,43 @@ class VariationModel:
 
     @classmethod
     def fit(cls, sample: Image, lattice: Lattice) -> VariationModel:
-        """Return the model of a sample with a reduced lattice."""
-        height, width, _ = sample.shape
-        mean = fold(sample, lattice, grid=map_grid(lattice))
-        residual = sample - mean.unfold((height, width))
+        """Return the model of a sample with a reduced lattice: the first one whose draws are not stranger than the sample.
+
+        Colors are drawn, then elements are whole instances, then whole cells.
+        """
+        shape, mean = sample.shape[:2], fold(sample, lattice, grid=map_grid(lattice))
+        residual = sample - mean.unfold(shape)
+        fits = []
         for whole_cells in (False, True):
             elements = segment(sample, residual, lattice, whole_cells)
             colors = ElementColors.fit(elements, residual)
-            rest = residual - colors.render(colors.of_sample((height, width)), (height, width))
+            rest = residual - colors.render(colors.of_sample(shape), shape)
             fitted = sum(int(color.known.sum()) for color in colors.colors.values())
-            if rest.var() < (1 - _EXPLAINED - _BY_CHANCE * fitted / (height * width)) * residual.var():
-                break
-        outlines = ElementOutlines.fit(sample, mean.unfold((height, width)), colors)
-        rest = residual - outlines.lay(colors.of_sample((height, width)))
-        model = cls(mean, colors, ElementCopies(elements, rest, outlines), whole_cells)
-        if min(map(len, model.detail.whole)) < FEWEST:
-            return replace(model, copied=f"the sample shows fewer than {FEWEST} whole instances of an element")
-        test = NoveltyTest(sample, elements, colors.threads)
-        task = Task(sample, (height, width), lattice, np.random.default_rng(0))
-        copies = replace(model, detail=ElementCopies(elements, residual), instances=True)
-        for candidate in (model._join(), copies):
-            if test.passes(candidate.draw(task, 1.0)):
-                return candidate
-        return replace(model, copied="what it draws is stranger than the elements of the sample are to each other")
+            explains = rest.var() < (1 - _EXPLAINED - _BY_CHANCE * fitted / rest[..., 0].size) * residual.var()
+            copies = ElementCopies(elements, sample)
+            fits.append((explains, cls(mean, colors, copies, whole_cells, instances=True)))
+        (explains, copied), (_, cells) = fits
+        chosen = copied if explains else cells
+        candidates = [chosen.with_drawn_colors(sample), copied, cells]
+        if chosen.colors.classes:
+            candidates = candidates[1:]
+        test = NoveltyTest(sample, chosen.detail.elements, chosen.colors.threads)
+        task = Task(sample, shape, lattice, np.random.default_rng(0))
+        why = f"the sample shows fewer than {FEWEST} whole instances of an element"
+        for candidate in candidates:
+            if min(map(len, candidate.detail.whole)) >= FEWEST:
+                if test.passes(candidate.draw(task, 1.0)):
+                    return candidate
+                why = "what it draws is stranger than the elements of the sample are to each other"
+        return replace(cells, copied=why)
+
+    def with_drawn_colors(self, sample: Image) -> VariationModel:
+        """Return the model of a sample whose elements take new colors, inside the outlines of copied ones."""
+        shape = sample.shape[:2]
+        mean = self.mean.unfold(shape)
+        outlines = ElementOutlines.fit(sample, mean, self.colors)
+        rest = sample - mean - outlines.lay(self.colors.of_sample(shape))
+        return replace(self, detail=ElementCopies(self.detail.elements, rest, outlines), instances=False)._join()
 
     def _join(self) -> VariationModel:
         """Return the model with a field, if the detail runs on across the borders of elements."""
@@ -211,20 +225,23 @@ class VariationModel:
         height, width = task.shape
         torus = self.torus(task)
         colors = self.colors.draw(task.shape, task.rng, torus)
-        own = self.colors.of_sample(self.detail.rest.shape[:2])
-        threads = [thread.turn != (0, 0) for thread in self.colors.threads] if self.instances else []
-        copied = self.detail.draw(task.shape, task.rng, (own, colors), torus, threads)
+        shape, threads = self.detail.rest.shape[:2], self.colors.threads
+        exact = [t.first in self.colors.classes or (self.instances and t.turn != (0, 0)) for t in threads]
+        copied = self.detail.draw(task.shape, task.rng, (self.colors.of_classes(shape), colors), torus, exact)
         field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
-        strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
-        laid = variation * colors if not self.instances else None
+        strength = np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
         image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)
         for top in range(0, height, _ROWS):
             rows = slice(top, min(top + _ROWS, height))
-            part = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
+            mean = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
+            if self.instances:
+                part = self.detail.render(copied, task.shape, rows) - mean
+            else:
+                part = self.detail.render(copied, task.shape, rows, colors, strength)
             if self.field is not None and field is not None:
-                part += variation * self.field.render(field, task.shape, rows)
-            part += self.detail.render(copied, task.shape, rows, laid, variation if self.instances else strength)
+                part += self.field.render(field, task.shape, rows)
+            part = mean + variation * part
             image[rows] = np.clip(part, 0, 1)
             task.progress(rows.stop / height)
         return image

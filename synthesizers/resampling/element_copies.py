@@ -40,6 +40,8 @@ _EXACT = 0.02
 _EQUAL = 6.0
 """Log-likelihood that two copies of one instance beside each other cost."""
 _AROUND: tuple[Lag, ...] = ((1, 0), (0, 1), (1, 1), (1, -1), (-1, 0), (0, -1), (-1, -1), (-1, 1))
+_OFF = 8.0
+"""Log-likelihood that a shift of a pixel costs by which a copy lies beside its place."""
 _SWEEPS = 5
 """Times that each element is drawn again, given its neighbors."""
 _EVEN = 0.7
@@ -59,9 +61,10 @@ class ElementCopies:
     elements
         The elements.
     rest
-        ``(H, W, C)``: the sample without its mean tile; also without the colors of its elements, if these are drawn.
+        ``(H, W, C)``: the sample; if colors are drawn, without its mean tile and the colors of its elements.
     outlines
-        The outlines of the instances, inside which new colors are laid; None if their colors are copied.
+        The outlines of the instances, inside which new colors are laid. None: pixels of the sample are copied as they
+        are.
     """
 
     elements: ElementMap
@@ -160,7 +163,8 @@ class ElementCopies:
         exact
             For each element whether the nearest color is taken.
         """
-        box, equal = self._box(shape, torus)
+        places = self.elements.cells(shape)
+        box, equal = places.shape[:2], ... if torus is None else torus.find_equal(places)
         drawn = [rng.integers(len(cells), size=box)[equal] for cells in self.whole]
         bias = [np.zeros(len(cells)) for cells in self.whole]
         parities = [np.argwhere((np.indices(box) % 2 == np.reshape(p, (2, 1, 1))).all(0)).T for p in np.ndindex(2, 2)]
@@ -170,6 +174,8 @@ class ElementCopies:
                 if colors is not None:
                     likelihood -= self._compare_colors(k, colors[0][k], colors[1][k][i, j], bool(exact) and exact[k])
                 likelihood -= self._weigh_neighbors(k, drawn, i, j)
+                if self.outlines is None:
+                    likelihood -= self._weigh_shifts(k, places[i, j])
                 drawn[k][i, j] = likelihood.argmax(-1)
                 drawn[k] = drawn[k][equal]
             count = np.bincount(drawn[k].ravel(), minlength=len(bias[k]))
@@ -181,10 +187,10 @@ class ElementCopies:
         corner = self.elements.cells(self.rest.shape[:2])[0, 0]
         return np.stack([table[tuple(np.moveaxis(cells - corner, -1, 0))] for table, cells in zip(own, drawn, strict=True)])
 
-    def _box(self, shape: Shape, torus: CellTorus | None) -> tuple[Shape, Any]:
-        """Return the shape of the box of cells, and the index of the cell that stands for each."""
-        cells = self.elements.cells(shape)
-        return cells.shape[:2], (... if torus is None else torus.find_equal(cells))
+    def _weigh_shifts(self, k: int, cells: Numbers) -> NDArray[np.float64]:
+        """Return minus the log-likelihoods ``(m, n)`` of n instances at m cells, by how far they lie off whole pixels."""
+        shift = (cells[:, np.newaxis] - self.whole[k]) @ self.elements.lattice.matrix
+        return np.asarray(_OFF * np.square(shift - np.rint(shift)).sum(-1))
 
     def _compare_colors(self, k: int, own: Table, new: Table, exact: bool) -> NDArray[np.float64]:
         """Return minus the log-likelihoods ``(m, n)`` that m new colors belong to n whole instances of an element."""
@@ -235,9 +241,13 @@ class ElementCopies:
         for rank, (at, _, label, cell) in enumerate(around):
             step = drawn[label, *(cell - corner).T] - cell
             place = np.argwhere(at)[:, ::-1] + (-pad, top - pad) + step @ self.elements.lattice.matrix
+            if self.outlines is None:
+                x, y = _reflect(np.rint(place).astype(int), np.array(self.rest.shape[1::-1])).T
+                copies[rank, at] = self.rest[y, x]
+                continue
             for channel, plane in enumerate(self._splines):
                 copies[rank, at, channel] = strength * _interpolate(plane, place)
-            if colors is not None and self.outlines is not None:
+            if colors is not None:
                 laid = np.zeros((len(place), self.rest.shape[2]))
                 for other in range(ranks):
                     shown = shares[other, at] > 0
@@ -248,6 +258,11 @@ class ElementCopies:
         weight = _cut_seams(copies, shares, np.ravel_multi_index(tuple(index), drawn.shape[:3]))
         inner = slice(pad, size[0] - pad), slice(pad, size[1] - pad)
         return np.asarray((copies * weight[..., np.newaxis]).sum(0)[inner])
+
+
+def _reflect(places: Numbers, size: Numbers) -> Numbers:
+    """Return places (x, y) reflected into a picture of this (width, height)."""
+    return np.asarray(np.clip(np.where(places < 0, -places, np.minimum(places, 2 * (size - 1) - places)), 0, size - 1))
 
 
 def _interpolate(plane: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,8 +15,8 @@ from skimage.color import rgb2lab
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 
-from .element_colors import ElementThread
 from .element_map import ElementMap, Numbers
+from .element_threads import ElementThread
 
 _MOST_CELLS = 48
 """Largest number of cells that are compared."""

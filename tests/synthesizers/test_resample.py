@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from skimage.color import rgb2lab
 from synthesis_cases import noise, synthesize
 
 from nrbench import texture
@@ -16,10 +17,14 @@ from nrbench.plugins.forms import Refused, Texture
 from nrbench.synthesizers.lattice_places.equal_places import CellTorus
 from nrbench.synthesizers.resample import Resample, VariationModel
 from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
-from nrbench.synthesizers.resampling.element_colors import draw_field, link_threads, match_distribution
+from nrbench.synthesizers.resampling.element_classes import draw_classes, group_colors, link_classes
+from nrbench.synthesizers.resampling.element_colors import draw_field, match_distribution
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
+from nrbench.synthesizers.resampling.element_threads import link_threads
 from nrbench.synthesizers.tile_set import TileSet
+
+SQUARE = Lattice((12.0, 0.0), (0.0, 12.0))
 
 
 @cache
@@ -101,8 +106,8 @@ def test_few_pairs_have_to_agree_more() -> None:
     shared, own = rng.standard_normal((12, 1, 3)), rng.standard_normal((12, 12, 3))
     values = np.sqrt(0.6) * shared + np.sqrt(0.4) * own
     many, few = (InstanceColors(values[:n, :n], np.ones((n, n))) for n in (12, 3))
-    assert [thread.turn for thread in link_threads([many])] == [(0, 1)]
-    assert [thread.turn for thread in link_threads([few])] == [(0, 0)]
+    assert [thread.turn for thread in link_threads([many], SQUARE)] == [(0, 1)]
+    assert [thread.turn for thread in link_threads([few], SQUARE)] == [(0, 0)]
 
 
 def test_panes_in_a_large_wall_are_found() -> None:
@@ -131,7 +136,7 @@ def test_threads_are_linked_under_detail() -> None:
     shared, own = rng.standard_normal((12, 1, 3)), rng.standard_normal((12, 12, 3))
     thread = InstanceColors(np.sqrt(0.8) * shared + np.sqrt(0.2) * own, np.ones((12, 12)))
     (stain, _) = chain(12, 12, 0.6, 0.0, seed=7)
-    assert [found.turn for found in link_threads([thread, stain])] == [(0, 1), (0, 0)]
+    assert [found.turn for found in link_threads([thread, stain], SQUARE)] == [(0, 1), (0, 0)]
 
 
 def test_the_drawn_field_has_the_covariance_of_the_sample() -> None:
@@ -163,6 +168,76 @@ def test_the_colors_are_distributed_as_the_samples() -> None:
     np.testing.assert_allclose(np.cov(made.T), np.cov(expected.T), atol=0.012)
     assert np.mean(made[:, 0] > 0.25) == pytest.approx(0.2, abs=0.04)
     assert np.linalg.norm(made[:, np.newaxis] - expected, axis=-1).min(1).mean() > 0.01
+
+
+@pytest.mark.parametrize("count", [8, 24, 60])
+def test_inks_are_classes(count: int) -> None:
+    """Colors of two to four inks and a little noise are those classes."""
+    rng = np.random.default_rng(10)
+    inks = np.array([(0.1, 0.1, 0.1), (-0.3, 0.2, 0.0), (0.2, -0.2, 0.1), (0.0, 0.3, -0.4)])
+    for k in (2, 3, 4):
+        true = np.arange(count) % k
+        colors = inks[true] + 0.01 * rng.standard_normal((count, 3))
+        found = group_colors(InstanceColors(colors[np.newaxis], np.ones((1, count))))
+        assert (
+            found is not None and len(set(zip(true.tolist(), found[0].tolist(), strict=True))) == k == found.max() + 1
+        )
+
+
+def test_a_continuum_is_no_classes() -> None:
+    """Normal colors, round, long or gray, uniform and skewed ones are no classes, few or many."""
+    rng = np.random.default_rng(11)
+    for count in (6, 12, 24, 60):
+        for _ in range(10):
+            along, noise = 0.1 * rng.standard_normal((count, 1)), 0.004 * rng.standard_normal((count, 3))
+            round_colors, uniform = 0.1 * rng.standard_normal((count, 3)), rng.uniform(-0.2, 0.2, (count, 1)) + noise
+            for colors in (round_colors, along + noise, along, uniform, 0.1 * np.exp(6 * along) + noise):
+                assert group_colors(InstanceColors(colors[np.newaxis], np.ones((1, count)))) is None
+
+
+def equal_neighbors(classes: NDArray[np.int64]) -> list[float]:
+    """Return the shares of equal neighbors along both vectors of the lattice, and along both diagonals."""
+    pairs = ([1, 0], [0, 1], [1, 1], [1, -1])
+    return [float((classes == np.roll(classes, lag, (0, 1)))[2:-2, 2:-2].mean()) for lag in pairs]
+
+
+def plant_unlike(size: int, seed: int) -> NDArray[np.int64]:
+    """Return random classes of which no two neighbors along rows and columns are equal."""
+    rng, classes = np.random.default_rng(seed), np.full((size + 1, size + 1), -1)
+    for i, j in np.ndindex(size, size):
+        classes[i, j] = rng.choice(sorted({0, 1, 2} - {int(classes[i - 1, j]), int(classes[i, j - 1])}))
+    return classes[:-1, :-1]
+
+
+def test_classes_keep_their_shares_and_neighbors() -> None:
+    """Checks stay checks, unlike neighbors stay unlike, clumps as clumped; independent classes keep their shares."""
+    rng = np.random.default_rng(12)
+    checks = np.indices((5, 5)).sum(0) % 2
+    alone = rng.choice(3, (9, 9), p=(0.6, 0.3, 0.1))
+    clumps = (gaussian_filter(rng.standard_normal((12, 12)), 1.0, mode="wrap") > 0).astype(np.int64)
+    for planted, tolerance in ((checks, 0.02), (plant_unlike(6, 13), 0.03), (clumps, 0.1)):
+        made = draw_classes([planted], CellTorus(40, 40), rng)[..., 0]
+        np.testing.assert_allclose(equal_neighbors(made)[:2], equal_neighbors(planted)[:2], atol=tolerance)
+    assert not link_classes([alone])
+    made = draw_classes([alone], CellTorus(60, 60), rng)
+    np.testing.assert_allclose(np.bincount(made.ravel()) / made.size, np.bincount(alone.ravel()) / 81, atol=0.03)
+
+
+def test_classes_of_several_elements_go_together() -> None:
+    """Where the ink of one element decides that of the next cell's other element, it does so in the output."""
+    rng = np.random.default_rng(14)
+    one = rng.integers(3, size=(8, 8))
+    made = draw_classes([one, (np.roll(one, 1, 0) + 1) % 3], CellTorus(40, 40), rng)
+    assert (made[..., 1] == (np.roll(made[..., 0], 1, 0) + 1) % 3).mean() > 0.98
+
+
+@pytest.mark.parametrize("name", ["hexagon", "brick"])
+def test_a_print_keeps_its_inks(name: str) -> None:
+    """Tiles in three inks get no other colors: each is within 3 CIELAB units of one of the sample."""
+    made = drawn(name, color=0.3, noise=0.02, inks=3)
+    output = synthesize(Resample(), made.image, (200, 200), lattice_of(made)).image
+    tiles, own = (rgb2lab(middles(image, lattice_of(made), 2)).mean((1, 2)) for image in (output, made.image))
+    assert np.linalg.norm(tiles[:, np.newaxis] - own, axis=-1).min(1).max() < 3
 
 
 @cache
