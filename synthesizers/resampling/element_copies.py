@@ -33,7 +33,7 @@ _MOST = 256
 """Largest number of instances of an element that are copied."""
 _FIT = 4.0
 """Log-likelihood that the median misfit of two instances costs."""
-_ALIKE = 0.8
+_ALIKE = 0.5
 """How far, in standard deviations, the color of a new element differs from that of the one whose detail it copies."""
 _EXACT = 0.02
 """The same for the crossings of a thread, which have one color."""
