@@ -10,7 +10,7 @@ import numpy as np
 
 from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
-from nrbench.imaging.mean_tile import Tile, Values, fold
+from nrbench.imaging.mean_tile import Tile, fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
@@ -31,7 +31,9 @@ _EXPLAINED = 0.05
 _BY_CHANCE = 5.0
 """Pixels of noise whose variance one more color, and its gains, explain by chance."""
 _CONTINUOUS = 0.8
-"""Coarse rests are drawn as one field if they step less than this share of what independent elements would."""
+"""The coarse detail is drawn as one field if it steps less than this share of what copied elements do."""
+_STAINED = 0.6
+"""The same for the coarse residual, with the colors of elements."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
 
@@ -51,8 +53,9 @@ class Resample:
        chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
     5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
        color are more likely. Where elements meet, rests are mixed so that their variance stays.
-    6. Stains run on across elements. Where the coarse rest of the sample steps at their borders by less than 0.8 of what
-       the copies do, it is drawn as one field: the spot noise of the lattice, with the covariance of the sample.
+    6. Stains run on across elements. Where the coarse residual of the sample steps at their borders by less than 0.6 of
+       what copied elements do, it is drawn as one field: the spot noise of the lattice, with the covariance of the
+       sample. Where the rest steps by less than 0.8, so is the coarse part of the rest.
 
     The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
     the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
@@ -128,6 +131,8 @@ class VariationModel:
         Whether the elements are whole cells, since no smaller ones were found.
     field
         What runs on across the borders of elements; None if nothing does.
+    colored
+        Whether the colors of elements are drawn. If not, the field holds them.
     instances
         Whether each element is a whole instance of the sample, with its color and its detail.
     copied
@@ -139,6 +144,7 @@ class VariationModel:
     detail: ElementCopies
     whole_cells: bool
     field: CellField | None = None
+    colored: bool = True
     instances: bool = False
     copied: str = ""
 
@@ -150,7 +156,7 @@ class VariationModel:
 
     @classmethod
     def fit(cls, sample: Image, lattice: Lattice) -> VariationModel:
-        """Return the model of a sample with a reduced lattice: the first one whose draws are not stranger than the sample.
+        """Return the first model of a sample with a reduced lattice whose draws are not stranger than the sample.
 
         Colors are drawn, then elements are whole instances, then whole cells.
         """
@@ -163,7 +169,7 @@ class VariationModel:
             rest = residual - colors.render(colors.of_sample(shape), shape)
             fitted = sum(int(color.known.sum()) for color in colors.colors.values())
             explains = rest.var() < (1 - _EXPLAINED - _BY_CHANCE * fitted / rest[..., 0].size) * residual.var()
-            copies = ElementCopies(elements, sample)
+            copies = ElementCopies(elements, sample.astype(np.float64))
             fits.append((explains, cls(mean, colors, copies, whole_cells, instances=True)))
         (explains, copied), (_, cells) = fits
         chosen = copied if explains else cells
@@ -181,28 +187,29 @@ class VariationModel:
         return replace(cells, copied=why)
 
     def with_drawn_colors(self, sample: Image) -> VariationModel:
-        """Return the model of a sample whose elements take new colors, inside the outlines of copied ones."""
-        shape = sample.shape[:2]
-        mean = self.mean.unfold(shape)
+        """Return the model whose elements take new colors, inside the outlines of copied ones.
+
+        Stains that hide the borders of elements are drawn as a field, in place of colors; so are stains of the detail.
+        """
+        details = self.details(sample)
+        for colored, limit in ((False, _STAINED), (True, _CONTINUOUS)):
+            if compare_steps(details[colored]) < limit:
+                return self.with_field(details[colored], colored)
+        return replace(self, detail=details[True], instances=False)
+
+    def details(self, sample: Image) -> dict[bool, ElementCopies]:
+        """Return what is copied from a sample if colors are drawn (True), and if a field holds them (False)."""
+        mean = self.mean.unfold(sample.shape[:2])
+        residual = (sample - mean).astype(np.float64)
         outlines = ElementOutlines.fit(sample, mean, self.colors)
-        rest = sample - mean - outlines.lay(self.colors.of_sample(shape))
-        return replace(self, detail=ElementCopies(self.detail.elements, rest, outlines), instances=False)._join()
+        rest = residual - outlines.lay(self.colors.of_sample(sample.shape[:2]))
+        return {k: replace(self.detail, rest=part, outlines=outlines) for k, part in ((False, residual), (True, rest))}
 
-    def _join(self) -> VariationModel:
-        """Return the model with a field, if the detail runs on across the borders of elements."""
-        return self.with_field() if self.compare_steps() < _CONTINUOUS else self
-
-    def compare_steps(self) -> float:
-        """Return the steps of the detail at borders of elements, over those of independent elements."""
-        elements, shape = self.detail.elements, self.detail.rest.shape[:2]
-        drawn = self.detail.render(self.detail.draw(shape, np.random.default_rng(0)), shape)
-        return measure_steps(self.detail.rest, elements) / measure_steps(drawn, elements)
-
-    def with_field(self) -> VariationModel:
-        """Return the model with a field of the detail."""
-        own, elements = self.detail.rest, self.detail.elements
-        detail = replace(self.detail, rest=own - smooth_coarsely(own, elements))
-        return replace(self, detail=detail, field=CellField.fit(elements, own))
+    def with_field(self, detail: ElementCopies, colored: bool) -> VariationModel:
+        """Return the model with a field of the coarse part of a detail."""
+        fine = replace(detail, rest=detail.rest - smooth_coarsely(detail.rest, detail.elements))
+        field = CellField.fit(detail.elements, detail.rest)
+        return replace(self, detail=fine, field=field, colored=colored, instances=False)
 
     def torus(self, task: Task) -> CellTorus | None:
         """Return the cells of the output, if it repeats."""
@@ -211,7 +218,7 @@ class VariationModel:
     def describe_threads(self, task: Task) -> str:
         """Return how many threads differ in an output that repeats, if fewer do than in the sample."""
         torus = self.torus(task)
-        if torus is None:
+        if torus is None or not self.colored:
             return ""
         threads = {t.first: t.torus for t in self.colors.on_torus(torus).threads if t.turn != (0, 0)}
         count = sum(own.columns * own.rows for own in threads.values() if own is not None)
@@ -227,7 +234,9 @@ class VariationModel:
         colors = self.colors.draw(task.shape, task.rng, torus)
         shape, threads = self.detail.rest.shape[:2], self.colors.threads
         exact = [t.first in self.colors.classes or (self.instances and t.turn != (0, 0)) for t in threads]
-        copied = self.detail.draw(task.shape, task.rng, (self.colors.of_classes(shape), colors), torus, exact)
+        copied = self.detail.draw(
+            task.shape, task.rng, (self.colors.of_classes(shape), colors) if self.colored else None, torus, exact
+        )
         field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
@@ -238,7 +247,7 @@ class VariationModel:
             if self.instances:
                 part = self.detail.render(copied, task.shape, rows) - mean
             else:
-                part = self.detail.render(copied, task.shape, rows, colors, strength)
+                part = self.detail.render(copied, task.shape, rows, colors if self.colored else None, strength)
             if self.field is not None and field is not None:
                 part += self.field.render(field, task.shape, rows)
             part = mean + variation * part
@@ -255,6 +264,13 @@ class VariationModel:
         color = self.colors.lay(self.colors.of_sample(shape), shape) + self.mean.values.mean((0, 1))
         pictures = {"template": self.mean.unfold(shape), "elements": np.abs(2 * (hue % 1) - 1), "attributes": color}
         return {name: np.clip(picture, 0, 1).astype(np.float32) for name, picture in pictures.items()}
+
+
+def compare_steps(detail: ElementCopies) -> float:
+    """Return the steps of a detail at the borders of elements, over those of copies of its elements."""
+    shape = detail.rest.shape[:2]
+    copied = detail.render(detail.draw(shape, np.random.default_rng(0)), shape)
+    return measure_steps(detail.rest, detail.elements) / measure_steps(copied, detail.elements)
 
 
 @lru_cache(maxsize=2)

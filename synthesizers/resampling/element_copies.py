@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Final
 
 import numpy as np
 import scipy
@@ -17,8 +17,8 @@ from skimage.segmentation import watershed
 from nrbench.plugins.forms import Shape
 
 from ..lattice_places.equal_places import CellTorus
-from .element_outlines import OUTLINE_REACH, ElementOutlines
 from .element_map import WHOLE, ElementMap, ElementShares, Lag, Numbers
+from .element_outlines import OUTLINE_REACH, ElementOutlines
 
 Table = NDArray[np.float64]
 Colors = tuple[Table, Table]
@@ -46,7 +46,7 @@ _SWEEPS = 5
 """Times that each element is drawn again, given its neighbors."""
 _EVEN = 0.7
 """Log-likelihood that an instance loses at each sweep for being drawn twice as often as the mean."""
-_ORDER = 5
+_ORDER: Final = 5
 """Order of the splines by which copies are read at real-valued places."""
 _SOFTNESS = 0.6
 """px, standard deviation of the Gaussian that softens seams."""
@@ -101,7 +101,7 @@ class ElementCopies:
                 self._read(smooth, cells, places - np.array(step))
                 for cells, step in ((self.whole[a], (0, 0)), (self.whole[b], lag))
             ]
-            misfit = scipy.spatial.distance.cdist(*shown, "sqeuclidean")
+            misfit = scipy.spatial.distance.cdist(shown[0], shown[1], "sqeuclidean")
             neighbors = (self.whole[a][:, np.newaxis] + np.array(lag) == self.whole[b]).all(-1)
             if neighbors.all():
                 continue
@@ -185,10 +185,12 @@ class ElementCopies:
     def colors_of(self, drawn: Numbers, own: Table) -> Table:
         """Return the colors of the sample's elements that were drawn, ``(E, I, J, C)``."""
         corner = self.elements.cells(self.rest.shape[:2])[0, 0]
-        return np.stack([table[tuple(np.moveaxis(cells - corner, -1, 0))] for table, cells in zip(own, drawn, strict=True)])
+        return np.stack(
+            [table[tuple(np.moveaxis(cells - corner, -1, 0))] for table, cells in zip(own, drawn, strict=True)]
+        )
 
     def _weigh_shifts(self, k: int, cells: Numbers) -> NDArray[np.float64]:
-        """Return minus the log-likelihoods ``(m, n)`` of n instances at m cells, by how far they lie off whole pixels."""
+        """Return minus the log-likelihoods ``(m, n)`` of n instances at m cells, by how far off pixels they lie."""
         shift = (cells[:, np.newaxis] - self.whole[k]) @ self.elements.lattice.matrix
         return np.asarray(_OFF * np.square(shift - np.rint(shift)).sum(-1))
 
@@ -255,7 +257,7 @@ class ElementCopies:
                     source = step[shown] + np.stack([i, j], -1) + corner
                     laid[shown] += self.outlines.read(k, source, place[shown])[:, np.newaxis] * colors[k, i, j]
                 copies[rank, at] += laid * self.outlines.gain[row[at], column[at]]
-        weight = _cut_seams(copies, shares, np.ravel_multi_index(tuple(index), drawn.shape[:3]))
+        weight = _cut_seams(copies, shares, np.asarray(np.ravel_multi_index(tuple(index), drawn.shape[:3])))
         inner = slice(pad, size[0] - pad), slice(pad, size[1] - pad)
         return np.asarray((copies * weight[..., np.newaxis]).sum(0)[inner])
 
@@ -294,4 +296,4 @@ def _cut_seams(copies: NDArray[np.float64], shares: NDArray[np.float64], owner: 
     for y, x in np.ndindex(3, 3):
         shown = around[y : y + len(basin), x : x + basin.shape[1]]
         weight += math.exp(-((y - 1) ** 2 + (x - 1) ** 2) / (2 * _SOFTNESS**2)) * ((shown == owner) & (shares > 0))
-    return weight / weight.sum(0)
+    return np.asarray(weight / weight.sum(0))

@@ -123,7 +123,7 @@ class ElementMap:
         return int(self.label.max()) + 1
 
     def places(self, shape: Shape, corner: tuple[int, int] = (0, 0)) -> tuple[Numbers, Numbers, Numbers]:
-        """Return row and column in the grid, ``(H, W)``, and cell, ``(H, W, 2)``, of each pixel from a corner (x, y) on."""
+        """Return row and column in the grid, ``(H, W)``, and cell, ``(H, W, 2)``, of pixels from a corner (x, y) on."""
         uv = cell_coordinates(self.lattice.shifted((-corner[0], -corner[1])), shape)
         cell = np.floor(uv).astype(np.int64)
         grid = np.array(self.label.shape[::-1])
