@@ -157,27 +157,38 @@ class VariationModel:
         height, width, _ = sample.shape
         mean = fold(sample, lattice, grid=map_grid(lattice))
         residual = sample - mean.unfold((height, width))
-        for whole_cells in (False, True):
-            elements = segment(sample, residual, lattice, whole_cells)
-            colors = ElementColors.fit(elements, residual)
-            rest = residual - colors.render(colors.of_sample((height, width)), (height, width))
-            fitted = sum(int(color.known.sum()) for color in colors.colors.values())
-            if rest.var() < (1 - _EXPLAINED - _BY_CHANCE * fitted / (height * width)) * residual.var():
-                break
-        model = cls(mean, colors, ElementDetail(elements, rest), whole_cells)
-        if min(map(len, model.detail.whole)) < FEWEST:
-            return replace(model, copied=f"the sample shows fewer than {FEWEST} whole instances of an element")
-        test = NoveltyTest(sample, elements, colors.threads)
-        task = Task(sample, (height, width), lattice, np.random.default_rng(0))
-        for candidate in (model._join(residual), replace(model, instances=True)):
-            if test.passes(candidate.draw(task, 1.0)):
-                return candidate
+        model = cls._fit_elements(sample, mean, residual, whole_cells=False)
+        fitted = sum(int(color.known.sum()) for color in model.colors.colors.values())
+        least = _EXPLAINED + _BY_CHANCE * fitted / (height * width)
+        if model.detail.rest.var() >= (1 - least) * residual.var():
+            model = cls._fit_elements(sample, mean, residual, whole_cells=True)
+        if model.fewest < FEWEST:
+            return replace(model, copied=f"the sample shows {model.fewest} whole instances of an element")
+        test = NoveltyTest(sample, model.detail.elements, model.colors.threads)
+        task = Task(sample, test.shape, lattice, np.random.default_rng(0))
+        if not model.colors.classes and test.passes((joined := model._join(residual)).draw(task, 1.0)):
+            return joined
+        for whole_cells in (False,) if model.whole_cells else (False, True):
+            copies = cls._fit_elements(sample, mean, residual, True) if whole_cells else model
+            copies = replace(copies, detail=ElementDetail(copies.detail.elements, residual), instances=True)
+            if copies.fewest >= FEWEST and test.passes(copies.draw(task, 1.0)):
+                return copies
         return replace(model, copied="what it draws is stranger than the elements of the sample are to each other")
+
+    @classmethod
+    def _fit_elements(cls, sample: Image, mean: Tile, residual: Values, whole_cells: bool) -> VariationModel:
+        elements = segment(sample, residual, mean.lattice, whole_cells)
+        colors = ElementColors.fit(elements, residual)
+        rest = residual - colors.render(colors.of_sample(sample.shape[:2]), sample.shape[:2])
+        return cls(mean, colors, ElementDetail(elements, rest), whole_cells)
+
+    @property
+    def fewest(self) -> int:
+        """Number of whole instances that the sample shows of the element that it shows whole least often."""
+        return min(map(len, self.detail.whole))
 
     def _join(self, residual: Values) -> VariationModel:
         """Return the model with a field, if the residual, or the detail, runs on across the borders of elements."""
-        if self.colors.classes:
-            return self
         threads = any(thread.turn != (0, 0) for thread in self.colors.threads)  # they are longer than a field's memory
         steps = self.compare_steps(residual)
         for colored in (True,) if threads else (False, True):
@@ -224,22 +235,20 @@ class VariationModel:
         height, width = task.shape
         torus = self.torus(task)
         colors = self.colors.draw(task.shape, task.rng, torus)
-        shape, own = self.detail.rest.shape[:2], self.colors.of_classes(self.detail.rest.shape[:2])
-        classed = [thread.first in self.colors.classes for thread in self.colors.threads]
-        exact = [
-            one or (self.instances and t.turn != (0, 0)) for one, t in zip(classed, self.colors.threads, strict=True)
-        ]
-        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, torus, exact)
-        kept = [self.instances or one for one in classed]
-        colors[kept] = self.detail.colors_of(copied, self.colors.of_sample(shape))[kept]
+        own = self.colors.of_classes(self.detail.rest.shape[:2])
+        exact = [t.first in self.colors.classes or t.turn != (0, 0) for t in self.colors.threads]
+        copied = self.detail.draw(
+            task.shape, task.rng, (own, colors) if self.colored else None, torus, exact if self.instances else ()
+        )
         field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
-        strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
+        # the mean of n cells takes 1 / n of the variance with it
+        strength = variation * (1 if self.instances else np.sqrt(cells / (cells - 1)))
         image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)
         for top in range(0, height, _ROWS):
             rows = slice(top, min(top + _ROWS, height))
             part = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
-            if self.colored:
+            if self.colored and not self.instances:
                 part += variation * self.colors.render(colors, task.shape, rows)
             if self.field is not None and field is not None:
                 part += variation * self.field.render(field, task.shape, rows)

@@ -99,13 +99,6 @@ class ElementDetail:
             drawn.append(cells[_draw_apart(likelihood, rng, equal)])
         return np.stack(drawn)
 
-    def colors_of(self, drawn: Numbers, own: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the colors of the sample's elements that were drawn, ``(E, I, J, C)``."""
-        corner = self.elements.cells(self.rest.shape[:2])[0, 0]
-        return np.stack(
-            [table[tuple(np.moveaxis(cells - corner, -1, 0))] for table, cells in zip(own, drawn, strict=True)]
-        )
-
     def render(self, drawn: Numbers, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
         """Return the copied detail at some rows of a picture.
 
