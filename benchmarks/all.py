@@ -46,6 +46,7 @@ BENCHMARKS = {
     "seeds.py --seeds 1 2 --textures brick-strong": "seeds.py",
     "table_errors.py --short --runs 50": "table_errors.py --runs 400",
     "labels.py --sets models-2": "labels.py --photographs FOLDER",
+    "graders.py": "the same",
 }
 """The command of each short form, and that of the full figures, as the docs quote them."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,7 +16,8 @@ from nrbench.plugins.forms import Shape
 
 from ..lattice_places.equal_places import CellTorus
 from .element_classes import draw_classes, group_colors
-from .element_map import ElementMap, ElementShares, InstanceColors, Lag, Numbers, number_along
+from .element_map import ElementMap, ElementShares, InstanceColors, Numbers
+from .element_threads import ElementThread, link_threads
 
 Table = NDArray[np.float64]
 """``(E, I, J, C)``: the color of each element in a box of cells."""
@@ -30,14 +29,6 @@ _CORE = 0.95
 _ROUNDS = 3
 """Fits of colors, with a fit of gains between two of them."""
 _MOST_GAIN = 1.6
-_LEAST_SHARED = 0.3
-"""Least share of the variance of an element's colors that threads explain. Detail hides a part, stains fade."""
-_EVIDENCE = 2.5
-"""Least evidence for threads of all elements: the sum of -log10 of the probabilities that chance explains as much."""
-_LINKED = (0.5, 1.0)
-"""Different elements whose colors correlate at a lag by a + b / sqrt(pairs) are one thread."""
-_LINKED_THREADS = (0.3, 1.0)
-"""The same for the threads of elements that have the same turn."""
 _REACH = 2
 """Largest lag, in cells, at which colors are correlated."""
 _CHANCE = 2.5
@@ -46,87 +37,6 @@ _BASES = 8
 """Orthonormal bases along whose axes colors are moved."""
 _LEVELS = (np.arange(64) + 0.5) / 64
 """The quantiles that are moved."""
-
-
-@dataclass(frozen=True)
-class ElementThread:
-    """What an element is a part of: the instances that have one color.
-
-    Parameters
-    ----------
-    first
-        The element whose colors the thread takes.
-    base
-        Cell of the instance that lies in thread (0, 0).
-    turn
-        Lag in cells after which the thread shows the same element again; (0, 0) if it never does.
-    torus
-        The threads of an output that repeats; None if it does not.
-    """
-
-    first: int
-    base: Lag = (0, 0)
-    turn: Lag = (0, 0)
-    torus: CellTorus | None = None
-
-    def number(self, cell: Numbers) -> Numbers:
-        """Return the two numbers of the thread that the instance of each cell is a part of, ``(..., 2)``."""
-        number: Numbers = cell - np.array(self.base)
-        if self.torus is not None:
-            return self.torus.wrap(number)
-        if self.turn == (0, 0):
-            return number
-        return number_along(number, self.turn)
-
-
-def link_threads(colors: Sequence[InstanceColors]) -> list[ElementThread]:
-    """Return the thread of each element: which of its instances, and which other elements, have one color.
-
-    First, each element may have a turn: the lag along which its instances agree. The evidence of all elements is added,
-    so that little of each is enough where all agree. Then elements at a lag are linked, the closest first, if the
-    colors of their instances, or of their turns, correlate. Few pairs agree by chance, so that they have to agree more.
-    """
-    threads = [ElementThread(k, turn=turn) for k, turn in enumerate(_find_turns(colors))]
-    links = []
-    for a, b in itertools.combinations(range(len(colors)), 2):
-        turn = threads[a].turn
-        for lag in ((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
-            if turn == (0, 0) == threads[b].turn:
-                links.append((_excess(colors[a].correlation(colors[b], lag), _LINKED), a, b, lag))
-            elif turn == threads[b].turn:
-                links.append((_excess(colors[a].compare_along(colors[b], lag, turn), _LINKED_THREADS), a, b, lag))
-    for excess, a, b, lag in sorted(links, reverse=True):
-        if excess < 0:
-            break
-        one, other = threads[a], threads[b]
-        shift = (one.base[0] + lag[0] - other.base[0], one.base[1] + lag[1] - other.base[1])
-        if one.first == other.first:
-            continue
-        for k, thread in enumerate(threads):
-            if thread.first == other.first:
-                base = (thread.base[0] + shift[0], thread.base[1] + shift[1])
-                threads[k] = ElementThread(one.first, base, one.turn)
-    return threads
-
-
-def _find_turns(colors: Sequence[InstanceColors]) -> list[Lag]:
-    """Return the turn of each element; (0, 0) for none."""
-    reach = range(-_REACH, _REACH + 1)
-    lags = [(i, j) for i in reach for j in reach if (i, j) > (0, 0) and math.gcd(i, j) == 1]
-    tests = np.array([[color.test_along(lag) for lag in lags] for color in colors])
-    evidence = np.where(tests[..., 1] >= _LEAST_SHARED, tests[..., 0], 0)
-    best = evidence.max(1) - math.log10(len(lags))
-    if best[best > 0].sum() < _EVIDENCE:
-        return [(0, 0)] * len(colors)
-    seen = np.isin(np.arange(len(lags)), evidence.argmax(1)[best >= 1])
-    evidence = np.where(seen, tests[..., 0], 0)
-    return [lags[int(row.argmax())] if row.max() >= 1 else (0, 0) for row in evidence]
-
-
-def _excess(found: tuple[float, int], limit: tuple[float, float]) -> float:
-    """Return by how much a correlation of so many pairs exceeds a limit."""
-    r, pairs = found
-    return r - limit[0] - limit[1] / math.sqrt(max(pairs, 1))
 
 
 @dataclass(frozen=True)
@@ -166,7 +76,7 @@ class ElementColors:
         """
         shape, grid = residual.shape[:2], elements.label.shape
         shares = ElementShares.of(elements, _SOFTNESS)
-        threads = link_threads(elements.mean_colors(residual))
+        threads = link_threads(elements.mean_colors(residual), elements.lattice)
         core = shares.share[0] > _CORE
         row, column, _ = elements.places(shape)
         label, instance = elements.instances(shape)

@@ -78,61 +78,16 @@ class InstanceColors:
         The channels are added; with fewer than four pairs it is 0.
         """
         both = np.logical_and(*overlap(self.known, other.known, lag))
-        return _correlate(*(part[both] for part in overlap(self.values, other.values, lag)))
-
-    def compare_along(self, other: InstanceColors, lag: Lag, turn: Lag) -> tuple[float, int]:
-        """Return the correlation of threads along a turn with those of another element ``lag`` cells on, as above."""
-        own, means = self._threads_along(turn)
-        others, other_means = other._threads_along(turn, lag)
-        same = (own[:, np.newaxis] == others).all(-1)
-        return _correlate(means[same.any(1)], other_means[same.argmax(1)[same.any(1)]])
-
-    def _threads_along(self, turn: Lag, lag: Lag = (0, 0)) -> tuple[Numbers, NDArray[np.float64]]:
-        """Return the numbers of the threads along a turn, ``(n, 2)``, of cells a lag back, and their colors."""
-        cells = np.argwhere(self.known)
-        threads, thread = np.unique(number_along(cells - lag, turn), axis=0, return_inverse=True)
-        return threads, _group_means(self.values[tuple(cells.T)], thread.ravel())
-
-    def test_along(self, lag: Lag) -> tuple[float, float]:
-        """Test whether the instances along a lag have one color.
-
-        Returns -log10 of the probability that independent colors agree as much (the F test of an analysis of variance),
-        and the share of the variance that is common along the lag (the intraclass correlation).
-        """
-        values = self.values[self.known]
-        thread = np.unique(number_along(np.argwhere(self.known), lag), axis=0, return_inverse=True)[1].ravel()
-        count = np.bincount(thread, minlength=1)
-        between, within = len(count) - 1, len(values) - len(count)
-        if between < 1 or within < 1:
-            return 0.0, 0.0
-        values = values - values.mean(0)
-        means, covariance = _group_means(values, thread), values.T @ values
-        channels = np.trace(covariance) ** 2 / max(float((covariance**2).sum()), 1e-30)
-        ratio = (count[:, np.newaxis] * means**2).sum() / between
-        ratio /= max(float(((values - means[thread]) ** 2).sum()) / within, 1e-12)
-        size = (len(values) - (count**2).sum() / len(values)) / between
-        chance = scipy.stats.f.logsf(ratio, between * channels, within * channels)
-        return float(-chance / math.log(10)), float((ratio - 1) / (ratio + size - 1))
+        return correlate(*(part[both] for part in overlap(self.values, other.values, lag)))
 
 
-def number_along(cells: Numbers, lag: Lag) -> Numbers:
-    """Return the two numbers of the thread along a lag in which each cell lies, ``(..., 2)``."""
-    axis = int(np.argmax(np.abs(lag)))
-    turns = np.floor_divide(cells[..., axis], lag[axis])
-    return np.asarray(cells - turns[..., np.newaxis] * np.array(lag))
-
-
-def _correlate(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, int]:
+def correlate(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, int]:
+    """Return the correlation of pairs of colors, ``(n, C)``, and n; the channels are added; 0 for fewer than four."""
     if len(a) < 4:
         return 0.0, len(a)
     a, b = a - a.mean(0), b - b.mean(0)
     size = np.sqrt((a * a).sum() * (b * b).sum())
     return (float((a * b).sum() / size) if size > 1e-12 else 0.0), len(a)
-
-
-def _group_means(values: NDArray[np.float64], group: Numbers) -> NDArray[np.float64]:
-    sums = np.stack([np.bincount(group, channel) for channel in values.T], -1)
-    return np.asarray(sums / np.bincount(group)[:, np.newaxis])
 
 
 def overlap(a: NDArray[Any], b: NDArray[Any], lag: Lag) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -16,8 +16,8 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Shape
 
-from .element_colors import ElementThread
 from .element_map import ElementMap, Numbers
+from .element_threads import ElementThread
 
 _MOST_CELLS = 48
 """Largest number of cells that are compared."""

@@ -18,10 +18,13 @@ from nrbench.synthesizers.lattice_places.equal_places import CellTorus
 from nrbench.synthesizers.resample import Resample, VariationModel
 from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
 from nrbench.synthesizers.resampling.element_classes import draw_classes, group_colors, link_classes
-from nrbench.synthesizers.resampling.element_colors import draw_field, link_threads, match_distribution
+from nrbench.synthesizers.resampling.element_colors import draw_field, match_distribution
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
+from nrbench.synthesizers.resampling.element_threads import link_threads
 from nrbench.synthesizers.tile_set import TileSet
+
+SQUARE = Lattice((12.0, 0.0), (0.0, 12.0))
 
 
 @cache
@@ -103,8 +106,8 @@ def test_few_pairs_have_to_agree_more() -> None:
     shared, own = rng.standard_normal((12, 1, 3)), rng.standard_normal((12, 12, 3))
     values = np.sqrt(0.6) * shared + np.sqrt(0.4) * own
     many, few = (InstanceColors(values[:n, :n], np.ones((n, n))) for n in (12, 3))
-    assert [thread.turn for thread in link_threads([many])] == [(0, 1)]
-    assert [thread.turn for thread in link_threads([few])] == [(0, 0)]
+    assert [thread.turn for thread in link_threads([many], SQUARE)] == [(0, 1)]
+    assert [thread.turn for thread in link_threads([few], SQUARE)] == [(0, 0)]
 
 
 def test_panes_in_a_large_wall_are_found() -> None:
@@ -133,7 +136,7 @@ def test_threads_are_linked_under_detail() -> None:
     shared, own = rng.standard_normal((12, 1, 3)), rng.standard_normal((12, 12, 3))
     thread = InstanceColors(np.sqrt(0.8) * shared + np.sqrt(0.2) * own, np.ones((12, 12)))
     (stain, _) = chain(12, 12, 0.6, 0.0, seed=7)
-    assert [found.turn for found in link_threads([thread, stain])] == [(0, 1), (0, 0)]
+    assert [found.turn for found in link_threads([thread, stain], SQUARE)] == [(0, 1), (0, 0)]
 
 
 def test_the_drawn_field_has_the_covariance_of_the_sample() -> None:

@@ -1,0 +1,231 @@
+"""The threads of a sample: which instances of its elements have one color, by the likelihood of their colors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from nrbench.lattice.geometry import Lattice
+
+from ..lattice_places.equal_places import CellTorus
+from .element_map import InstanceColors, Lag, Numbers, correlate
+
+_LAGS = [(i, j) for i in (0, 1, 2) for j in (-2, -1, 0, 1, 2) if (i, j) > (0, 0) and math.gcd(i, j) == 1]
+"""The turns that a thread may have, in cells."""
+_EVIDENCE = 1.0
+"""Least evidence for threads in all elements: log10 of the ratio of likelihoods."""
+_SHARED = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Shares of the variance of colors, beside stains, that may be common along a thread."""
+_STAINED = (0.25, 0.5, 0.75)
+"""Shares of the variance, beside threads, that may lie in stains."""
+_STAIN_REACHES = (2.0, 6.0)
+"""Distances, in s, at which the correlation of a stain may be 1 / e."""
+_THREAD_REACHES = (1.0, 2.0)
+"""The same along a thread whose color fades, in turns."""
+_FADES = 0.02
+"""Probability that the color of a thread fades, in that of threads whose color stays."""
+_MOST = 150
+"""Largest number of instances of an element that are compared, those in the middle."""
+_LINKED = (0.5, 1.0)
+"""Different elements whose colors correlate at a lag by a + b / sqrt(pairs) are one thread."""
+_LINKED_THREADS = (0.3, 1.0)
+"""The same for the mean colors of threads of different elements, which run along the same turn."""
+_STEPS = 8
+"""Steps in which the frequencies of turns are estimated."""
+
+
+@dataclass(frozen=True)
+class ElementThread:
+    """What an element is a part of: the instances that have one color.
+
+    Parameters
+    ----------
+    first
+        The element whose colors the thread takes.
+    base
+        Cell of the instance that lies in thread (0, 0).
+    turn
+        Lag in cells after which the thread shows the same element again; (0, 0) if it never does.
+    torus
+        The threads of an output that repeats; None if it does not.
+    """
+
+    first: int
+    base: Lag = (0, 0)
+    turn: Lag = (0, 0)
+    torus: CellTorus | None = None
+
+    def number(self, cell: Numbers) -> Numbers:
+        """Return the two numbers of the thread that the instance of each cell is a part of, ``(..., 2)``."""
+        number: Numbers = cell - np.array(self.base)
+        if self.torus is not None:
+            return self.torus.wrap(number)
+        if self.turn == (0, 0):
+            return number
+        axis = int(np.argmax(np.abs(self.turn)))
+        turns = np.floor_divide(number[..., axis], self.turn[axis])
+        return np.asarray(number - turns[..., np.newaxis] * np.array(self.turn))
+
+
+def link_threads(colors: Sequence[InstanceColors], lattice: Lattice) -> list[ElementThread]:
+    """Return the thread of each element: which of its instances, and which other elements, have one color.
+
+    First, each element may have a turn, the lag along which its instances agree (:func:`find_turns`). Then elements of
+    one turn, or without any, are linked at a lag, the closest first, if the colors of their instances, or the mean
+    colors of their threads, correlate. Few pairs agree by chance, so that they have to agree more.
+
+    Parameters
+    ----------
+    colors
+        The colors of the elements.
+    lattice
+        Its basis spans the cells.
+    """
+    threads = [ElementThread(k, turn=turn) for k, turn in enumerate(find_turns(colors, lattice))]
+    links = []
+    for a, one in enumerate(threads):
+        for b in range(a + 1, len(threads)):
+            if one.turn == threads[b].turn:
+                for lag in ((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
+                    links.append((_compare(colors[a], colors[b], lag, one.turn), a, b, lag))
+    for excess, a, b, lag in sorted(links, reverse=True):
+        if excess < 0:
+            break
+        one, other = threads[a], threads[b]
+        if one.first == other.first:
+            continue
+        shift = (one.base[0] + lag[0] - other.base[0], one.base[1] + lag[1] - other.base[1])
+        for k, thread in enumerate(threads):
+            if thread.first == other.first:
+                base = (thread.base[0] + shift[0], thread.base[1] + shift[1])
+                threads[k] = replace(thread, first=one.first, base=base)
+    return threads
+
+
+def _compare(one: InstanceColors, other: InstanceColors, lag: Lag, turn: Lag) -> float:
+    """Return by how much the correlation of two elements, or of their threads along a turn, exceeds its limit."""
+    if turn == (0, 0):
+        (r, pairs), (least, chance) = one.correlation(other, lag), _LINKED
+        return r - least - chance / math.sqrt(max(pairs, 1))
+    cells = np.concatenate([np.argwhere(one.known), np.argwhere(other.known) - lag])
+    number = _group(ElementThread(0, turn=turn).number(cells))
+    count = int(one.known.sum())
+    halves = (one.values[one.known], number[:count]), (other.values[other.known], number[count:])
+    shown = [np.bincount(of, minlength=number.max(initial=0) + 1) for _, of in halves]
+    means = [
+        np.stack([np.bincount(of, channel, len(n)) for channel in values.T], -1) / np.maximum(n, 1)[:, np.newaxis]
+        for (values, of), n in zip(halves, shown, strict=True)
+    ]
+    both = (shown[0] > 0) & (shown[1] > 0)
+    (r, pairs), (least, chance) = correlate(means[0][both], means[1][both]), _LINKED_THREADS
+    return r - least - chance / math.sqrt(max(pairs, 1))
+
+
+def _group(numbers: Numbers) -> Numbers:
+    """Return which rows are equal, as a number of each."""
+    return np.asarray(np.unique(numbers, axis=0, return_inverse=True)[1].ravel())
+
+
+def find_turns(colors: Sequence[InstanceColors], lattice: Lattice) -> list[Lag]:
+    """Return the turn of each element; (0, 0) for none.
+
+    Either no element of a texture has threads, or each has some with probability 1/2. The evidence is log10 of the
+    ratio of the likelihoods of both, where all turns are as probable: it is added over the elements, so that little of
+    each is enough where all agree. If it is large enough, the frequencies of turns are estimated by expectation
+    maximization, starting with one element more whose turns are as probable, and each element has its most probable
+    turn, or none.
+    """
+    gains = np.clip([compare_turns(color, lattice) for color in colors], -300, 300)
+    likely, weights = 10**gains, np.full(len(_LAGS), 1 / len(_LAGS))
+    if np.log10(0.5 + 0.5 * likely @ weights).sum() < _EVIDENCE:
+        return [(0, 0)] * len(colors)
+    for _ in range(_STEPS):
+        share = weights * likely
+        share /= 1 + share.sum(1, keepdims=True)
+        weights = (1 / len(_LAGS) + share.sum(0)) / (1 + share.sum())
+    return [_LAGS[int(row.argmax())] if row.max() > 1 else (0, 0) for row in weights * likely]
+
+
+def compare_turns(color: InstanceColors, lattice: Lattice) -> NDArray[np.float64]:
+    """Return log10 of the likelihood of threads along each lag over that of no threads.
+
+    The colors are Gaussian. Their variance is made up of a share common along a thread, stains, whose correlation falls
+    exponentially with the distance, and a rest that is independent. The shares and the reach of stains are integrated
+    over grids; stains have the probability 1/2. The mean and the variance of the colors are integrated as well: the
+    likelihood is the restricted one of a random effects model (Patterson and Thompson 1971). The channels are as
+    many as the eigenvalues of their covariance amount to. Without threads, colors may also fade along the best lag.
+
+    Parameters
+    ----------
+    color
+        The colors of one element; with fewer than four instances all lags are 0.
+    lattice
+        Its basis spans the cells.
+    """
+    cells, values = np.argwhere(color.known), color.values[color.known]
+    if len(cells) < 4:
+        return np.zeros(len(_LAGS))
+    places = (cells - cells.mean(0)) @ lattice.matrix / lattice.s
+    middle = np.argsort((places**2).sum(1), kind="stable")[:_MOST]
+    cells, values, places = cells[middle], values[middle], places[middle]
+    contrasts = scipy.linalg.helmert(len(cells))
+    values = contrasts @ values
+    covariance = values.T @ values
+    channels = np.trace(covariance) ** 2 / max(float((covariance**2).sum()), 1e-30)
+    groups = [_group(ElementThread(0, turn=lag).number(cells)) for lag in _LAGS]
+    members = [contrasts @ np.eye(group.max() + 1)[group] for group in groups]
+    apart = scipy.spatial.distance.cdist(places, places)
+    found, prior = [], []
+    for reach in _STAIN_REACHES:
+        power, axes = np.linalg.eigh(contrasts @ np.exp(-apart / reach) @ contrasts.T)
+        turned, turned_members = axes.T @ values, [axes.T @ one for one in members]
+        for share in (0.0, *_STAINED):
+            found.append(_likelihoods(turned, turned_members, 1 / np.maximum(1 - share + share * power, 1e-9)))
+            prior.append([[0.5 / len(_STAIN_REACHES) / (len(_STAINED) if share else 1)]])
+    own = found[0][0, 0]
+    likely = scipy.special.logsumexp(channels * (np.array(found) - own), 0, b=np.array(prior))
+    threads, none = scipy.special.logsumexp(likely[1:], 1) - math.log(len(_SHARED)), np.full(len(_LAGS), likely[0, 0])
+    # Threads whose color fades are rare: they are only compared with the best of those whose color stays.
+    best = int(threads.argmax())
+    same = groups[best][:, np.newaxis] == groups[best]
+    step = apart[same & (apart > 0)].min(initial=np.inf)
+    fading = []
+    for reach in _THREAD_REACHES:
+        power, axes = np.linalg.eigh(contrasts @ (same * np.exp(-apart / (reach * step))) @ contrasts.T)
+        variances = [np.maximum(1 - share + share * power, 1e-9) for share in _SHARED]
+        fading += [_likelihoods(axes.T @ values, (), 1 / variance)[0, 0] - own for variance in variances]
+    faded = scipy.special.logsumexp(channels * np.array(fading)) + math.log(_FADES / len(fading))
+    none[best] = np.logaddexp(none[best], faded)
+    return np.asarray((threads - none) / math.log(10))
+
+
+def _likelihoods(
+    values: NDArray[np.float64], members: Sequence[NDArray[np.float64]], weight: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the log-likelihood of no threads, and of each grouping and share, ``(1 + groupings, shares)``, a channel.
+
+    Parameters
+    ----------
+    values
+        ``(n, C)``, independent but for threads.
+    members
+        The effect of each group on the values, ``(n, groups)`` each.
+    weight
+        ``(n,)``: the inverse variances of the values.
+    """
+    ratio = np.array(_SHARED) / (1 - np.array(_SHARED))
+    square, spread = (weight[:, np.newaxis] * values**2).sum(), -np.log(weight).sum()
+    rows = [np.full(len(ratio), spread + len(values) * math.log(max(square, 1e-12)))]
+    for member in members:
+        weighted = weight[:, np.newaxis] * member
+        power, axes = np.linalg.eigh(member.T @ weighted)
+        grown = 1 + ratio[:, np.newaxis] * np.maximum(power, 0)
+        common = ((axes.T @ (weighted.T @ values)) ** 2).sum(1)
+        left = np.maximum(square - (ratio[:, np.newaxis] * common / grown).sum(1), 1e-12)
+        rows.append(spread + np.log(grown).sum(1) + len(values) * np.log(left))
+    return -0.5 * np.array(rows)
