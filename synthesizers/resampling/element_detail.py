@@ -39,10 +39,13 @@ class ElementDetail:
         The elements.
     rest
         ``(H, W, C)``: the sample without its mean tile and the colors of its elements.
+    varies
+        Whether the variance stays where elements meet, or the values.
     """
 
     elements: ElementMap
     rest: NDArray[np.float64]
+    varies: bool = True
 
     @cached_property
     def whole(self) -> list[Numbers]:
@@ -103,7 +106,7 @@ class ElementDetail:
         """Return the copied detail at some rows of a picture.
 
         Where elements meet, details a and b with the shares u and v give (u a + v b) / sqrt(u^2 + v^2), whose variance
-        is that of the details.
+        is that of the details, or u a + v b.
         """
         top, bottom, _ = rows.indices(shape[0])
         corner = self.elements.cells(shape)[0, 0]
@@ -116,7 +119,7 @@ class ElementDetail:
                 read = scipy.ndimage.map_coordinates(plane, [y, x], order=5, mode="mirror", prefilter=False)
                 detail[at, channel] += share * read
             power[at] += share**2
-        return np.asarray(detail / np.sqrt(power)[..., np.newaxis])
+        return np.asarray(detail / np.sqrt(power)[..., np.newaxis] if self.varies else detail)
 
 
 def _draw_apart(likelihood: NDArray[np.float64], rng: np.random.Generator, shown: Any) -> Numbers:

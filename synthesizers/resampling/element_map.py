@@ -255,7 +255,9 @@ def _most_alike(regions: ElementMap, relief: NDArray[np.float64], residual: Valu
     def likeness(pair: Pair, height: float) -> float:
         a, b, lag = pair
         salience = height / max(inside[a], inside[b], 1e-12)
-        together = colors[a].correlation(colors[b], lag)[0] if _GROUND * energy[a] < energy[b] < energy[a] / _GROUND else 0.0
+        together = (
+            colors[a].correlation(colors[b], lag)[0] if _GROUND * energy[a] < energy[b] < energy[a] / _GROUND else 0.0
+        )
         return together + _DOUBT * max(0.0, _SALIENT - salience)
 
     return max((likeness(pair, height), pair) for pair, height in regions.borders(relief).items())

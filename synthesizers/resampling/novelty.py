@@ -137,7 +137,7 @@ class NoveltyTest:
         return np.array([_measure(new, known) for new, known in zip(windows, self._known, strict=True)])
 
     def compare(self, picture: Image) -> float:
-        """Return the novelty of a picture over that of the sample's own cells, of colors or forms, whichever is more."""
+        """Return the novelty of a picture over that of the sample's own cells: of colors or forms, the larger."""
         return float((self.measure(picture) / (self.own + _UNSEEN)).max())
 
     def passes(self, picture: Image) -> bool:
@@ -145,9 +145,7 @@ class NoveltyTest:
         return self.compare(picture) <= _MOST_NEW
 
 
-def _measure(
-    windows: NDArray[np.float64], known: NDArray[np.float64], among: NDArray[np.bool_] | None = None
-) -> float:
+def _measure(windows: NDArray[np.float64], known: NDArray[np.float64], among: NDArray[np.bool_] | None = None) -> float:
     """Return a quantile of the distances of windows to the nearest known ones at equal places."""
     places, count, moves, size = known.shape
     known = known.reshape(places, count * moves, size)
