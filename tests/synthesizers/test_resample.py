@@ -23,7 +23,7 @@ from nrbench.synthesizers.resampling.element_classes import draw_classes, group_
 from nrbench.synthesizers.resampling.element_colors import draw_field, match_distribution
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
-from nrbench.synthesizers.resampling.element_threads import link_threads
+from nrbench.synthesizers.resampling.element_threads import find_turns, link_threads
 from nrbench.synthesizers.resampling.novelty import NoveltyTest
 from nrbench.synthesizers.tile_set import TileSet
 
@@ -140,6 +140,25 @@ def test_threads_are_linked_under_detail() -> None:
     thread = InstanceColors(np.sqrt(0.8) * shared + np.sqrt(0.2) * own, np.ones((12, 12)))
     (stain, _) = chain(12, 12, 0.6, 0.0, seed=7)
     assert [found.turn for found in link_threads([thread, stain], SQUARE)] == [(0, 1), (0, 0)]
+
+
+def test_the_evidence_of_elements_is_added() -> None:
+    """Nine instances that share 0.7 of their variance along a lag are no thread, nine of each of six elements are."""
+    rng = np.random.default_rng(11)
+    shared, own = rng.standard_normal((6, 3, 1, 3)), rng.standard_normal((6, 3, 3, 3))
+    colors = [InstanceColors(one, np.ones((3, 3))) for one in np.sqrt(0.7) * shared + np.sqrt(0.3) * own]
+    assert find_turns(colors[:1], SQUARE) == [(0, 0)]
+    assert (0, 1) in find_turns(colors, SQUARE) and set(find_turns(colors, SQUARE)) <= {(0, 0), (0, 1)}
+
+
+def test_independent_colors_and_stains_are_no_threads() -> None:
+    """Of 40 walls of independent colors, and of 40 half of whose variance is stains, at most one each has threads."""
+    rng = np.random.default_rng(12)
+    own = rng.standard_normal((40, 5, 5, 3))
+    stains = gaussian_filter(rng.standard_normal((40, 5, 5, 3)), (0, 1, 1, 0), mode="reflect")
+    for walls in (own, own + stains / stains.std()):
+        turns = [find_turns([InstanceColors(one, np.ones((5, 5)))], SQUARE)[0] for one in walls]
+        assert sum(turn != (0, 0) for turn in turns) <= 1
 
 
 def test_the_drawn_field_has_the_covariance_of_the_sample() -> None:
