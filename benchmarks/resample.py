@@ -4,6 +4,8 @@
 
 ``elements``, ``fields``
     The limits of the element map and of threads, and of fields: on the models on which they were chosen, and on others.
+``threads``
+    The limits of threads in small samples of models with threads and without.
 ``widths``
     Quality by how closely the colors of copied detail must match.
 ``defects``, ``rare``
@@ -38,10 +40,11 @@ from nrbench.running.phases import freeze
 from nrbench.suites.suite import load_suite
 from nrbench.synthesizers import resample
 from nrbench.synthesizers.planted import Planted
-from nrbench.synthesizers.resampling import element_colors, element_copies, element_map
+from nrbench.synthesizers.resampling import element_copies, element_map, element_threads
 from nrbench.synthesizers.resampling.cell_field import measure_steps
-from nrbench.synthesizers.resampling.element_colors import ElementColors, ElementThread
+from nrbench.synthesizers.resampling.element_colors import ElementColors
 from nrbench.synthesizers.resampling.element_map import ElementMap
+from nrbench.synthesizers.resampling.element_threads import ElementThread, link_threads
 
 CHOOSING = frozenset(
     (
@@ -62,9 +65,46 @@ ELEMENT_LIMITS = {
 }
 """The limits of the element map: the value in use, and those that are tried in its place."""
 WITHOUT_STILL = {"_STILL": 0.0}
-THREADS = (((0.3, 2.0), (0.5, 1.0)), ((0.6, 0.0), (0.85, 0.0)), ((0.2, 2.0), (0.5, 1.0)), ((0.4, 2.0), (0.5, 1.0)))
-THREADS += (((0.3, 2.0), (0.4, 1.0)), ((0.3, 2.0), (0.6, 1.0)), ((0.3, 2.0), (0.8, 0.0)))
-"""The limits of threads of one element and of several: those in use, and those that are tried in their place."""
+THREAD_LIMITS = {
+    "_EVIDENCE": (1.0, 0.5, 2.0),
+    "_LINKED": ((0.5, 1.0), (0.4, 1.0), (0.6, 1.0)),
+    "_LINKED_THREADS": ((0.3, 1.0), (0.1, 1.0), (0.5, 1.0)),
+    "_STAINED": ((0.25, 0.5, 0.75), (0.01,)),
+    "_STAIN_REACHES": ((2.0, 6.0), (1.0, 3.0)),
+    "_FADES": (0.02, 0.2, 1e-9),
+    "_MOST": (150, 40),
+}
+"""The same for threads."""
+WITHOUT_STAINS: Mapping[str, Any] = {"_STAINED": (0.01,)}
+THREADED = {
+    "weave": ("weave", {"warp": 14.1, "weft": 11.7, "gap": 1.8}),
+    "twill": ("weave", {"warp": 8.3, "weft": 7.9, "gap": 1.2, "draft": "twill"}),
+    "basket": ("basket", {"stake": 13.9, "strand": 7.1, "gap": 1.3}),
+    "pie": ("pie", {"period": 21.3, "strip": 12.5}),
+    "mat": ("mat", {"width": 26.3, "height": 19.1, "rope": 9.3}),
+}
+"""Models with threads."""
+UNTHREADED = {
+    "brick": ("brick", {"width": 25.1, "height": 11.3, "joint": 2.0}),
+    "hexagon": ("hexagon", {"period": 19.1, "joint": 1.9}),
+    "scales": ("scales", {}),
+    "cans": ("cans", {"period": 22.7}),
+    "squares": ("squares", {"period": 23.1}),
+    "windows": ("windows", {"width": 26.3, "height": 29.9, "columns": 2, "lines": 2}),
+}
+"""Models whose elements have a color each."""
+PLANTED: Mapping[str, Mapping[str, Any]] = {
+    "plain": {"color": 0.25, "intensity": 0.12, "noise": 0.04},
+    "faint": {"color": 0.25, "intensity": 0.12, "noise": 0.12},
+    "cloth": {"color": 0.22, "intensity": 0.11, "noise": 0.01, "material": "cloth"},
+    "stone": {"color": 0.22, "intensity": 0.11, "noise": 0.01, "material": "stone"},
+    "light": {"color": 0.15, "intensity": 0.08, "noise": 0.03, "light": 0.4},
+    "inks": {"color": 0.25, "intensity": 0.1, "noise": 0.02, "inks": 2},
+}
+"""How they depart from regularity."""
+PLANTED_SIDES = (72, 96, 128)
+PLANTED_SEEDS = {True: (931, 932, 933, 934), False: (941, 942, 943, 944)}
+"""Seeds of the draws on which the limits of threads are chosen, and of those reported. Odd ones are upright."""
 WIDTHS = (0.4, 0.8, 1.2, 1.6, 3.2)
 WIDTH_SEED = 77
 """The seed at which the width of detail is chosen. No table reports it."""
@@ -187,19 +227,78 @@ def print_elements() -> None:
                 setattr(element_map, name, changes.get(name, values[0]))
             maps = [element_map.segment(k.made.image, residual, k.lattice) for k, residual, _ in known]
             print_agreement(f"{title}, elements {changes or 'as they are'}", known, maps)
-        for links in THREADS[1:] if tried else THREADS[1:2]:
-            element_colors._LINKED, element_colors._LINKED_ELEMENTS = links
-            print_agreement(f"{title}, threads {links}", known, maps)
-        element_colors._LINKED, element_colors._LINKED_ELEMENTS = THREADS[0]
+        for changes in thread_changes() if tried else [WITHOUT_STAINS]:
+            set_thread_limits(changes)
+            print_agreement(f"{title}, threads {changes}", known, maps)
+        set_thread_limits({})
+
+
+def thread_changes() -> list[Mapping[str, Any]]:
+    """Return the changes of one limit of threads each."""
+    return [{name: value} for name, values in THREAD_LIMITS.items() for value in values[1:]]
+
+
+def set_thread_limits(changes: Mapping[str, Any]) -> None:
+    """Set the limits of threads to those in use but for some changes."""
+    for name, values in THREAD_LIMITS.items():
+        setattr(element_threads, name, changes.get(name, values[0]))
 
 
 def print_agreement(title: str, known: Iterable[tuple[Known, Image, np.ndarray]], maps: Iterable[ElementMap]) -> None:
     """Print the mean agreement of threads."""
     rows = []
     for (k, residual, true), elements in zip(known, maps, strict=True):
-        threads = element_colors.link_threads(elements.mean_colors(residual))
+        threads = link_threads(elements.mean_colors(residual), k.lattice)
         rows.append((k.name, agreement(true, thread_numbers(elements, threads, k.shape))))
     print(f"{title}: {mean_of_textures(rows):.3f}", flush=True)
+
+
+def draw_planted(models: Mapping[str, tuple[str, Mapping[str, Any]]], choosing: bool) -> Iterator[Known]:
+    """Yield draws of small samples of models with threads, or without; the sample holds at least six cells."""
+    for name, (model, parameters) in models.items():
+        for departure in PLANTED.values():
+            for side in PLANTED_SIDES:
+                for seed in PLANTED_SEEDS[choosing]:
+                    built: Any = build(
+                        "datasets", model, {**parameters, **departure, "rotation": (1 - seed % 2) * 14.3}
+                    )
+                    made = built.render((side, side), np.random.default_rng(seed))
+                    if side**2 >= 6 * made.lattice.area:
+                        yield Known(name, built, replace(made, image=quantize(made.image)), made.lattice.reduced())
+
+
+def print_threads() -> None:
+    """Print how far threads in small samples agree with the model's, and how often some are found where there are none.
+
+    The first number is the mean agreement; the second one the share of samples in which elements without threads have
+    a turn.
+    """
+    for choosing in (True, False):
+        studied = []
+        for models in (THREADED, UNTHREADED):
+            known = list(draw_planted(models, choosing))
+            maps = [element_map.segment(k.made.image, k.residual(k.made.image), k.lattice) for k in known]
+            colors = [m.mean_colors(k.residual(k.made.image)) for k, m in zip(known, maps, strict=True)]
+            studied.append((known, maps, colors))
+        for changes in ({}, *(thread_changes() if choosing else [WITHOUT_STAINS])):
+            set_thread_limits(changes)
+            found = [
+                [link_threads(c, k.lattice) for k, c in zip(known, colors, strict=True)] for known, _, colors in studied
+            ]
+            agreed = [
+                (k.name, agreement(k.true_elements(), thread_numbers(m, threads, k.shape)))
+                for k, m, threads in zip(studied[0][0], studied[0][1], found[0], strict=True)
+            ]
+            false = [
+                (k.name, any(t.turn != (0, 0) for t in threads))
+                for k, threads in zip(studied[1][0], found[1], strict=True)
+            ]
+            print(
+                f"choosing: {choosing}, {changes or 'as they are'}: {mean_of_textures(agreed):.3f}, "
+                f"false {mean_of_textures(false):.3f}",
+                flush=True,
+            )
+        set_thread_limits({})
 
 
 def print_fields() -> None:
@@ -312,6 +411,7 @@ def print_widths() -> None:
 
 STUDIES: Mapping[str, Callable[[], None]] = {
     "elements": print_elements,
+    "threads": print_threads,
     "fields": print_fields,
     "widths": print_widths,
     "defects": print_defects,

@@ -10,7 +10,7 @@ import numpy as np
 
 from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
-from nrbench.imaging.mean_tile import Tile, fold
+from nrbench.imaging.mean_tile import Tile, Values, fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
@@ -64,6 +64,11 @@ class Resample:
     In an output that repeats, threads run around the edges. Where they are turned against the edges, most meet others,
     and few colors are left; the note tells how many.
 
+    A print has a few inks: colors that form classes are drawn as classes, which go together with their neighbors' as in
+    the sample, and each element is a whole instance of the sample, color and detail. Where new elements are farther
+    from those of the sample than these are from each other, elements are whole instances as well; if those do not fit
+    together, whole cells are; and at last the output is that of ``tile-set``. The note says so.
+
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
     An element that the sample shows whole fewer than three times joins its neighbor. If this holds for every element,
     the output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the
@@ -109,9 +114,8 @@ class Resample:
             tiles = TileSet().synthesize(replace(task, lattice=lattice))
             return replace(tiles, detection_seconds=seconds, note=f"copied by tile-set: {model.copied}")
         image = model.draw(task, self.variation)
-        whole = "elements are whole cells: colors of smaller elements explain too little" if model.whole_cells else ""
-        copied = "elements are whole instances: new colors are stranger than they are" if model.instances else ""
-        note = "; ".join(filter(None, (whole, copied, model.describe_threads(task))))
+        whole = f"elements are whole cells: smaller ones {model.whole_cells}" if model.whole_cells else ""
+        note = "; ".join(filter(None, (whole, model.describe_copies(), model.describe_threads(task))))
         return Synthesis(image, lattice, extras=model.pictures(), detection_seconds=seconds, note=note)
 
 
@@ -126,9 +130,9 @@ class VariationModel:
     colors
         The colors of elements.
     detail
-        The rest, without the field.
+        The rest, without the field; the sample itself if elements are whole instances.
     whole_cells
-        Whether the elements are whole cells, since no smaller ones were found.
+        Why the elements are whole cells; empty if they are smaller.
     field
         What runs on across the borders of elements; None if nothing does.
     colored
@@ -142,7 +146,7 @@ class VariationModel:
     mean: Tile
     colors: ElementColors
     detail: ElementCopies
-    whole_cells: bool
+    whole_cells: str
     field: CellField | None = None
     colored: bool = True
     instances: bool = False
@@ -156,35 +160,42 @@ class VariationModel:
 
     @classmethod
     def fit(cls, sample: Image, lattice: Lattice) -> VariationModel:
-        """Return the first model of a sample with a reduced lattice whose draws are not stranger than the sample.
+        """Return the model of a sample with a reduced lattice: the first of four that draws nothing strange.
 
-        Colors are drawn, then elements are whole instances, then whole cells.
+        New colors are drawn, unless colors form classes; else elements are whole instances; else whole cells are; else
+        the sample is to be copied. What they draw is compared with the sample (:class:`.novelty.NoveltyTest`).
         """
         shape, mean = sample.shape[:2], fold(sample, lattice, grid=map_grid(lattice))
         residual = sample - mean.unfold(shape)
-        fits = []
-        for whole_cells in (False, True):
-            elements = segment(sample, residual, lattice, whole_cells)
-            colors = ElementColors.fit(elements, residual)
-            rest = residual - colors.render(colors.of_sample(shape), shape)
-            fitted = sum(int(color.known.sum()) for color in colors.colors.values())
-            explains = rest.var() < (1 - _EXPLAINED - _BY_CHANCE * fitted / rest[..., 0].size) * residual.var()
-            copies = ElementCopies(elements, sample.astype(np.float64))
-            fits.append((explains, cls(mean, colors, copies, whole_cells, instances=True)))
-        (explains, copied), (_, cells) = fits
-        chosen = copied if explains else cells
-        candidates = [chosen.with_drawn_colors(sample), copied, cells]
-        if chosen.colors.classes:
-            candidates = candidates[1:]
-        test = NoveltyTest(sample, chosen.detail.elements, chosen.colors.threads)
-        task = Task(sample, shape, lattice, np.random.default_rng(0))
-        why = f"the sample shows fewer than {FEWEST} whole instances of an element"
-        for candidate in candidates:
-            if min(map(len, candidate.detail.whole)) >= FEWEST:
-                if test.passes(candidate.draw(task, 1.0)):
-                    return candidate
-                why = "what it draws is stranger than the elements of the sample are to each other"
-        return replace(cells, copied=why)
+        copies = cls._fit_elements(sample, mean, residual)
+        fitted = sum(int(color.known.sum()) for color in copies.colors.colors.values())
+        rest = residual - copies.colors.render(copies.colors.of_sample(shape), shape)
+        if rest.var() >= (1 - _EXPLAINED - _BY_CHANCE * fitted / rest[..., 0].size) * residual.var():
+            copies = cls._fit_elements(sample, mean, residual, "explain too little")
+        if copies.fewest < FEWEST:
+            return replace(copies, copied=f"the sample shows {copies.fewest} whole instances of an element")
+        test = NoveltyTest(sample, copies.detail.elements, copies.colors.threads)
+        task = Task(sample, test.shape, lattice, np.random.default_rng(0))
+        if not copies.colors.classes and test.passes((drawn := copies.with_drawn_colors(sample)).draw(task, 1.0)):
+            return drawn
+        if test.passes(copies.draw(task, 1.0)):
+            return copies
+        if not copies.whole_cells:
+            cells = cls._fit_elements(sample, mean, residual, "are strange beside each other")
+            if cells.fewest >= FEWEST and test.passes(cells.draw(task, 1.0)):
+                return cells
+        return replace(copies, copied="what it draws is stranger than the elements of the sample are to each other")
+
+    @classmethod
+    def _fit_elements(cls, sample: Image, mean: Tile, residual: Values, whole_cells: str = "") -> VariationModel:
+        elements = segment(sample, residual, mean.lattice, whole_cells=bool(whole_cells))
+        copies = ElementCopies(elements, sample.astype(np.float64))
+        return cls(mean, ElementColors.fit(elements, residual), copies, whole_cells, instances=True)
+
+    @property
+    def fewest(self) -> int:
+        """Number of whole instances that the sample shows of the element that it shows whole least often."""
+        return min(map(len, self.detail.whole))
 
     def with_drawn_colors(self, sample: Image) -> VariationModel:
         """Return the model whose elements take new colors, inside the outlines of copied ones.
@@ -215,6 +226,14 @@ class VariationModel:
         """Return the cells of the output, if it repeats."""
         return CellTorus.closing(self.mean.lattice, task.shape) if task.tileable else None
 
+    def describe_copies(self) -> str:
+        """Return why elements are whole instances, if they are."""
+        if not self.instances:
+            return ""
+        if self.colors.classes:
+            return "elements are whole instances: their colors form classes"
+        return "elements are whole instances: new ones are stranger than those of the sample are to each other"
+
     def describe_threads(self, task: Task) -> str:
         """Return how many threads differ in an output that repeats, if fewer do than in the sample."""
         torus = self.torus(task)
@@ -232,10 +251,10 @@ class VariationModel:
         height, width = task.shape
         torus = self.torus(task)
         colors = self.colors.draw(task.shape, task.rng, torus)
-        shape, threads = self.detail.rest.shape[:2], self.colors.threads
-        exact = [t.first in self.colors.classes or (self.instances and t.turn != (0, 0)) for t in threads]
+        own = self.colors.of_classes(self.detail.rest.shape[:2])
+        exact = [t.first in self.colors.classes or t.turn != (0, 0) for t in self.colors.threads]
         copied = self.detail.draw(
-            task.shape, task.rng, (self.colors.of_classes(shape), colors) if self.colored else None, torus, exact
+            task.shape, task.rng, (own, colors) if self.colored else None, torus, exact if self.instances else ()
         )
         field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area

@@ -35,8 +35,6 @@ _LINKED = (0.5, 1.0)
 """Different elements whose colors correlate at a lag by a + b / sqrt(pairs) are one thread."""
 _LINKED_THREADS = (0.3, 1.0)
 """The same for the mean colors of threads of different elements, which run along the same turn."""
-_STEPS = 8
-"""Steps in which the frequencies of turns are estimated."""
 
 
 @dataclass(frozen=True)
@@ -134,21 +132,24 @@ def _group(numbers: Numbers) -> Numbers:
 def find_turns(colors: Sequence[InstanceColors], lattice: Lattice) -> list[Lag]:
     """Return the turn of each element; (0, 0) for none.
 
-    Either no element of a texture has threads, or each has some with probability 1/2. The evidence is log10 of the
-    ratio of the likelihoods of both, where all turns are as probable: it is added over the elements, so that little of
-    each is enough where all agree. If it is large enough, the frequencies of turns are estimated by expectation
-    maximization, starting with one element more whose turns are as probable, and each element has its most probable
-    turn, or none.
+    Either no element of a texture has threads, or each has some with probability 1/2. Then all turns are as frequent,
+    or one or two alone occur; this choice is integrated over. The evidence for threads is log10 of the ratio of
+    likelihoods. It is a sum over the elements, so that little of each is enough where all agree. If it is large enough,
+    each element has the most probable of its turns and none.
     """
-    gains = np.clip([compare_turns(color, lattice) for color in colors], -300, 300)
-    likely, weights = 10**gains, np.full(len(_LAGS), 1 / len(_LAGS))
-    if np.log10(0.5 + 0.5 * likely @ weights).sum() < _EVIDENCE:
+    likely = 10 ** np.clip([compare_turns(color, lattice) for color in colors], -300, 300)
+    one, other = np.triu_indices(len(_LAGS))
+    few = (np.eye(len(_LAGS))[one] + np.eye(len(_LAGS))[other]) / 2
+    frequency = np.concatenate([np.full_like(few, 1 / len(_LAGS)), few])
+    ratio = 0.5 + 0.5 * likely @ frequency.T
+    evidence = np.log10(ratio).sum(0) - math.log10(len(frequency))
+    most = evidence.max()
+    if most + math.log10((10 ** (evidence - most)).sum()) < _EVIDENCE:
         return [(0, 0)] * len(colors)
-    for _ in range(_STEPS):
-        share = weights * likely
-        share /= 1 + share.sum(1, keepdims=True)
-        weights = (1 / len(_LAGS) + share.sum(0)) / (1 + share.sum())
-    return [_LAGS[int(row.argmax())] if row.max() > 1 else (0, 0) for row in weights * likely]
+    weight = 10 ** (evidence - most) / ratio
+    turn = likely * (weight @ frequency)
+    none = weight.sum(1)
+    return [_LAGS[int(row.argmax())] if row.max() > own else (0, 0) for row, own in zip(turn, none, strict=True)]
 
 
 def compare_turns(color: InstanceColors, lattice: Lattice) -> NDArray[np.float64]:
