@@ -189,8 +189,10 @@ class VariationModel:
     @classmethod
     def _fit_elements(cls, sample: Image, mean: Tile, residual: Values, whole_cells: str = "") -> VariationModel:
         elements = segment(sample, residual, mean.lattice, whole_cells=bool(whole_cells))
-        copies = ElementCopies(elements, sample.astype(np.float64))
-        return cls(mean, ElementColors.fit(elements, residual), copies, whole_cells, instances=True)
+        colors = ElementColors.fit(elements, residual)
+        outlines = ElementOutlines.fit(sample, sample - residual, colors)
+        copies = ElementCopies(elements, sample.astype(np.float64), outlines, colors.of_sample(sample.shape[:2]))
+        return cls(mean, colors, copies, whole_cells, instances=True)
 
     @property
     def fewest(self) -> int:
@@ -210,11 +212,9 @@ class VariationModel:
 
     def details(self, sample: Image) -> dict[bool, ElementCopies]:
         """Return what is copied from a sample if colors are drawn (True), and if a field holds them (False)."""
-        mean = self.mean.unfold(sample.shape[:2])
-        residual = (sample - mean).astype(np.float64)
-        outlines = ElementOutlines.fit(sample, mean, self.colors)
-        rest = residual - outlines.lay(self.colors.of_sample(sample.shape[:2]))
-        return {k: replace(self.detail, rest=part, outlines=outlines) for k, part in ((False, residual), (True, rest))}
+        residual = (sample - self.mean.unfold(sample.shape[:2])).astype(np.float64)
+        rest = residual - self.detail.outlines.lay(self.colors.of_sample(sample.shape[:2]))
+        return {k: replace(self.detail, rest=part, own=None) for k, part in ((False, residual), (True, rest))}
 
     def with_field(self, detail: ElementCopies, colored: bool) -> VariationModel:
         """Return the model with a field of the coarse part of a detail."""
@@ -264,7 +264,7 @@ class VariationModel:
             rows = slice(top, min(top + _ROWS, height))
             mean = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
             if self.instances:
-                part = self.detail.render(copied, task.shape, rows) - mean
+                part = self.detail.render(copied, task.shape, rows, self.detail.colors_of(copied)) - mean
             else:
                 part = self.detail.render(copied, task.shape, rows, colors if self.colored else None, strength)
             if self.field is not None and field is not None:

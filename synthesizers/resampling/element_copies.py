@@ -63,13 +63,17 @@ class ElementCopies:
     rest
         ``(H, W, C)``: the sample; if colors are drawn, without its mean tile and the colors of its elements.
     outlines
-        The outlines of the instances, inside which new colors are laid. None: pixels of the sample are copied as they
-        are.
+        The outlines of its instances.
+    own
+        ``(E, I, J, C)``: the colors of the instances, on the box of :meth:`ElementMap.cells`, if ``rest`` holds them.
+        Then pixels of the sample are copied as they are, and what surrounds an element takes the colors of its new
+        neighbors. None: ``rest`` is interpolated, and all colors are laid.
     """
 
     elements: ElementMap
     rest: NDArray[np.float64]
-    outlines: ElementOutlines | None = None
+    outlines: ElementOutlines
+    own: Table | None = None
 
     @cached_property
     def whole(self) -> list[Numbers]:
@@ -174,7 +178,7 @@ class ElementCopies:
                 if colors is not None:
                     likelihood -= self._compare_colors(k, colors[0][k], colors[1][k][i, j], bool(exact) and exact[k])
                 likelihood -= self._weigh_neighbors(k, drawn, i, j)
-                if self.outlines is None:
+                if self.own is not None:
                     likelihood -= self._weigh_shifts(k, places[i, j])
                 drawn[k][i, j] = likelihood.argmax(-1)
                 drawn[k] = drawn[k][equal]
@@ -182,17 +186,21 @@ class ElementCopies:
             bias[k] -= _EVEN * np.log2((count + 1) / (count.mean() + 1))
         return np.stack([cells[number] for cells, number in zip(self.whole, drawn, strict=True)])
 
-    def colors_of(self, drawn: Numbers, own: Table) -> Table:
-        """Return the colors of the sample's elements that were drawn, ``(E, I, J, C)``."""
-        corner = self.elements.cells(self.rest.shape[:2])[0, 0]
-        return np.stack(
-            [table[tuple(np.moveaxis(cells - corner, -1, 0))] for table, cells in zip(own, drawn, strict=True)]
-        )
+    def _read_own(self, k: Numbers, cells: Numbers) -> Table | float:
+        """Return the colors that the rest holds of instances, ``(n, C)``."""
+        if self.own is None:
+            return 0.0
+        at = np.clip(cells - self.elements.cells(self.rest.shape[:2])[0, 0], 0, np.array(self.own.shape[1:3]) - 1)
+        return np.asarray(self.own[k, at[..., 0], at[..., 1]])
+
+    def colors_of(self, drawn: Numbers) -> Table:
+        """Return the colors of the elements that were drawn, ``(E, I, J, C)``."""
+        return np.stack([np.asarray(self._read_own(np.array(k), cells)) for k, cells in enumerate(drawn)])
 
     def _weigh_shifts(self, k: int, cells: Numbers) -> NDArray[np.float64]:
         """Return minus the log-likelihoods ``(m, n)`` of n instances at m cells, by how far off pixels they lie."""
         shift = (cells[:, np.newaxis] - self.whole[k]) @ self.elements.lattice.matrix
-        return np.asarray(_OFF * np.square(shift - np.rint(shift)).sum(-1))
+        return np.asarray(_OFF * np.square(shift - _round(shift)).sum(-1))
 
     def _compare_colors(self, k: int, own: Table, new: Table, exact: bool) -> NDArray[np.float64]:
         """Return minus the log-likelihoods ``(m, n)`` that m new colors belong to n whole instances of an element."""
@@ -242,24 +250,30 @@ class ElementCopies:
         copies = np.zeros((ranks, *size, self.rest.shape[2]))
         for rank, (at, _, label, cell) in enumerate(around):
             step = drawn[label, *(cell - corner).T] - cell
-            place = np.argwhere(at)[:, ::-1] + (-pad, top - pad) + step @ self.elements.lattice.matrix
-            if self.outlines is None:
-                x, y = _reflect(np.rint(place).astype(int), np.array(self.rest.shape[1::-1])).T
+            shift = step @ self.elements.lattice.matrix
+            place = np.argwhere(at)[:, ::-1] + (-pad, top - pad) + (shift if self.own is None else _round(shift))
+            if self.own is not None:
+                x, y = _reflect(place, np.array(self.rest.shape[1::-1])).T
                 copies[rank, at] = self.rest[y, x]
-                continue
-            for channel, plane in enumerate(self._splines):
-                copies[rank, at, channel] = strength * _interpolate(plane, place)
+            else:
+                for channel, plane in enumerate(self._splines):
+                    copies[rank, at, channel] = strength * _interpolate(plane, place)
             if colors is not None:
                 laid = np.zeros((len(place), self.rest.shape[2]))
                 for other in range(ranks):
                     shown = shares[other, at] > 0
                     k, i, j = index[:, other, at][:, shown]
                     source = step[shown] + np.stack([i, j], -1) + corner
-                    laid[shown] += self.outlines.read(k, source, place[shown])[:, np.newaxis] * colors[k, i, j]
+                    color = colors[k, i, j] - self._read_own(k, source)
+                    laid[shown] += self.outlines.read(k, source, place[shown])[:, np.newaxis] * color
                 copies[rank, at] += laid * self.outlines.gain[row[at], column[at]]
         weight = _cut_seams(copies, shares, np.asarray(np.ravel_multi_index(tuple(index), drawn.shape[:3])))
         inner = slice(pad, size[0] - pad), slice(pad, size[1] - pad)
         return np.asarray((copies * weight[..., np.newaxis]).sum(0)[inner])
+
+
+def _round(places: NDArray[np.float64]) -> Numbers:
+    return np.floor(places + 0.5).astype(np.int64)
 
 
 def _reflect(places: Numbers, size: Numbers) -> Numbers:
