@@ -61,6 +61,11 @@ class Resample:
     In an output that repeats, threads run around the edges. Where they are turned against the edges, most meet others,
     and few colors are left; the note tells how many.
 
+    A print has a few inks: colors that form classes are drawn as classes, which go together with their neighbors' as in
+    the sample, and each element is a whole instance of the sample, color and detail. Where new elements are farther
+    from those of the sample than these are from each other, elements are whole instances as well; if those do not fit
+    together, whole cells are; and at last the output is that of ``tile-set``. The note says so.
+
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
     An element that the sample shows whole fewer than three times joins its neighbor. If this holds for every element,
     the output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the
@@ -106,9 +111,8 @@ class Resample:
             tiles = TileSet().synthesize(replace(task, lattice=lattice))
             return replace(tiles, detection_seconds=seconds, note=f"copied by tile-set: {model.copied}")
         image = model.draw(task, self.variation)
-        whole = "elements are whole cells: colors of smaller elements explain too little" if model.whole_cells else ""
-        copied = "elements are whole instances: new colors are stranger than they are" if model.instances else ""
-        note = "; ".join(filter(None, (whole, copied, model.describe_threads(task))))
+        whole = f"elements are whole cells: smaller ones {model.whole_cells}" if model.whole_cells else ""
+        note = "; ".join(filter(None, (whole, model.describe_copies(), model.describe_threads(task))))
         return Synthesis(image, lattice, extras=model.pictures(), detection_seconds=seconds, note=note)
 
 
@@ -123,9 +127,9 @@ class VariationModel:
     colors
         The colors of elements.
     detail
-        The rest, without the field.
+        The rest, without the field; the sample itself if elements are whole instances.
     whole_cells
-        Whether the elements are whole cells, since no smaller ones were found.
+        Why the elements are whole cells; empty if they are smaller.
     field
         What runs on across the borders of elements; None if nothing does.
     colored
@@ -139,7 +143,7 @@ class VariationModel:
     mean: Tile
     colors: ElementColors
     detail: ElementDetail
-    whole_cells: bool
+    whole_cells: str
     field: CellField | None = None
     colored: bool = True
     instances: bool = False
@@ -153,31 +157,47 @@ class VariationModel:
 
     @classmethod
     def fit(cls, sample: Image, lattice: Lattice) -> VariationModel:
-        """Return the model of a sample with a reduced lattice."""
+        """Return the model of a sample with a reduced lattice: the first of four that draws nothing strange.
+
+        New colors are drawn, unless colors form classes; else elements are whole instances; else whole cells are; else
+        the sample is to be copied. What they draw is compared with the sample (:class:`.novelty.NoveltyTest`).
+        """
         height, width, _ = sample.shape
         mean = fold(sample, lattice, grid=map_grid(lattice))
         residual = sample - mean.unfold((height, width))
-        for whole_cells in (False, True):
-            elements = segment(sample, residual, lattice, whole_cells)
-            colors = ElementColors.fit(elements, residual)
-            rest = residual - colors.render(colors.of_sample((height, width)), (height, width))
-            fitted = sum(int(color.known.sum()) for color in colors.colors.values())
-            if rest.var() < (1 - _EXPLAINED - _BY_CHANCE * fitted / (height * width)) * residual.var():
-                break
-        model = cls(mean, colors, ElementDetail(elements, rest), whole_cells)
-        if min(map(len, model.detail.whole)) < FEWEST:
-            return replace(model, copied=f"the sample shows fewer than {FEWEST} whole instances of an element")
-        test = NoveltyTest(sample, elements, colors.threads)
-        task = Task(sample, (height, width), lattice, np.random.default_rng(0))
-        for candidate in (model._join(residual), replace(model, instances=True)):
-            if test.passes(candidate.draw(task, 1.0)):
-                return candidate
+        model = cls._fit_elements(sample, mean, residual)
+        fitted = sum(int(color.known.sum()) for color in model.colors.colors.values())
+        least = _EXPLAINED + _BY_CHANCE * fitted / (height * width)
+        if model.detail.rest.var() >= (1 - least) * residual.var():
+            model = cls._fit_elements(sample, mean, residual, "explain too little")
+        if model.fewest < FEWEST:
+            return replace(model, copied=f"the sample shows {model.fewest} whole instances of an element")
+        test = NoveltyTest(sample, model.detail.elements, model.colors.threads)
+        task = Task(sample, test.shape, lattice, np.random.default_rng(0))
+        if not model.colors.classes and test.passes((joined := model._join(residual)).draw(task, 1.0)):
+            return joined
+        for larger in ("",) if model.whole_cells else ("", "are strange beside each other"):
+            copies = cls._fit_elements(sample, mean, residual, larger) if larger else model
+            detail = ElementDetail(copies.detail.elements, sample.astype(np.float64), varies=False)
+            copies = replace(copies, detail=detail, instances=True)
+            if copies.fewest >= FEWEST and test.passes(copies.draw(task, 1.0)):
+                return copies
         return replace(model, copied="what it draws is stranger than the elements of the sample are to each other")
+
+    @classmethod
+    def _fit_elements(cls, sample: Image, mean: Tile, residual: Values, whole_cells: str = "") -> VariationModel:
+        elements = segment(sample, residual, mean.lattice, whole_cells=bool(whole_cells))
+        colors = ElementColors.fit(elements, residual)
+        rest = residual - colors.render(colors.of_sample(sample.shape[:2]), sample.shape[:2])
+        return cls(mean, colors, ElementDetail(elements, rest), whole_cells)
+
+    @property
+    def fewest(self) -> int:
+        """Number of whole instances that the sample shows of the element that it shows whole least often."""
+        return min(map(len, self.detail.whole))
 
     def _join(self, residual: Values) -> VariationModel:
         """Return the model with a field, if the residual, or the detail, runs on across the borders of elements."""
-        if self.colors.classes:
-            return self
         threads = any(thread.turn != (0, 0) for thread in self.colors.threads)  # they are longer than a field's memory
         steps = self.compare_steps(residual)
         for colored in (True,) if threads else (False, True):
@@ -207,6 +227,14 @@ class VariationModel:
         """Return the cells of the output, if it repeats."""
         return CellTorus.closing(self.mean.lattice, task.shape) if task.tileable else None
 
+    def describe_copies(self) -> str:
+        """Return why elements are whole instances, if they are."""
+        if not self.instances:
+            return ""
+        if self.colors.classes:
+            return "elements are whole instances: their colors form classes"
+        return "elements are whole instances: new ones are stranger than those of the sample are to each other"
+
     def describe_threads(self, task: Task) -> str:
         """Return how many threads differ in an output that repeats, if fewer do than in the sample."""
         torus = self.torus(task)
@@ -224,22 +252,24 @@ class VariationModel:
         height, width = task.shape
         torus = self.torus(task)
         colors = self.colors.draw(task.shape, task.rng, torus)
-        shape, own = self.detail.rest.shape[:2], self.colors.of_classes(self.detail.rest.shape[:2])
-        classed = [thread.first in self.colors.classes for thread in self.colors.threads]
-        exact = [
-            one or (self.instances and t.turn != (0, 0)) for one, t in zip(classed, self.colors.threads, strict=True)
-        ]
-        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, torus, exact)
-        kept = [self.instances or one for one in classed]
-        colors[kept] = self.detail.colors_of(copied, self.colors.of_sample(shape))[kept]
+        own = self.colors.of_classes(self.detail.rest.shape[:2])
+        exact = [t.first in self.colors.classes or t.turn != (0, 0) for t in self.colors.threads]
+        copied = self.detail.draw(
+            task.shape, task.rng, (own, colors) if self.colored else None, torus, exact if self.instances else ()
+        )
         field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
-        strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
+        # the mean of n cells takes 1 / n of the variance with it
+        strength = variation * (1 if self.instances else np.sqrt(cells / (cells - 1)))
         image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)
         for top in range(0, height, _ROWS):
             rows = slice(top, min(top + _ROWS, height))
             part = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
-            if self.colored:
+            if (
+                self.instances
+            ):  # the mean of a place is that of few colors, so that it hardly goes with the next place's
+                part *= 1 - variation
+            elif self.colored:
                 part += variation * self.colors.render(colors, task.shape, rows)
             if self.field is not None and field is not None:
                 part += variation * self.field.render(field, task.shape, rows)

@@ -39,10 +39,13 @@ class ElementDetail:
         The elements.
     rest
         ``(H, W, C)``: the sample without its mean tile and the colors of its elements.
+    varies
+        Whether the variance stays where elements meet, or the values.
     """
 
     elements: ElementMap
     rest: NDArray[np.float64]
+    varies: bool = True
 
     @cached_property
     def whole(self) -> list[Numbers]:
@@ -99,18 +102,11 @@ class ElementDetail:
             drawn.append(cells[_draw_apart(likelihood, rng, equal)])
         return np.stack(drawn)
 
-    def colors_of(self, drawn: Numbers, own: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the colors of the sample's elements that were drawn, ``(E, I, J, C)``."""
-        corner = self.elements.cells(self.rest.shape[:2])[0, 0]
-        return np.stack(
-            [table[tuple(np.moveaxis(cells - corner, -1, 0))] for table, cells in zip(own, drawn, strict=True)]
-        )
-
     def render(self, drawn: Numbers, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
         """Return the copied detail at some rows of a picture.
 
         Where elements meet, details a and b with the shares u and v give (u a + v b) / sqrt(u^2 + v^2), whose variance
-        is that of the details.
+        is that of the details, or u a + v b.
         """
         top, bottom, _ = rows.indices(shape[0])
         corner = self.elements.cells(shape)[0, 0]
@@ -123,7 +119,7 @@ class ElementDetail:
                 read = scipy.ndimage.map_coordinates(plane, [y, x], order=5, mode="mirror", prefilter=False)
                 detail[at, channel] += share * read
             power[at] += share**2
-        return np.asarray(detail / np.sqrt(power)[..., np.newaxis])
+        return np.asarray(detail / np.sqrt(power)[..., np.newaxis] if self.varies else detail)
 
 
 def _draw_apart(likelihood: NDArray[np.float64], rng: np.random.Generator, shown: Any) -> Numbers:

@@ -249,12 +249,16 @@ def _renumbered(label: Numbers) -> Numbers:
 def _most_alike(regions: ElementMap, relief: NDArray[np.float64], residual: Values) -> tuple[float, Pair]:
     """Return how alike the two neighbors are that are most alike, and the pair."""
     colors = regions.mean_colors(residual)
+    energy = [color.energy() for color in colors]
     inside = [float(np.quantile(relief[regions.label == k], 0.9)) for k in range(regions.count)]
 
     def likeness(pair: Pair, height: float) -> float:
         a, b, lag = pair
         salience = height / max(inside[a], inside[b], 1e-12)
-        return colors[a].correlation(colors[b], lag)[0] + _DOUBT * max(0.0, _SALIENT - salience)
+        together = (
+            colors[a].correlation(colors[b], lag)[0] if _GROUND * energy[a] < energy[b] < energy[a] / _GROUND else 0.0
+        )
+        return together + _DOUBT * max(0.0, _SALIENT - salience)
 
     return max((likeness(pair, height), pair) for pair, height in regions.borders(relief).items())
 

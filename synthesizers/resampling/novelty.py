@@ -14,6 +14,7 @@ from skimage.color import rgb2lab
 
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
+from nrbench.plugins.forms import Shape
 
 from .element_map import ElementMap, Numbers
 from .element_threads import ElementThread
@@ -30,17 +31,22 @@ _BLUR = 0.7
 """Standard deviation in px of the least blur before windows are read."""
 _MOVES = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
 """Distances (x, y) in px by which windows of the sample are moved."""
-_QUANTILES = (0.75, 0.9)
-"""Quantiles, for the two widths, of the distances of windows to the nearest ones. A thread may have a color alone."""
-_MOST_NEW = (1.5, 1.05)
-"""Largest novelty of colors and of forms, in that of the sample's own cells."""
-_UNSEEN = 0.5
-"""CIELAB units of novelty that are not seen."""
+_QUANTILE = 0.9
+"""Quantile of the distances of windows to the nearest ones."""
+_MOST_NEW = 1.2
+"""Largest novelty of a draw, in that of the sample's own cells."""
+_UNSEEN = 2.0
+"""CIELAB units that are added to the latter: less is hardly seen."""
 
 
 @dataclass(frozen=True)
 class NoveltyTest:
     """Compares pictures with a sample, window by window, at the equal places of its cells.
+
+    A window holds the colors around a place, within the element that the place is in: what two neighbors are need not
+    have been seen side by side. Two sizes are compared, single colors and forms. A window is as new as it is far from
+    the nearest one of the sample at the same place of a cell, moved by up to a pixel. The windows of the sample itself
+    are compared with those of other cells, and of other threads.
 
     Parameters
     ----------
@@ -56,13 +62,20 @@ class NoveltyTest:
     elements: ElementMap
     threads: Sequence[ElementThread]
 
-    @cached_property
-    def _cells(self) -> Numbers:
-        """The cells that lie inside the sample, at most 48, ``(n, 2)``."""
-        box = self.elements.cells(self.sample.shape[:2]).reshape(-1, 2)
+    @property
+    def shape(self) -> Shape:
+        """Shape of the pictures that are compared: the sample's, or less if it shows more cells than are compared."""
+        height, width = self.sample.shape[:2]
+        lattice = self.elements.lattice
+        side = round(math.sqrt(_MOST_CELLS) * max(math.hypot(*lattice.t1), math.hypot(*lattice.t2)) + 2 * lattice.s)
+        return min(height, side), min(width, side)
+
+    def _inner_cells(self, shape: Shape) -> Numbers:
+        """Return the cells that lie inside a picture, at most 48, ``(n, 2)``."""
+        box = self.elements.cells(shape).reshape(-1, 2)
         lattice = self.elements.lattice
         corners = lattice.from_cell(box[:, np.newaxis] + np.array([(0, 0), (1, 0), (0, 1), (1, 1)], float))
-        slack, last = 0.1 * lattice.s, np.array(self.sample.shape[1::-1]) - 1
+        slack, last = 0.1 * lattice.s, np.array(shape[::-1]) - 1
         cells = box[((corners >= -slack) & (corners <= last + slack)).all((1, 2))]
         return np.asarray(cells[:: -(-len(cells) // _MOST_CELLS) or 1])
 
@@ -74,58 +87,65 @@ class NoveltyTest:
         grid = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1).reshape(-1, 2)
         return np.asarray(grid[:: -(-len(grid) // _MOST_PLACES)])
 
-    @cached_property
-    def _apart(self) -> NDArray[np.bool_]:
-        """Whether the element at a place lies in different threads in two cells, ``(P, n, n)``."""
-        v, u = self.elements.label.shape
-        at = (self._places[:, 1] * v).astype(int), (self._places[:, 0] * u).astype(int)
-        label, offset = self.elements.label[at], self.elements.offset[at]
-        numbers = [self.threads[k].number(self._cells + step) for k, step in zip(label.tolist(), offset, strict=True)]
+    def _instances(self, places: Points) -> tuple[Numbers, Numbers]:
+        """Return the element at places (u, v), and the cell of its instance."""
+        cell = np.floor(places).astype(int)
+        u, v = np.moveaxis(((places - cell) * self.elements.label.shape[::-1]).astype(int), -1, 0)
+        return self.elements.label[v, u], cell + self.elements.offset[v, u]
+
+    def _are_apart(self, cells: Numbers) -> NDArray[np.bool_]:
+        """Return whether the element at a place lies in different threads in two cells, ``(P, n, n)``."""
+        label, offset = self._instances(self._places)
+        numbers = [self.threads[k].number(cells + step) for k, step in zip(label.tolist(), offset, strict=True)]
         number = np.stack(numbers)
         return np.asarray((number[:, :, np.newaxis] != number[:, np.newaxis]).any(-1))
 
-    def _read(self, picture: Image, width: float, moved: tuple[int, int] = (0, 0)) -> NDArray[np.float64]:
-        """Return the windows around the places of all cells, ``(P, n, F)``."""
-        lattice = self.elements.lattice
+    def _read(self, picture: Image, width: float, moves: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
+        """Return the windows around the places of all cells, each moved, ``(P, n, moves, F)``."""
+        lattice, cells = self.elements.lattice, self._inner_cells(picture.shape[:2])
         spread = width * lattice.s
         step = np.linspace(-2, 2, 5) * spread if width else np.zeros(1)
         window = np.stack(np.meshgrid(step, step), -1).reshape(-1, 2)
-        weight = np.exp(-(window**2).sum(-1) / (2 * spread**2)) if width else np.ones(1)
-        at = lattice.from_cell(self._cells + self._places[:, np.newaxis])[:, :, np.newaxis] + window + np.array(moved)
+        around = self._places[:, np.newaxis] + lattice.to_cell(window + lattice.origin)
+        (label, cell), (own, own_cell) = self._instances(around), self._instances(self._places[:, np.newaxis])
+        weight = ((label == own) & (cell == own_cell).all(-1)).astype(float)
+        if width:
+            weight *= np.exp(-(window**2).sum(-1) / (2 * spread**2))
+        weight = np.sqrt(weight / weight.sum(-1, keepdims=True))
+        at = lattice.from_cell(cells + self._places[:, np.newaxis])[:, :, np.newaxis, np.newaxis] + window
+        y, x = np.moveaxis(at + np.array(moves, float)[:, np.newaxis], -1, 0)[::-1]
         blur = max(_BLUR, 0.4 * spread)
-        lab = scipy.ndimage.gaussian_filter(
-            rgb2lab(picture) if picture.shape[-1] == 3 else 100 * picture, (blur, blur, 0)
-        )
-        planes = np.moveaxis(lab, -1, 0)
-        read = [scipy.ndimage.map_coordinates(p, [at[..., 1], at[..., 0]], order=1, mode="nearest") for p in planes]
-        windows = np.stack(read, -1) * np.sqrt(weight / weight.sum())[:, np.newaxis]
-        return np.asarray(windows.reshape(*windows.shape[:2], -1))
+        lab = rgb2lab(picture) if picture.shape[-1] == 3 else 100 * picture
+        planes = np.moveaxis(scipy.ndimage.gaussian_filter(lab, (blur, blur, 0)), -1, 0)
+        read = [scipy.ndimage.map_coordinates(plane, [y, x], order=1, mode="nearest") for plane in planes]
+        windows = np.stack(read, -1) * weight[:, np.newaxis, np.newaxis, :, np.newaxis]
+        return np.asarray(windows.reshape(*windows.shape[:3], -1))
 
     @cached_property
     def _known(self) -> list[NDArray[np.float64]]:
-        """The windows of the sample of each width, and those moved by a pixel, ``(P, n, moves, F)``."""
-        return [np.stack([self._read(self.sample, width, move) for move in _MOVES], 2) for width in _WIDTHS]
+        return [self._read(self.sample, width, _MOVES) for width in _WIDTHS]
 
     @cached_property
     def own(self) -> NDArray[np.float64]:
-        """The novelty of the cells of the sample, each beside those that share no thread with it."""
-        return np.array(
-            [_measure(known[:, :, 0], known, q, self._apart) for known, q in zip(self._known, _QUANTILES, strict=True)]
-        )
+        """The novelty of the cells of the sample, of their colors and forms, in CIELAB units."""
+        apart = self._are_apart(self._inner_cells(self.sample.shape[:2]))
+        return np.array([_measure(known[:, :, 0], known, apart) for known in self._known])
 
     def measure(self, picture: Image) -> NDArray[np.float64]:
-        """Return the novelty of a picture of the sample's shape, of its colors and of its forms, in CIELAB units."""
-        parts = zip(_WIDTHS, self._known, _QUANTILES, strict=True)
-        return np.array([_measure(self._read(picture, width), known, q) for width, known, q in parts])
+        """Return the novelty of a picture, of its colors and of its forms, in CIELAB units."""
+        windows = [self._read(picture, width, _MOVES[:1])[:, :, 0] for width in _WIDTHS]
+        return np.array([_measure(new, known) for new, known in zip(windows, self._known, strict=True)])
+
+    def compare(self, picture: Image) -> float:
+        """Return the novelty of a picture over that of the sample's own cells: of colors or forms, the larger."""
+        return float((self.measure(picture) / (self.own + _UNSEEN)).max())
 
     def passes(self, picture: Image) -> bool:
-        """Return whether a picture is as near to the sample as the sample's cells are to each other."""
-        return bool((self.measure(picture) <= np.array(_MOST_NEW) * (self.own + _UNSEEN)).all())
+        """Return whether a picture is about as near to the sample as the sample's cells are to each other."""
+        return self.compare(picture) <= _MOST_NEW
 
 
-def _measure(
-    windows: NDArray[np.float64], known: NDArray[np.float64], quantile: float, among: NDArray[np.bool_] | None = None
-) -> float:
+def _measure(windows: NDArray[np.float64], known: NDArray[np.float64], among: NDArray[np.bool_] | None = None) -> float:
     """Return a quantile of the distances of windows to the nearest known ones at equal places."""
     places, count, moves, size = known.shape
     known = known.reshape(places, count * moves, size)
@@ -133,4 +153,6 @@ def _measure(
     square -= 2 * windows @ known.swapaxes(1, 2)
     if among is not None:
         square = np.where(np.repeat(among, moves, -1), square, np.inf)
-    return float(np.sqrt(max(np.quantile(square.min(-1), quantile), 0)))
+    nearest = square.min(-1)
+    seen = nearest[np.isfinite(nearest)]
+    return float(np.sqrt(max(np.quantile(seen, _QUANTILE), 0))) if seen.size else math.inf

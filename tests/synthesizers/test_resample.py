@@ -14,14 +14,17 @@ from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import fold, interpolate
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Texture
+from nrbench.plugins.registry import build
 from nrbench.synthesizers.lattice_places.equal_places import CellTorus
 from nrbench.synthesizers.resample import Resample, VariationModel
+from nrbench.synthesizers.resampling import element_colors
 from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
 from nrbench.synthesizers.resampling.element_classes import draw_classes, group_colors, link_classes
 from nrbench.synthesizers.resampling.element_colors import draw_field, match_distribution
 from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
 from nrbench.synthesizers.resampling.element_threads import find_turns, link_threads
+from nrbench.synthesizers.resampling.novelty import NoveltyTest
 from nrbench.synthesizers.tile_set import TileSet
 
 SQUARE = Lattice((12.0, 0.0), (0.0, 12.0))
@@ -257,6 +260,48 @@ def test_a_print_keeps_its_inks(name: str) -> None:
     output = synthesize(Resample(), made.image, (200, 200), lattice_of(made)).image
     tiles, own = (rgb2lab(middles(image, lattice_of(made), 2)).mean((1, 2)) for image in (output, made.image))
     assert np.linalg.norm(tiles[:, np.newaxis] - own, axis=-1).min(1).max() < 3
+
+
+@cache
+def dotted() -> Texture:
+    """Return dots in three inks on a ground of one color."""
+    lattice = Lattice.from_basis(np.array([[22.3, 0.0], [11.15, 19.31]]), (3.0, 5.0))
+    fine = np.stack(np.meshgrid(np.arange(512), np.arange(512)), -1) / 4 - 0.375
+    cell = np.rint(lattice.to_cell(fine)).astype(np.int64)
+    inside = np.linalg.norm(lattice.from_cell(cell) - fine, axis=-1) < 7.4
+    ink = np.random.default_rng(15).integers(3, size=(40, 40))[cell[..., 0] + 20, cell[..., 1] + 20]
+    inks = np.array([(0.8, 0.2, 0.2), (0.2, 0.3, 0.6), (0.9, 0.7, 0.2)])
+    picture = np.where(inside[..., np.newaxis], inks[ink], (0.95, 0.92, 0.85)).reshape(128, 4, 128, 4, 3).mean((1, 3))
+    return Texture(quantize(picture.astype(np.float32)), lattice.reduced())
+
+
+def test_dots_are_copied_whole() -> None:
+    """Every pixel of new polka dots, and not only their middle, is near one of the sample's at the same place."""
+    made = dotted()
+    model, output = model_of(made), synthesize(Resample(), made.image, (128, 128), lattice_of(made))
+    assert model.instances and output.note == "elements are whole instances: their colors form classes"
+    test = NoveltyTest(made.image, model.detail.elements, model.colors.threads)
+    assert test.measure(output.image).max() < 3
+
+
+def test_new_elements_that_are_strange_are_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dots whose classes are not found get colors between the inks; the model sees it, and copies whole instances."""
+    monkeypatch.setattr(element_colors, "group_colors", lambda color: None)
+    made = dotted()
+    model = VariationModel.fit(made.image, lattice_of(made))
+    assert model.instances and model.describe_copies().endswith("stranger than those of the sample are to each other")
+
+
+def test_fresh_draws_are_as_new_as_the_sample() -> None:
+    """Other bricks of a wall are no farther from the sample than its own are; a sample in other colors is."""
+    brick = build("datasets", "brick", {"color": 0.3})
+    made = brick.render((128, 128), np.random.default_rng(0))
+    fresh = brick.again(made, (128, 128), np.random.default_rng(1))
+    model = model_of(made)
+    test = NoveltyTest(made.image, model.detail.elements, model.colors.threads)
+    assert test.passes(fresh.image) and test.compare(fresh.image) < 1.1
+    tinted = made.image + np.array([0.3, -0.1, 0], np.float32)
+    assert not test.passes(np.clip(tinted, 0, 1))
 
 
 @cache
