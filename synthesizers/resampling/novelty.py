@@ -45,8 +45,8 @@ class NoveltyTest:
 
     A window holds the colors around a place, within the element that the place is in: what two neighbors are need not
     have been seen side by side. Two sizes are compared, single colors and forms. A window is as new as it is far from
-    the nearest one of the sample at the same place of a cell, moved by up to half a pixel. The windows of the sample itself
-    are compared with those of other cells, and of other threads.
+    the nearest one of the sample at the same place of a cell, moved by up to half a pixel. The windows of the sample
+    itself are compared with those of other cells, and of other threads.
 
     Parameters
     ----------
