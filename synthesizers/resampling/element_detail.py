@@ -20,6 +20,8 @@ Colors = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 _SOFTNESS = 1.0
 """px, standard deviation of the Gaussian that softens the borders between the details of elements."""
+_SHARPNESS = 0.4
+"""The same where elements are whole instances, which may touch without a joint."""
 _AROUND: tuple[Lag, ...] = ((1, 0), (0, 1), (1, 1), (1, -1))
 _ALIKE = 0.8
 """How far, in standard deviations, the color of a new element differs from that of the one whose detail it copies."""
@@ -55,7 +57,7 @@ class ElementDetail:
 
     @cached_property
     def _shares(self) -> ElementShares:
-        return ElementShares.of(self.elements, _SOFTNESS)
+        return ElementShares.of(self.elements, _SOFTNESS if self.varies else _SHARPNESS)
 
     @cached_property
     def _splines(self) -> list[NDArray[np.float64]]:
