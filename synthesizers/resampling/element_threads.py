@@ -33,7 +33,7 @@ _MOST = 150
 """Largest number of instances of an element that are compared, those in the middle."""
 _LINKED = (0.5, 1.0)
 """Different elements whose colors correlate at a lag by a + b / sqrt(pairs) are one thread."""
-_LINKED_THREADS = (0.3, 1.0)
+_LINKED_THREADS = (0.2, 1.0)
 """The same for the mean colors of threads of different elements, which run along the same turn."""
 
 
@@ -73,9 +73,9 @@ class ElementThread:
 def link_threads(colors: Sequence[InstanceColors], lattice: Lattice) -> list[ElementThread]:
     """Return the thread of each element: which of its instances, and which other elements, have one color.
 
-    First, each element may have a turn, the lag along which its instances agree (:func:`find_turns`). Then elements of
-    one turn, or without any, are linked at a lag, the closest first, if the colors of their instances, or the mean
-    colors of their threads, correlate. Few pairs agree by chance, so that they have to agree more.
+    First, each element may have a turn, the lag along which its instances agree (:func:`find_turns`). Then elements
+    that do not have different turns are linked at a lag, the closest first, if the colors of their instances, or their
+    mean colors along the turn of one of them, correlate. Few pairs agree by chance, so that they have to agree more.
 
     Parameters
     ----------
@@ -88,20 +88,24 @@ def link_threads(colors: Sequence[InstanceColors], lattice: Lattice) -> list[Ele
     links = []
     for a, one in enumerate(threads):
         for b in range(a + 1, len(threads)):
-            if one.turn == threads[b].turn:
+            turn = max(one.turn, threads[b].turn)
+            if min(one.turn, threads[b].turn) in ((0, 0), turn):
                 for lag in ((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
-                    links.append((_compare(colors[a], colors[b], lag, one.turn), a, b, lag))
+                    links.append((_compare(colors[a], colors[b], lag, turn), a, b, lag))
     for excess, a, b, lag in sorted(links, reverse=True):
         if excess < 0:
             break
         one, other = threads[a], threads[b]
-        if one.first == other.first:
+        turn = max(one.turn, other.turn)
+        if one.first == other.first or min(one.turn, other.turn) not in ((0, 0), turn):
             continue
         shift = (one.base[0] + lag[0] - other.base[0], one.base[1] + lag[1] - other.base[1])
         for k, thread in enumerate(threads):
             if thread.first == other.first:
                 base = (thread.base[0] + shift[0], thread.base[1] + shift[1])
-                threads[k] = replace(thread, first=one.first, base=base)
+                threads[k] = ElementThread(one.first, base, turn)
+            elif thread.first == one.first:
+                threads[k] = replace(thread, turn=turn)
     return threads
 
 
