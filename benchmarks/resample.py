@@ -42,7 +42,7 @@ from nrbench.running.phases import freeze
 from nrbench.suites.suite import load_suite
 from nrbench.synthesizers import resample
 from nrbench.synthesizers.planted import Planted
-from nrbench.synthesizers.resampling import element_colors, element_detail, element_map, element_threads
+from nrbench.synthesizers.resampling import element_colors, element_copies, element_map, element_threads
 from nrbench.synthesizers.resampling.cell_field import measure_steps
 from nrbench.synthesizers.resampling.element_colors import ElementColors
 from nrbench.synthesizers.resampling.element_map import ElementMap
@@ -111,7 +111,7 @@ PLANTED_SEEDS = {True: (931, 932, 933, 934), False: (941, 942, 943, 944)}
 WIDTHS = (0.4, 0.8, 1.2, 1.6, 3.2)
 WIDTH_SEED = 77
 """The seed at which the width of detail is chosen. No table reports it."""
-CONTINUOUS = (0.5, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 1.0)
+CONTINUOUS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 NOVELTIES = (0.9, 1.0, 1.1, 1.2, 1.4, 2.0)
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 DEFECTS = {
@@ -309,41 +309,33 @@ def print_threads() -> None:
 def print_fields() -> None:
     """Print how often a field is drawn where its steps at borders are farther from those of fresh draws, or not drawn.
 
-    The loss is the mean difference of the logarithms, of the choice that is farther.
+    The gain is the mean difference of the logarithms, of the choice that is made.
     """
-    resample._CONTINUOUS = 0.0
-    for choosing in (True, False):
-        cases = [case for k in draw_known(choosing) for case in compare_fields(k)]
+    for choosing, colored in itertools.product((True, False), (False, True)):
+        cases = [compare_fields(k, colored) for k in draw_known(choosing)]
         for limit in CONTINUOUS:
             gained = np.array([gain if ratio < limit else -gain for ratio, gain in cases])
-            print(
-                f"choosing: {choosing}, {limit}: wrong {np.mean(gained < 0):.3f}, gain {gained.mean():.3f}", flush=True
-            )
+            title = f"choosing: {choosing}, colors are drawn: {colored}, {limit}"
+            print(f"{title}: wrong {np.mean(gained < 0):.3f}, gain {gained.mean():.3f}", flush=True)
 
 
-def compare_fields(k: Known) -> Iterator[tuple[float, float]]:
-    """Yield the ratio that is compared with the limit, and by how much the steps of a field are closer to the truth."""
+def compare_fields(k: Known, colored: bool) -> tuple[float, float]:
+    """Return the ratio that is compared with the limit, and by how much a field is closer to the truth."""
     model = resample.VariationModel.fit(k.made.image, k.lattice)
-    if min(map(len, model.detail.whole)) < element_map.FEWEST:
-        return
-    residual, elements, rng = k.residual(k.made.image), model.detail.elements, np.random.default_rng(1)
+    detail = model.details(k.made.image)[colored]
+    elements, rng = detail.elements, np.random.default_rng(1)
     fresh = [k.fresh_residual(number) for number in range(2)]
-    for colored, ratio in model.compare_steps(residual).items():
-        if not colored and any(thread.turn != (0, 0) for thread in model.colors.threads):
-            continue
-        if colored:
-            fits = [ElementColors.fit(elements, one) for one in fresh]
-            fresh = [one - fit.render(fit.of_sample(k.shape), k.shape) for one, fit in zip(fresh, fits, strict=True)]
-        alone = model.detail.render(model.detail.draw(k.shape, rng), k.shape)
-        if not colored:
-            alone = alone + model.colors.render(model.colors.draw(k.shape, rng), k.shape)
-        joined = model.with_field(residual, colored)
-        assert joined.field is not None
-        field = joined.field.render(joined.field.draw(k.shape, rng), k.shape, slice(None))
-        field = field + joined.detail.render(joined.detail.draw(k.shape, rng), k.shape)
-        true = np.mean([measure_steps(one, elements) for one in fresh])
-        far = [abs(np.log(true / measure_steps(one, elements))) for one in (alone, field)]
-        yield ratio, float(far[0] - far[1])
+    if colored:
+        fits = [ElementColors.fit(elements, one) for one in fresh]
+        fresh = [one - fit.render(fit.of_sample(k.shape), k.shape) for one, fit in zip(fresh, fits, strict=True)]
+    alone = detail.render(detail.draw(k.shape, rng), k.shape)
+    joined = model.with_field(detail, colored)
+    assert joined.field is not None
+    field = joined.field.render(joined.field.draw(k.shape, rng), k.shape, slice(None))
+    field = field + joined.detail.render(joined.detail.draw(k.shape, rng), k.shape)
+    true = np.mean([measure_steps(one, elements) for one in fresh])
+    far = [abs(np.log(true / measure_steps(one, elements))) for one in (alone, field)]
+    return resample.compare_steps(detail), float(far[0] - far[1])
 
 
 def print_novelty() -> None:
@@ -448,7 +440,7 @@ def print_widths() -> None:
     print(f"| sigmas | {' | '.join(f'{suite}: {name}' for suite in ('core', 'default') for name in columns)} |")
     chosen = {"methods": "resample", "lattice": "given", "seed": WIDTH_SEED, "replicates": 1}
     for width in WIDTHS:
-        element_detail._ALIKE = width
+        element_copies._ALIKE = width
         means = []
         for suite in ("core", "default"):
             out = Path(tempfile.mkdtemp()) / "run"

@@ -19,8 +19,9 @@ from .lattice_places.equal_places import CellTorus, require_two_periods
 from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
 from .resampling.element_classes import find_object
 from .resampling.element_colors import ElementColors
-from .resampling.element_detail import ElementDetail
+from .resampling.element_copies import ElementCopies
 from .resampling.element_map import FEWEST, map_grid, segment
+from .resampling.element_outlines import ElementOutlines
 from .resampling.novelty import NoveltyTest
 from .tile_set import TileSet
 
@@ -31,7 +32,9 @@ _EXPLAINED = 0.05
 _BY_CHANCE = 5.0
 """Pixels of noise whose variance one more color, and its gains, explain by chance."""
 _CONTINUOUS = 0.8
-"""Coarse residuals are drawn as one field if they step less than this share of what independent elements would."""
+"""The coarse detail is drawn as one field if it steps less than this share of what copied elements do."""
+_STAINED = 0.6
+"""The same for the coarse residual, with the colors of elements."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
 
@@ -51,9 +54,9 @@ class Resample:
        chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
     5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
        color are more likely. Where elements meet, rests are mixed so that their variance stays.
-    6. Stains, prints and panes run on across the elements that are found. Where the coarse residual of the sample steps
-       at their borders by less than 0.8 of what the draws do, it is drawn as one field: the spot noise of the lattice,
-       with the covariance of the sample. Where only the rest runs on, so is the coarse part of the rest.
+    6. Stains run on across elements. Where the coarse residual of the sample steps at their borders by less than 0.6 of
+       what copied elements do, it is drawn as one field: the spot noise of the lattice, with the covariance of the
+       sample. Where the rest steps by less than 0.8, so is the coarse part of the rest.
 
     The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
     the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
@@ -143,7 +146,7 @@ class VariationModel:
 
     mean: Tile
     colors: ElementColors
-    detail: ElementDetail
+    detail: ElementCopies
     whole_cells: str
     field: CellField | None = None
     colored: bool = True
@@ -163,27 +166,26 @@ class VariationModel:
         New colors are drawn, unless colors form classes; else elements are whole instances; else whole cells are; else
         the sample is to be copied. What they draw is compared with the sample (:class:`.novelty.NoveltyTest`).
         """
-        height, width, _ = sample.shape
-        mean = fold(sample, lattice, grid=map_grid(lattice))
-        residual = sample - mean.unfold((height, width))
-        model = cls._fit_elements(sample, mean, residual)
-        fitted = sum(int(color.known.sum()) for color in model.colors.colors.values())
-        least = _EXPLAINED + _BY_CHANCE * fitted / (height * width)
-        if model.detail.rest.var() >= (1 - least) * residual.var():
-            model = cls._fit_elements(sample, mean, residual, "explain too little")
-        if model.fewest < FEWEST:
-            return replace(model, copied=f"the sample shows {model.fewest} whole instances of an element")
-        test = NoveltyTest(sample, model.detail.elements, model.colors.threads)
+        shape, mean = sample.shape[:2], fold(sample, lattice, grid=map_grid(lattice))
+        residual = sample - mean.unfold(shape)
+        copies = cls._fit_elements(sample, mean, residual)
+        fitted = sum(int(color.known.sum()) for color in copies.colors.colors.values())
+        rest = residual - copies.colors.render(copies.colors.of_sample(shape), shape)
+        if rest.var() >= (1 - _EXPLAINED - _BY_CHANCE * fitted / rest[..., 0].size) * residual.var():
+            copies = cls._fit_elements(sample, mean, residual, "explain too little")
+        if copies.fewest < FEWEST:
+            return replace(copies, copied=f"the sample shows {copies.fewest} whole instances of an element")
+        test = NoveltyTest(sample, copies.detail.elements, copies.colors.threads)
         task = Task(sample, test.shape, lattice, np.random.default_rng(0))
-        if not model.colors.classes and test.passes((joined := model._join(residual)).draw(task, 1.0)):
-            return joined
-        for larger in ("",) if model.whole_cells else ("", "are strange beside each other"):
-            copies = cls._fit_elements(sample, mean, residual, larger) if larger else model
-            detail = ElementDetail(copies.detail.elements, sample.astype(np.float64), varies=False)
-            copies = replace(copies, detail=detail, instances=True)
-            if copies.fewest >= FEWEST and test.passes(copies.draw(task, 1.0)):
-                return copies
-        return replace(model, copied="what it draws is stranger than the elements of the sample are to each other")
+        if not copies.colors.classes and test.passes((drawn := copies.with_drawn_colors(sample)).draw(task, 1.0)):
+            return drawn
+        if test.passes(copies.draw(task, 1.0)):
+            return copies
+        if not copies.whole_cells:
+            cells = cls._fit_elements(sample, mean, residual, "are strange beside each other")
+            if cells.fewest >= FEWEST and test.passes(cells.draw(task, 1.0)):
+                return cells
+        return replace(copies, copied="what it draws is stranger than the elements of the sample are to each other")
 
     @classmethod
     def _fit_elements(cls, sample: Image, mean: Tile, residual: Values, whole_cells: str = "") -> VariationModel:
@@ -192,40 +194,37 @@ class VariationModel:
         while parts := find_object({k: c for k, c in colors.classes.items() if colors.threads[k].turn == (0, 0)}):
             elements = elements.joined(*parts)
             colors = ElementColors.fit(elements, residual)
-        rest = residual - colors.render(colors.of_sample(sample.shape[:2]), sample.shape[:2])
-        return cls(mean, colors, ElementDetail(elements, rest), whole_cells)
+        outlines = ElementOutlines.fit(sample, sample - residual, colors)
+        copies = ElementCopies(elements, sample.astype(np.float64), outlines, colors.of_sample(sample.shape[:2]))
+        return cls(mean, colors, copies, whole_cells, instances=True)
 
     @property
     def fewest(self) -> int:
         """Number of whole instances that the sample shows of the element that it shows whole least often."""
         return min(map(len, self.detail.whole))
 
-    def _join(self, residual: Values) -> VariationModel:
-        """Return the model with a field, if the residual, or the detail, runs on across the borders of elements."""
-        threads = any(thread.turn != (0, 0) for thread in self.colors.threads)  # they are longer than a field's memory
-        steps = self.compare_steps(residual)
-        for colored in (True,) if threads else (False, True):
-            if steps[colored] < _CONTINUOUS:
-                return self.with_field(residual, colored)
-        return self
+    def with_drawn_colors(self, sample: Image) -> VariationModel:
+        """Return the model whose elements take new colors, inside the outlines of copied ones.
 
-    def compare_steps(self, residual: Values) -> dict[bool, float]:
-        """Return the steps at borders of elements, over those of independent elements: of residuals and of details.
-
-        The keys are False for the residuals, True for the details.
+        Stains that hide the borders of elements are drawn as a field, in place of colors; so are stains of the detail.
         """
-        elements, shape, rng = self.detail.elements, residual.shape[:2], np.random.default_rng(0)
-        detail = self.detail.render(self.detail.draw(shape, rng), shape)
-        both = detail + self.colors.render(self.colors.draw(shape, rng), shape)
-        pairs = ((residual, both), (self.detail.rest, detail))
-        ratios = [measure_steps(own, elements) / measure_steps(drawn, elements) for own, drawn in pairs]
-        return dict(zip((False, True), ratios, strict=True))
+        details = self.details(sample)
+        for colored, limit in ((False, _STAINED), (True, _CONTINUOUS)):
+            if compare_steps(details[colored]) < limit:
+                return self.with_field(details[colored], colored)
+        return replace(self, detail=details[True], instances=False)
 
-    def with_field(self, residual: Values, colored: bool) -> VariationModel:
-        """Return the model with a field of the residual; with ``colored``, of the detail."""
-        own = self.detail.rest if colored else residual
-        rest = ElementDetail(self.detail.elements, own - smooth_coarsely(own, self.detail.elements))
-        return replace(self, detail=rest, field=CellField.fit(self.detail.elements, own), colored=colored)
+    def details(self, sample: Image) -> dict[bool, ElementCopies]:
+        """Return what is copied from a sample if colors are drawn (True), and if a field holds them (False)."""
+        residual = (sample - self.mean.unfold(sample.shape[:2])).astype(np.float64)
+        rest = residual - self.detail.outlines.lay(self.colors.of_sample(sample.shape[:2]))
+        return {k: replace(self.detail, rest=part, own=None) for k, part in ((False, residual), (True, rest))}
+
+    def with_field(self, detail: ElementCopies, colored: bool) -> VariationModel:
+        """Return the model with a field of the coarse part of a detail."""
+        fine = replace(detail, rest=detail.rest - smooth_coarsely(detail.rest, detail.elements))
+        field = CellField.fit(detail.elements, detail.rest)
+        return replace(self, detail=fine, field=field, colored=colored, instances=False)
 
     def torus(self, task: Task) -> CellTorus | None:
         """Return the cells of the output, if it repeats."""
@@ -263,21 +262,18 @@ class VariationModel:
         )
         field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
-        # the mean of n cells takes 1 / n of the variance with it
-        strength = variation * (1 if self.instances else np.sqrt(cells / (cells - 1)))
+        strength = np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
         image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)
         for top in range(0, height, _ROWS):
             rows = slice(top, min(top + _ROWS, height))
-            part = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
-            if (
-                self.instances
-            ):  # the mean of a place is that of few colors, so that it hardly goes with the next place's
-                part *= 1 - variation
-            elif self.colored:
-                part += variation * self.colors.render(colors, task.shape, rows)
+            mean = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
+            if self.instances:
+                part = self.detail.render(copied, task.shape, rows, self.detail.colors_of(copied)) - mean
+            else:
+                part = self.detail.render(copied, task.shape, rows, colors if self.colored else None, strength)
             if self.field is not None and field is not None:
-                part += variation * self.field.render(field, task.shape, rows)
-            part += strength * self.detail.render(copied, task.shape, rows)
+                part += self.field.render(field, task.shape, rows)
+            part = mean + variation * part
             image[rows] = np.clip(part, 0, 1)
             task.progress(rows.stop / height)
         return image
@@ -291,6 +287,13 @@ class VariationModel:
         color = self.colors.lay(self.colors.of_sample(shape), shape) + self.mean.values.mean((0, 1))
         pictures = {"template": self.mean.unfold(shape), "elements": np.abs(2 * (hue % 1) - 1), "attributes": color}
         return {name: np.clip(picture, 0, 1).astype(np.float32) for name, picture in pictures.items()}
+
+
+def compare_steps(detail: ElementCopies) -> float:
+    """Return the steps of a detail at the borders of elements, over those of copies of its elements."""
+    shape = detail.rest.shape[:2]
+    copied = detail.render(detail.draw(shape, np.random.default_rng(0)), shape)
+    return measure_steps(detail.rest, detail.elements) / measure_steps(copied, detail.elements)
 
 
 @lru_cache(maxsize=2)

@@ -140,7 +140,7 @@ class ElementColors:
         top, bottom, _ = rows.indices(shape[0])
         corner = self.shares.elements.cells(shape)[0, 0]
         laid = np.zeros((bottom - top, shape[1], table.shape[-1]))
-        for at, share, label, cell in self.shares.within(laid.shape[:2], top):
+        for at, share, label, cell in self.shares.within(laid.shape[:2], (0, top)):
             i, j = (cell - corner).T
             laid[at] += share[:, np.newaxis] * table[label, i, j]
         return laid
@@ -148,7 +148,7 @@ class ElementColors:
     def render(self, table: Table, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
         """Return the colors at each pixel of some rows of a picture, with the gain."""
         laid = self.lay(table, shape, rows)
-        row, column, _ = self.shares.elements.places(laid.shape[:2], rows.indices(shape[0])[0])
+        row, column, _ = self.shares.elements.places(laid.shape[:2], (0, rows.indices(shape[0])[0]))
         return np.asarray(laid * self.gain[row, column])
 
     @cached_property

@@ -122,9 +122,9 @@ class ElementMap:
         """Number of regions."""
         return int(self.label.max()) + 1
 
-    def places(self, shape: Shape, top: int = 0) -> tuple[Numbers, Numbers, Numbers]:
-        """Return row and column in the grid, ``(H, W)``, and cell, ``(H, W, 2)``, of each pixel below row ``top``."""
-        uv = cell_coordinates(self.lattice.shifted((0.0, -top)), shape)
+    def places(self, shape: Shape, corner: tuple[int, int] = (0, 0)) -> tuple[Numbers, Numbers, Numbers]:
+        """Return row and column in the grid, ``(H, W)``, and cell, ``(H, W, 2)``, of pixels from a corner (x, y) on."""
+        uv = cell_coordinates(self.lattice.shifted((-corner[0], -corner[1])), shape)
         cell = np.floor(uv).astype(np.int64)
         grid = np.array(self.label.shape[::-1])
         at = np.minimum(((uv - cell) * grid).astype(np.int64), grid - 1)
@@ -327,10 +327,10 @@ class ElementShares:
         return cls(elements, instances[order][..., 0], instances[order][..., 1:], share / share.sum(0))
 
     def within(
-        self, shape: Shape, top: int = 0
+        self, shape: Shape, corner: tuple[int, int] = (0, 0)
     ) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.float64], Numbers, Numbers]]:
         """Yield for each rank the pixels where it has a share, and there its share, elements and cells."""
-        row, column, cell = self.elements.places(shape, top)
+        row, column, cell = self.elements.places(shape, corner)
         for label, offset, share in zip(self.label, self.offset, self.share, strict=True):
             at = share[row, column] > 0
             place = row[at], column[at]

@@ -31,8 +31,8 @@ _BORDER = 1.5
 """Distance, in px along both axes, from the border of an element at which nothing is compared: there, neighbors mix."""
 _BLUR = 0.7
 """Standard deviation in px of the least blur before windows are read."""
-_MOVES = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
-"""Distances (x, y) in px by which windows of the sample are moved."""
+_MOVES = tuple((x, y) for y in (-0.5, 0.0, 0.5) for x in (-0.5, 0.0, 0.5))
+"""Distances (x, y) in px by which windows of the sample are moved; the middle one is none."""
 _QUANTILE = 0.9
 """Quantile of the distances of windows to the nearest ones."""
 _MOST_NEW = 1.1
@@ -47,8 +47,8 @@ class NoveltyTest:
 
     A window holds the colors around a place, within the element that the place is in: what two neighbors are need not
     have been seen side by side. Two sizes are compared, single colors and forms. A window is as new as it is far from
-    the nearest one of the sample at the same place of a cell, moved by up to a pixel. The windows of the sample itself
-    are compared with those of other cells, and of other threads.
+    the nearest one of the sample at the same place of a cell, moved by up to half a pixel. The windows of the sample
+    itself are compared with those of other cells, and of other threads.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class NoveltyTest:
         number = np.stack(numbers)
         return np.asarray((number[:, :, np.newaxis] != number[:, np.newaxis]).any(-1))
 
-    def _read(self, picture: Image, width: float, moves: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
+    def _read(self, picture: Image, width: float, moves: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
         """Return the windows around the places of all cells, each moved, ``(P, n, moves, F)``."""
         lattice, cells = self.elements.lattice, self._inner_cells(picture.shape[:2])
         spread = width * lattice.s
@@ -141,11 +141,11 @@ class NoveltyTest:
     def own(self) -> NDArray[np.float64]:
         """The novelty of the cells of the sample, of their colors and forms, in CIELAB units."""
         apart = self._are_apart(self._inner_cells(self.sample.shape[:2]))
-        return np.array([_measure(known[:, :, 0], known, apart) for known in self._known])
+        return np.array([_measure(known[:, :, 4], known, apart) for known in self._known])
 
     def measure(self, picture: Image) -> NDArray[np.float64]:
         """Return the novelty of a picture, of its colors and of its forms, in CIELAB units."""
-        windows = [self._read(picture, width, _MOVES[:1])[:, :, 0] for width in _WIDTHS]
+        windows = [self._read(picture, width, ((0.0, 0.0),))[:, :, 0] for width in _WIDTHS]
         return np.array([_measure(new, known) for new, known in zip(windows, self._known, strict=True)])
 
     def compare(self, picture: Image) -> float:

@@ -21,7 +21,6 @@ from nrbench.synthesizers.resampling import element_colors
 from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
 from nrbench.synthesizers.resampling.element_classes import draw_classes, find_object, group_colors, link_classes
 from nrbench.synthesizers.resampling.element_colors import draw_field, match_distribution
-from nrbench.synthesizers.resampling.element_detail import ElementDetail
 from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
 from nrbench.synthesizers.resampling.element_threads import find_turns, link_threads
 from nrbench.synthesizers.resampling.novelty import NoveltyTest
@@ -440,7 +439,7 @@ def test_a_sample_without_a_lattice_is_refused() -> None:
 def test_details_are_copied_from_other_cells_than_the_neighbors() -> None:
     """With a dozen whole tiles, no two neighbors are copied from one cell."""
     model = model_of(drawn("hexagon", color=0.3))
-    cells = ElementDetail(model.detail.elements, model.detail.rest).draw((256, 256), np.random.default_rng(0))[0]
+    cells = model.detail.draw((256, 256), np.random.default_rng(0))[0]
     for lag in ((1, 0), (0, 1), (1, 1), (1, -1)):
         same = (cells == np.roll(cells, lag, (0, 1))).all(-1)
         assert not same[2:-2, 2:-2].any()
