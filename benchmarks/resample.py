@@ -317,7 +317,8 @@ def print_fields() -> None:
 def compare_fields(k: Known, colored: bool) -> tuple[float, float]:
     """Return the ratio that is compared with the limit, and by how much a field is closer to the truth."""
     model = resample.VariationModel.fit(k.made.image, k.lattice)
-    detail = model.details(k.made.image)[colored]
+    details = model.details(k.made.image)
+    detail = details[colored]
     elements, rng = detail.elements, np.random.default_rng(1)
     fresh = [k.fresh_residual(number) for number in range(2)]
     if colored:
@@ -330,7 +331,7 @@ def compare_fields(k: Known, colored: bool) -> tuple[float, float]:
     field = field + joined.detail.render(joined.detail.draw(k.shape, rng), k.shape)
     true = np.mean([measure_steps(one, elements) for one in fresh])
     far = [abs(np.log(true / measure_steps(one, elements))) for one in (alone, field)]
-    return resample.compare_steps(detail), float(far[0] - far[1])
+    return resample.compare_steps(details)[colored], float(far[0] - far[1])
 
 
 def draws_of(name: str, seed: int, parameters: dict[str, float]) -> tuple[Texture, Again]:

@@ -23,7 +23,7 @@ _MOST_CELLS = 48
 """Largest number of cells that are compared."""
 _PLACES = 8
 """Places along s at which windows are compared."""
-_MOST_PLACES = 100
+_MOST_PLACES = 64
 """Largest number of places of a cell."""
 _WIDTHS = (0.0, 1 / 6)
 """Standard deviations of windows, in s: of single colors, and of forms."""
@@ -81,7 +81,7 @@ class NoveltyTest:
 
     @cached_property
     def _places(self) -> Points:
-        """The places (u, v) of a cell that are compared, at most 100."""
+        """The places (u, v) of a cell that are compared, at most 64."""
         lattice = self.elements.lattice
         u, v = (max(3, round(_PLACES * math.hypot(*t) / lattice.s)) for t in (lattice.t1, lattice.t2))
         grid = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1).reshape(-1, 2)
