@@ -6,6 +6,8 @@
     The limits of the element map and of threads, and of fields: on the models on which they were chosen, and on others.
 ``threads``
     The limits of threads in small samples of models with threads and without.
+``novelty``
+    How often colors are taken for classes, and draws for strange: textures whose colors vary smoothly, and in few inks.
 ``widths``
     Quality by how closely the colors of copied detail must match.
 ``defects``, ``rare``
@@ -40,11 +42,12 @@ from nrbench.running.phases import freeze
 from nrbench.suites.suite import load_suite
 from nrbench.synthesizers import resample
 from nrbench.synthesizers.planted import Planted
-from nrbench.synthesizers.resampling import element_copies, element_map, element_threads
+from nrbench.synthesizers.resampling import element_colors, element_copies, element_map, element_threads
 from nrbench.synthesizers.resampling.cell_field import measure_steps
 from nrbench.synthesizers.resampling.element_colors import ElementColors
 from nrbench.synthesizers.resampling.element_map import ElementMap
 from nrbench.synthesizers.resampling.element_threads import ElementThread, link_threads
+from nrbench.synthesizers.resampling.novelty import NoveltyTest
 
 CHOOSING = frozenset(
     (
@@ -109,6 +112,7 @@ WIDTHS = (0.4, 0.8, 1.2, 1.6, 3.2)
 WIDTH_SEED = 77
 """The seed at which the width of detail is chosen. No table reports it."""
 CONTINUOUS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+NOVELTIES = (0.9, 1.0, 1.1, 1.2, 1.4, 2.0)
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 DEFECTS = {
     **{"none": 0.0, "phase-step": 0.3, "off-lattice": 0.4, "two-tone": 0.5, "over-regular": 0.7},
@@ -167,8 +171,9 @@ class Known:
         return number
 
 
-def draw_known(choosing: bool, jitter: float = 0.0) -> Iterator[Known]:
+def draw_known(choosing: bool, jitter: float = 0.0, inks: int = 0) -> Iterator[Known]:
     """Yield draws of the textures of two suites, those on which limits are chosen, or the others."""
+    changes = {"jitter": jitter, "inks": inks}
     for suite in map(load_suite, ("core", "report2004")):
         for row in suite.texture:
             parameters, shape = dict(row.parameters), row.sample or suite.sample
@@ -178,7 +183,7 @@ def draw_known(choosing: bool, jitter: float = 0.0) -> Iterator[Known]:
             varies = (parameters.get("color") or parameters.get("intensity")) and not moved
             if (row.dataset in CHOOSING) != choosing or not varies:
                 continue
-            model = build("datasets", row.dataset, parameters | ({"jitter": jitter} if jitter else {}))
+            model = build("datasets", row.dataset, parameters | {k: v for k, v in changes.items() if v})
             for seed in SEEDS[choosing]:
                 made = model.render(shape, np.random.default_rng(seed))
                 if made.lattice and shape[0] * shape[1] >= 8 * made.lattice.area:
@@ -334,6 +339,41 @@ def compare_fields(k: Known, colored: bool) -> tuple[float, float]:
     return resample.compare_steps(details)[colored], float(far[0] - far[1])
 
 
+def print_novelty() -> None:
+    """Print how often smooth colors, and three inks, are taken for classes, and a draw without classes for strange."""
+    print("draws | in classes | strange at the limits " + ", ".join(map(str, NOVELTIES)))
+    for choosing, inks in itertools.product((True, False), (0, 3)):
+        rows = [
+            (k.name, row)
+            for k in draw_known(choosing, inks=inks)
+            if bool(k.model.inks) == bool(inks)
+            for row in judge_novelty(k)
+        ]
+        classes, *strange = mean_of_textures(rows)
+        title = f"choosing: {choosing}, {'three inks' if inks else 'smooth'}, {len(rows)}"
+        print(f"{title} | {classes:.3f} | {', '.join(f'{share:.3f}' for share in strange)}", flush=True)
+
+
+def judge_novelty(k: Known) -> Iterator[list[float]]:
+    """Yield whether colors are taken for classes, and whether a draw without classes is farther than each limit."""
+    found: list[float] = []
+
+    def record(test: NoveltyTest, picture: Image) -> bool:
+        found.append(test.compare(picture))
+        return True
+
+    passes, group = NoveltyTest.passes, element_colors.group_colors
+    NoveltyTest.passes = record  # type: ignore[method-assign]
+    classes = resample.VariationModel.fit(k.made.image, k.lattice).colors.classes
+    if classes:
+        found.clear()
+        element_colors.group_colors = lambda color: None
+        resample.VariationModel.fit(k.made.image, k.lattice)
+    NoveltyTest.passes, element_colors.group_colors = passes, group  # type: ignore[method-assign]
+    if found:
+        yield [bool(classes), *(found[0] > limit for limit in NOVELTIES)]
+
+
 def draws_of(name: str, seed: int, parameters: dict[str, float]) -> tuple[Texture, Again]:
     """Return a sample of 128 px and its fresh draws."""
     model = build("datasets", name, parameters)
@@ -414,6 +454,7 @@ STUDIES: Mapping[str, Callable[[], None]] = {
     "elements": print_elements,
     "threads": print_threads,
     "fields": print_fields,
+    "novelty": print_novelty,
     "widths": print_widths,
     "defects": print_defects,
     "rare": print_rare,

@@ -18,6 +18,7 @@ from nrbench.plugins.registry import NamedDetector
 
 from .lattice_places.equal_places import CellTorus, require_two_periods
 from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
+from .resampling.element_classes import find_object
 from .resampling.element_colors import ElementColors
 from .resampling.element_copies import ElementCopies
 from .resampling.element_map import FEWEST, map_grid, segment
@@ -191,6 +192,9 @@ class VariationModel:
     def _fit_elements(cls, sample: Image, mean: Tile, residual: Values, whole_cells: str = "") -> VariationModel:
         elements = segment(sample, residual, mean.lattice, whole_cells=bool(whole_cells))
         colors = ElementColors.fit(elements, residual)
+        while parts := find_object({k: c for k, c in colors.classes.items() if colors.threads[k].turn == (0, 0)}):
+            elements = elements.joined(*parts)
+            colors = ElementColors.fit(elements, residual)
         outlines = ElementOutlines.fit(sample, sample - residual, colors)
         copies = ElementCopies(elements, sample.astype(np.float64), outlines, colors.of_sample(sample.shape[:2]))
         return cls(mean, colors, copies, whole_cells, instances=True)

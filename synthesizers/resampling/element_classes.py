@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..lattice_places.equal_places import CellTorus
-from .element_map import InstanceColors, Lag, Numbers, overlap
+from .element_map import WHOLE, InstanceColors, Lag, Numbers, Pair, overlap
 
 _MOST_CLASSES = 8
 """Largest number of classes of one element."""
@@ -24,6 +24,8 @@ _AROUND: tuple[Lag, ...] = ((0, 0), (0, 1), (1, 0), (1, 1), (1, -1))
 """Lags in cells at which classes may go together."""
 _BY_CHANCE = 4.0
 """Twice the log-likelihood by which pairs of classes have to exceed chance, after BIC."""
+_UNDECIDED = 0.1
+"""Share of the entropy of an element's class that a part of the same object leaves."""
 _EXPECTED = 1.0
 """A pair of classes that chance would show so often, but that is never seen, is kept away."""
 _SWEEPS = 30
@@ -68,8 +70,14 @@ def group_colors(color: InstanceColors) -> Numbers | None:
             best, found = likelihood, label
     if found is None or best - gaussian < _GAIN[0] * count + _GAIN[1]:
         return None
+    # Instances that the sample shows in part may seem a class of their own, of which none can be copied.
+    whole = np.unique(found[color.shown[color.known] >= WHOLE])
+    if len(whole) < 2:
+        return None
+    means = np.stack([colors[found == k].mean(0) for k in whole])
+    nearest = scipy.spatial.distance.cdist(colors, means).argmin(-1)
     classes = np.full(color.known.shape, -1)
-    classes[color.known] = found
+    classes[color.known] = np.where(np.isin(found, whole), np.searchsorted(whole, found), nearest)
     return classes
 
 
@@ -101,6 +109,17 @@ def link_classes(classes: Sequence[Numbers]) -> list[ClassLink]:
             if shares is not None:
                 links.append(ClassLink(a, b, lag, shares))
     return links
+
+
+def find_object(classes: Mapping[int, Numbers]) -> Pair | None:
+    """Return two elements and a lag at which their classes decide each other: they are parts of one object."""
+    names = list(classes)
+    for a, b, lag, shares in link_classes(list(classes.values())):
+        alone = [scipy.special.entr(shares.sum(axis)).sum() for axis in (0, 1)]
+        both = scipy.special.entr(shares).sum()
+        if a != b and both - min(alone) <= _UNDECIDED * max(alone):
+            return names[a], names[b], lag
+    return None
 
 
 def _test_pairs(table: NDArray[np.float64], same: bool) -> NDArray[np.float64] | None:

@@ -16,7 +16,7 @@ from nrbench.plugins.forms import Shape
 
 from ..lattice_places.equal_places import CellTorus
 from .element_classes import draw_classes, group_colors
-from .element_map import ElementMap, ElementShares, InstanceColors, Numbers
+from .element_map import WHOLE, ElementMap, ElementShares, InstanceColors, Numbers
 from .element_threads import ElementThread, link_threads
 
 Table = NDArray[np.float64]
@@ -76,7 +76,8 @@ class ElementColors:
         """
         shape, grid = residual.shape[:2], elements.label.shape
         shares = ElementShares.of(elements, _SOFTNESS)
-        threads = link_threads(elements.mean_colors(residual), elements.lattice)
+        regions = elements.mean_colors(residual)
+        threads = link_threads(regions, elements.lattice)
         core = shares.share[0] > _CORE
         row, column, _ = elements.places(shape)
         label, instance = elements.instances(shape)
@@ -89,6 +90,10 @@ class ElementColors:
         whole = np.bincount(elements.label[core], minlength=len(threads)) / core.size * elements.lattice.area
         inside = core[row, column]
         shown = np.bincount(index, inside.ravel(), int(np.prod(box))).reshape(box) / np.maximum(whole, 1)[:, None, None]
+        shown = np.minimum(shown, 0.9)
+        for thread, region in zip(threads, regions, strict=True):
+            seen = thread.number(elements.cells(shape)[region.shown >= WHOLE]) - low
+            shown[(thread.first, *seen.T)] = 1  # only whole instances are copied
         gain = np.ones((*grid, residual.shape[2]), np.float32)
         for turn in range(_ROUNDS):
             weight = gain[row, column] * inside[..., np.newaxis]

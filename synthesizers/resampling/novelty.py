@@ -27,15 +27,17 @@ _MOST_PLACES = 64
 """Largest number of places of a cell."""
 _WIDTHS = (0.0, 1 / 6)
 """Standard deviations of windows, in s: of single colors, and of forms."""
+_BORDER = 1.5
+"""Distance, in px along both axes, from the border of an element at which nothing is compared: there, neighbors mix."""
 _BLUR = 0.7
 """Standard deviation in px of the least blur before windows are read."""
 _MOVES = tuple((x, y) for y in (-0.5, 0.0, 0.5) for x in (-0.5, 0.0, 0.5))
 """Distances (x, y) in px by which windows of the sample are moved; the middle one is none."""
 _QUANTILE = 0.9
 """Quantile of the distances of windows to the nearest ones."""
-_MOST_NEW = 1.2
+_MOST_NEW = 1.1
 """Largest novelty of a draw, in that of the sample's own cells."""
-_UNSEEN = 2.0
+_UNSEEN = 3.0
 """CIELAB units that are added to the latter: less is hardly seen."""
 
 
@@ -85,12 +87,22 @@ class NoveltyTest:
         lattice = self.elements.lattice
         u, v = (max(3, round(_PLACES * math.hypot(*t) / lattice.s)) for t in (lattice.t1, lattice.t2))
         grid = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1).reshape(-1, 2)
+        inner = self._are_inside(grid[:, np.newaxis], grid)[:, 0]
+        grid = grid[inner] if inner.any() else grid
         return np.asarray(grid[:: -(-len(grid) // _MOST_PLACES)])
+
+    def _are_inside(self, places: Points, own: Points) -> NDArray[np.bool_]:
+        """Return whether places ``(P, F, 2)`` lie inside the instances of others ``(P, 2)``, off their borders."""
+        label, cell = self._instances(own[:, np.newaxis, np.newaxis])
+        side = _BORDER * np.array([(0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)])
+        there = self._instances(places[:, :, np.newaxis] + side @ np.linalg.inv(self.elements.lattice.matrix))
+        return np.asarray(((there[0] == label) & (there[1] == cell).all(-1)).all(-1))
 
     def _instances(self, places: Points) -> tuple[Numbers, Numbers]:
         """Return the element at places (u, v), and the cell of its instance."""
         cell = np.floor(places).astype(int)
-        u, v = np.moveaxis(((places - cell) * self.elements.label.shape[::-1]).astype(int), -1, 0)
+        grid = np.array(self.elements.label.shape[::-1])
+        u, v = np.moveaxis(np.minimum(((places - cell) * grid).astype(int), grid - 1), -1, 0)
         return self.elements.label[v, u], cell + self.elements.offset[v, u]
 
     def _are_apart(self, cells: Numbers) -> NDArray[np.bool_]:
@@ -107,8 +119,8 @@ class NoveltyTest:
         step = np.linspace(-2, 2, 5) * spread if width else np.zeros(1)
         window = np.stack(np.meshgrid(step, step), -1).reshape(-1, 2)
         around = self._places[:, np.newaxis] + lattice.to_cell(window + lattice.origin)
-        (label, cell), (own, own_cell) = self._instances(around), self._instances(self._places[:, np.newaxis])
-        weight = ((label == own) & (cell == own_cell).all(-1)).astype(float)
+        weight = self._are_inside(around, self._places).astype(float)
+        weight[~weight.any(-1)] = 1
         if width:
             weight *= np.exp(-(window**2).sum(-1) / (2 * spread**2))
         weight = np.sqrt(weight / weight.sum(-1, keepdims=True))

@@ -19,7 +19,7 @@ from nrbench.synthesizers.lattice_places.equal_places import CellTorus
 from nrbench.synthesizers.resample import Resample, VariationModel
 from nrbench.synthesizers.resampling import element_colors
 from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
-from nrbench.synthesizers.resampling.element_classes import draw_classes, group_colors, link_classes
+from nrbench.synthesizers.resampling.element_classes import draw_classes, find_object, group_colors, link_classes
 from nrbench.synthesizers.resampling.element_colors import draw_field, match_distribution
 from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
 from nrbench.synthesizers.resampling.element_threads import find_turns, link_threads
@@ -250,6 +250,14 @@ def test_classes_of_several_elements_go_together() -> None:
     one = rng.integers(3, size=(8, 8))
     made = draw_classes([one, (np.roll(one, 1, 0) + 1) % 3], CellTorus(40, 40), rng)
     assert (made[..., 1] == (np.roll(made[..., 0], 1, 0) + 1) % 3).mean() > 0.98
+
+
+def test_elements_whose_classes_decide_each_other_are_one_object() -> None:
+    """A heart whose ink follows from that of the petals is a part of the flower; independent ones are not."""
+    rng = np.random.default_rng(17)
+    one, other = rng.integers(3, size=(2, 5, 5))
+    assert find_object({0: one, 3: (one + 1) % 3}) == (0, 3, (0, 0))
+    assert find_object({0: one, 3: other}) is None
 
 
 @pytest.mark.parametrize("name", ["hexagon", "brick"])
