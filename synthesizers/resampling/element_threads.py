@@ -111,20 +111,14 @@ def link_threads(colors: Sequence[InstanceColors], lattice: Lattice) -> list[Ele
 
 def _compare(one: InstanceColors, other: InstanceColors, lag: Lag, turn: Lag) -> float:
     """Return by how much the correlation of two elements, or of their threads along a turn, exceeds its limit."""
-    if turn == (0, 0):
-        (r, pairs), (least, chance) = one.correlation(other, lag), _LINKED
-        return r - least - chance / math.sqrt(max(pairs, 1))
     cells = np.concatenate([np.argwhere(one.known), np.argwhere(other.known) - lag])
     number = _group(ElementThread(0, turn=turn).number(cells))
-    count = int(one.known.sum())
-    halves = (one.values[one.known], number[:count]), (other.values[other.known], number[count:])
-    shown = [np.bincount(of, minlength=number.max(initial=0) + 1) for _, of in halves]
-    means = [
-        np.stack([np.bincount(of, channel, len(n)) for channel in values.T], -1) / np.maximum(n, 1)[:, np.newaxis]
-        for (values, of), n in zip(halves, shown, strict=True)
-    ]
-    both = (shown[0] > 0) & (shown[1] > 0)
-    (r, pairs), (least, chance) = correlate(means[0][both], means[1][both]), _LINKED_THREADS
+    values = np.concatenate([one.values[one.known], other.values[other.known]])
+    half = np.repeat([0, 1], [one.known.sum(), other.known.sum()])
+    sums = np.zeros((2, number.max(initial=0) + 1, values.shape[1] + 1))
+    np.add.at(sums, (half, number), np.column_stack([values, np.ones(len(values))]))
+    both = sums[:, (sums[..., -1] > 0).all(0)]
+    (r, pairs), (least, chance) = correlate(*both[..., :-1] / both[..., -1:]), _LINKED_THREADS if any(turn) else _LINKED
     return r - least - chance / math.sqrt(max(pairs, 1))
 
 
