@@ -112,7 +112,7 @@ WIDTHS = (0.4, 0.8, 1.2, 1.6, 3.2)
 WIDTH_SEED = 77
 """The seed at which the width of detail is chosen. No table reports it."""
 CONTINUOUS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
-NOVELTIES = (0.9, 1.0, 1.1, 1.2, 1.4, 2.0)
+NOVELTIES = (1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 DEFECTS = {
     **{"none": 0.0, "phase-step": 0.3, "off-lattice": 0.4, "two-tone": 0.5, "over-regular": 0.7},

@@ -35,7 +35,7 @@ _MOVES = tuple((x, y) for y in (-0.5, 0.0, 0.5) for x in (-0.5, 0.0, 0.5))
 """Distances (x, y) in px by which windows of the sample are moved; the middle one is none."""
 _QUANTILE = 0.9
 """Quantile of the distances of windows to the nearest ones."""
-_MOST_NEW = 1.1
+_MOST_NEW = 1.3
 """Largest novelty of a draw, in that of the sample's own cells."""
 _UNSEEN = 3.0
 """CIELAB units that are added to the latter: less is hardly seen."""
@@ -79,6 +79,9 @@ class NoveltyTest:
         corners = lattice.from_cell(box[:, np.newaxis] + np.array([(0, 0), (1, 0), (0, 1), (1, 1)], float))
         slack, last = 0.1 * lattice.s, np.array(shape[::-1]) - 1
         cells = box[((corners >= -slack) & (corners <= last + slack)).all((1, 2))]
+        if not len(cells):  # those of a skewed lattice reach far
+            middle = corners.mean(1)
+            cells = box[((middle >= 0) & (middle <= last)).all(-1)]
         return np.asarray(cells[:: -(-len(cells) // _MOST_CELLS) or 1])
 
     @cached_property
