@@ -112,7 +112,7 @@ WIDTHS = (0.4, 0.8, 1.2, 1.6, 3.2)
 WIDTH_SEED = 77
 """The seed at which the width of detail is chosen. No table reports it."""
 CONTINUOUS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
-NOVELTIES = (0.9, 1.0, 1.1, 1.2, 1.4, 2.0)
+NOVELTIES = (1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 DEFECTS = {
     **{"none": 0.0, "phase-step": 0.3, "off-lattice": 0.4, "two-tone": 0.5, "over-regular": 0.7},
@@ -322,7 +322,8 @@ def print_fields() -> None:
 def compare_fields(k: Known, colored: bool) -> tuple[float, float]:
     """Return the ratio that is compared with the limit, and by how much a field is closer to the truth."""
     model = resample.VariationModel.fit(k.made.image, k.lattice)
-    detail = model.details(k.made.image)[colored]
+    details = model.details(k.made.image)
+    detail = details[colored]
     elements, rng = detail.elements, np.random.default_rng(1)
     fresh = [k.fresh_residual(number) for number in range(2)]
     if colored:
@@ -335,7 +336,7 @@ def compare_fields(k: Known, colored: bool) -> tuple[float, float]:
     field = field + joined.detail.render(joined.detail.draw(k.shape, rng), k.shape)
     true = np.mean([measure_steps(one, elements) for one in fresh])
     far = [abs(np.log(true / measure_steps(one, elements))) for one in (alone, field)]
-    return resample.compare_steps(detail), float(far[0] - far[1])
+    return resample.compare_steps(details)[colored], float(far[0] - far[1])
 
 
 def print_novelty() -> None:

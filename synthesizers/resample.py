@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, Final
@@ -209,13 +210,15 @@ class VariationModel:
         Stains that hide the borders of elements are drawn as a field, in place of colors; so are stains of the detail.
         """
         details = self.details(sample)
-        for colored, limit in ((False, _STAINED), (True, _CONTINUOUS)):
-            if compare_steps(details[colored]) < limit:
-                return self.with_field(details[colored], colored)
+        for (colored, detail), steps, limit in zip(
+            details.items(), compare_steps(details), (_STAINED, _CONTINUOUS), strict=True
+        ):
+            if steps < limit:
+                return self.with_field(detail, colored)
         return replace(self, detail=details[True], instances=False)
 
     def details(self, sample: Image) -> dict[bool, ElementCopies]:
-        """Return what is copied from a sample if colors are drawn (True), and if a field holds them (False)."""
+        """Return what is copied from a sample if a field holds the colors (False), and if they are drawn (True)."""
         residual = (sample - self.mean.unfold(sample.shape[:2])).astype(np.float64)
         rest = residual - self.detail.outlines.lay(self.colors.of_sample(sample.shape[:2]))
         return {k: replace(self.detail, rest=part, own=None) for k, part in ((False, residual), (True, rest))}
@@ -289,11 +292,14 @@ class VariationModel:
         return {name: np.clip(picture, 0, 1).astype(np.float32) for name, picture in pictures.items()}
 
 
-def compare_steps(detail: ElementCopies) -> float:
-    """Return the steps of a detail at the borders of elements, over those of copies of its elements."""
-    shape = detail.rest.shape[:2]
-    copied = detail.render(detail.draw(shape, np.random.default_rng(0)), shape)
-    return measure_steps(detail.rest, detail.elements) / measure_steps(copied, detail.elements)
+def compare_steps(details: Mapping[bool, ElementCopies]) -> list[float]:
+    """Return the steps of details at the borders of elements, over those of copies of the elements."""
+    both = [detail.rest for detail in details.values()]
+    copies = replace(details[True], rest=np.concatenate(both, -1))
+    shape = both[0].shape[:2]
+    drawn = copies.render(copies.draw(shape, np.random.default_rng(0)), shape)
+    parts = zip(both, np.split(drawn, len(both), -1), strict=True)
+    return [measure_steps(own, copies.elements) / measure_steps(new, copies.elements) for own, new in parts]
 
 
 @lru_cache(maxsize=2)

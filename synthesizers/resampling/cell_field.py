@@ -39,8 +39,10 @@ def measure_steps(residual: NDArray[np.floating[Any]], elements: ElementMap) -> 
     """
     coarse = smooth_coarsely(residual, elements)
     label, cell = elements.instances(residual.shape[:2])
-    _, instance = np.unique(np.concatenate([label[..., None], cell], -1).reshape(-1, 3), axis=0, return_inverse=True)
-    instance, apart = instance.reshape(label.shape), max(2, round(_APART * elements.lattice.s))
+    instance = np.ravel_multi_index(
+        (label, *np.moveaxis(cell - cell.min((0, 1)), -1, 0)), (elements.count, *np.ptp(cell, (0, 1)) + 1)
+    )
+    apart = max(2, round(_APART * elements.lattice.s))
     steps = power = 1e-12
     for axis in (0, 1):
         here, there = (np.moveaxis(a, axis, 0) for a in (coarse, instance))

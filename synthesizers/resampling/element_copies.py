@@ -46,7 +46,7 @@ _SWEEPS = 5
 """Times that each element is drawn again, given its neighbors."""
 _EVEN = 0.7
 """Log-likelihood that an instance loses at each sweep for being drawn twice as often as the mean."""
-_ORDER: Final = 5
+_ORDER: Final = 3
 """Order of the splines by which copies are read at real-valued places."""
 _SOFTNESS = 0.6
 """px, standard deviation of the Gaussian that softens seams."""
@@ -302,9 +302,7 @@ def _cut_seams(copies: NDArray[np.float64], shares: NDArray[np.float64], owner: 
     for r, s in itertools.combinations(range(len(copies)), 2):
         apart = np.maximum(apart, np.square(copies[r] - copies[s]).sum(-1) * (shares[s] > 0))
     relief = scipy.ndimage.gaussian_filter(np.sqrt(apart), 0.8)
-    names, inside = np.unique(owner[0], return_inverse=True)
-    markers = np.where(shares[0] > _CORE, inside.reshape(apart.shape) + 1, 0)
-    basin = names[watershed(relief, markers) - 1]  # type: ignore[no-untyped-call]
+    basin = watershed(relief, np.where(shares[0] > _CORE, owner[0] + 1, 0)) - 1  # type: ignore[no-untyped-call]
     basin = np.where(((basin == owner) & (shares > 0)).any(0), basin, owner[0])
     weight, around = np.zeros(owner.shape), np.pad(basin, 1, mode="edge")
     for y, x in np.ndindex(3, 3):

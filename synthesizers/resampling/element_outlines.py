@@ -115,7 +115,7 @@ class ElementOutlines:
     def read(self, label: Numbers, cell: Numbers, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the mattes of n instances at one place (x, y) of the sample each, ``(n,)``."""
         planes, matte = find_plane(label, cell), np.empty(len(label))
-        for plane in np.unique(planes):
+        for plane in np.flatnonzero(np.bincount(planes)):
             at = planes == plane
             x, y = places[at].T
             matte[at] = scipy.ndimage.map_coordinates(self.mattes[plane], [y, x], order=1, mode="mirror")

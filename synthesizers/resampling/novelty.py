@@ -23,7 +23,7 @@ _MOST_CELLS = 48
 """Largest number of cells that are compared."""
 _PLACES = 8
 """Places along s at which windows are compared."""
-_MOST_PLACES = 100
+_MOST_PLACES = 64
 """Largest number of places of a cell."""
 _WIDTHS = (0.0, 1 / 6)
 """Standard deviations of windows, in s: of single colors, and of forms."""
@@ -35,7 +35,7 @@ _MOVES = tuple((x, y) for y in (-0.5, 0.0, 0.5) for x in (-0.5, 0.0, 0.5))
 """Distances (x, y) in px by which windows of the sample are moved; the middle one is none."""
 _QUANTILE = 0.9
 """Quantile of the distances of windows to the nearest ones."""
-_MOST_NEW = 1.1
+_MOST_NEW = 1.3
 """Largest novelty of a draw, in that of the sample's own cells."""
 _UNSEEN = 3.0
 """CIELAB units that are added to the latter: less is hardly seen."""
@@ -79,11 +79,14 @@ class NoveltyTest:
         corners = lattice.from_cell(box[:, np.newaxis] + np.array([(0, 0), (1, 0), (0, 1), (1, 1)], float))
         slack, last = 0.1 * lattice.s, np.array(shape[::-1]) - 1
         cells = box[((corners >= -slack) & (corners <= last + slack)).all((1, 2))]
+        if not len(cells):  # those of a skewed lattice reach far
+            middle = corners.mean(1)
+            cells = box[((middle >= 0) & (middle <= last)).all(-1)]
         return np.asarray(cells[:: -(-len(cells) // _MOST_CELLS) or 1])
 
     @cached_property
     def _places(self) -> Points:
-        """The places (u, v) of a cell that are compared, at most 100."""
+        """The places (u, v) of a cell that are compared, at most 64."""
         lattice = self.elements.lattice
         u, v = (max(3, round(_PLACES * math.hypot(*t) / lattice.s)) for t in (lattice.t1, lattice.t2))
         grid = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1).reshape(-1, 2)
