@@ -130,8 +130,8 @@ def draw_perils(run: Run) -> None:
 
 CASES = {
     "prints": ("prints: dots-three", "prints: flowers", "prints: pixels"),
-    "photographs": ("photograph: brick", "default: brick-material", "default: weave-material"),
-    "failures": ("report2004: figure-27-windows", "report2004: figure-18-basket", "photograph: brick, all"),
+    "photographs": ("photograph: brick, all", "default: brick-material", "default: weave-material"),
+    "failures": ("prints: checks", "report2004: figure-27-windows", "photograph: brick"),
 }
 """The textures of each row: a suite and its texture, or a part of the photograph of scikit-image."""
 CASE = 256

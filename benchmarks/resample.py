@@ -4,6 +4,8 @@
 
 ``elements``, ``fields``
     The limits of the element map and of threads, and of fields: on the models on which they were chosen, and on others.
+``stains``
+    The ratio that the limit of fields in place of colors is compared with, for stains and for walls of weathered stone.
 ``threads``
     The limits of threads in small samples of models with threads and without.
 ``novelty``
@@ -28,6 +30,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 import nrbench
 from nrbench import Task, Texture, synthesize
@@ -112,6 +115,10 @@ WIDTHS = (0.4, 0.8, 1.2, 1.6, 3.2)
 WIDTH_SEED = 77
 """The seed at which the width of detail is chosen. No table reports it."""
 CONTINUOUS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+STAIN_SEEDS = (951, 952, 953)
+STAIN_WIDTHS = (4, 6, 9)
+"""px: standard deviations of the Gaussian that makes stains of noise."""
+WEATHERED: Mapping[str, Any] = {"color": 0.25, "intensity": 0.12, "noise": 0.02, "damage": 0.1}
 NOVELTIES = (1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 DEFECTS = {
@@ -339,6 +346,30 @@ def compare_fields(k: Known, colored: bool) -> tuple[float, float]:
     return resample.compare_steps(details)[colored], float(far[0] - far[1])
 
 
+def print_stains() -> None:
+    """Print the ratios of steps of the residual: under stains, on elements of one color, and of weathered elements."""
+    rows: dict[str, list[float]] = {}
+    for name, seed in itertools.product(("brick", "hexagon", "squares"), STAIN_SEEDS):
+        plain, _ = draws_of(name, seed, {"color": 0.0, "intensity": 0.0, "noise": 0.01})
+        for width in STAIN_WIDTHS:
+            noise = np.random.default_rng(seed).standard_normal(plain.image.shape)
+            stains = gaussian_filter(noise, (width, width, 0), mode="wrap")
+            stained = quantize(np.clip(plain.image + 0.1 * stains / stains.std(), 0, 1).astype(np.float32))
+            rows.setdefault(f"stains of {width} px", []).append(compare_residual(stained, plain))
+        for material in ("stone", "clay"):
+            weathered, _ = draws_of(name, seed, {**WEATHERED, "material": material})
+            rows.setdefault(material, []).append(compare_residual(weathered.image, weathered))
+    for kind, found in rows.items():
+        print(f"{kind}: {min(found):.2f} to {max(found):.2f}, median {np.median(found):.2f}")
+
+
+def compare_residual(image: Image, made: Texture) -> float:
+    """Return the steps of the residual of an image at the borders of elements, over those of copied elements."""
+    assert made.lattice
+    model = resample.VariationModel.of(image, made.lattice)
+    return resample.compare_steps(model.details(image))[0]
+
+
 def print_novelty() -> None:
     """Print how often smooth colors, and three inks, are taken for classes, and a draw without classes for strange."""
     print("draws | in classes | strange at the limits " + ", ".join(map(str, NOVELTIES)))
@@ -454,6 +485,7 @@ STUDIES: Mapping[str, Callable[[], None]] = {
     "elements": print_elements,
     "threads": print_threads,
     "fields": print_fields,
+    "stains": print_stains,
     "novelty": print_novelty,
     "widths": print_widths,
     "defects": print_defects,
