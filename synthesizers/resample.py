@@ -48,16 +48,20 @@ class Resample:
 
     1. The mean tile is subtracted. What is left, the residual, is color and detail.
     2. The cell is cut into elements: regions whose color varies together from cell to cell, or whose border does not
-       stand out. Threads that run through several cells are recognized by their color.
+       stand out. Threads that run through several cells are recognized by the likelihood of their colors.
     3. The residual of a place is the color of its element, times the gain of this place of the cell, and a rest. Colors
        and gains are fitted by least squares. A joint that has the same color everywhere has a gain near 0.
-    4. New colors are a Gaussian random field with the sample's correlations between elements, as far as they exceed
+    4. The outline of each instance is found: which pixels show it, and which the ground or a neighbor (expectation and
+       maximization). A joint that wanders is found where it lies, if its color differs from the elements'.
+    5. New colors are a Gaussian random field with the sample's correlations between elements, as far as they exceed
        chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
-    5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
-       color are more likely. Where elements meet, rests are mixed so that their variance stays.
-    6. Stains run on across elements. Where the coarse residual of the sample steps at their borders by less than 0.6 of
-       what copied elements do, it is drawn as one field: the spot noise of the lattice, with the covariance of the
-       sample. Where the rest steps by less than 0.8, so is the coarse part of the rest.
+    6. The rest of each new element is that of an instance that the sample shows whole, copied with what surrounds it.
+       Instances of similar color are more likely, and those whose surroundings fit their neighbors (Gibbs sampling).
+       The new colors are laid inside the outlines of the copied instances. Copies are joined along the least visible
+       seams, watersheds of their difference.
+    7. Stains run on across elements. Where the coarse residual of the sample steps at their borders by less than 0.6 of
+       what copied elements do, it is drawn as one field, without colors of elements: the spot noise of the lattice,
+       with the covariance of the sample. Where the rest steps by less than 0.8, so is the coarse part of the rest.
 
     The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
     the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
@@ -67,9 +71,12 @@ class Resample:
     and few colors are left; the note tells how many.
 
     A print has a few inks: colors that form classes are drawn as classes, which go together with their neighbors' as in
-    the sample, and each element is a whole instance of the sample, color and detail. Where new elements are farther
-    from those of the sample than these are from each other, elements are whole instances as well; if those do not fit
-    together, whole cells are; and at last the output is that of ``tile-set``. The note says so.
+    the sample, and each element is a whole instance of the sample, color and detail. What it shows of its neighbors
+    takes their new colors. Parts whose classes decide each other are one element.
+
+    The method checks what it draws. Where colors are farther from those of the sample than these are from each other at
+    equal places, elements are whole instances as well; if those are strange, too, whole cells are; and at last the
+    output is that of ``tile-set``. The note says so.
 
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
     An element that the sample shows whole fewer than three times joins its neighbor. If this holds for every element,
