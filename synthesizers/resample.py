@@ -261,15 +261,13 @@ class VariationModel:
                 part = self.detail.render(copied, task.shape, rows, colors if self.colored else None, strength)
             if self.field is not None and field is not None:
                 part += self.field.render(field, task.shape, rows)
-            part = mean + variation * part
-            image[rows] = np.clip(part, 0, 1)
+            image[rows] = np.clip(mean + variation * part, 0, 1)
             task.progress(rows.stop / height)
         return image
 
     def pictures(self) -> dict[str, Image]:
         """Return the mean tile, the elements and their colors as pictures of the sample's shape."""
-        height, width, _ = self.detail.rest.shape
-        shape = height, width
+        shape = self.detail.rest.shape[:2]
         label, cell = self.detail.elements.instances(shape)
         hue = (0.38 * label + cell @ (0.618, 0.267))[..., np.newaxis] + np.arange(3) / 3
         color = self.colors.lay(self.colors.of_sample(shape), shape) + self.mean.values.mean((0, 1))
