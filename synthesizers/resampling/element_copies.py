@@ -109,8 +109,10 @@ class ElementCopies:
             neighbors = (self.whole[a][:, np.newaxis] + np.array(lag) == self.whole[b]).all(-1)
             if neighbors.all():
                 continue
-            misfit /= max(float(np.median(misfit[~neighbors])), 1e-9)
-            misfit[neighbors] = np.quantile(misfit[~neighbors], 0.25)
+            misfit = np.ma.array(misfit + 1e-9, mask=neighbors)
+            usual = np.ma.median(misfit, 1, keepdims=True) * np.ma.median(misfit, 0) / np.ma.median(misfit)
+            misfit = (misfit / usual).filled(np.nan)
+            misfit[neighbors] = np.nanquantile(misfit, 0.25)
             found.append((a, b, lag, misfit))
         return found
 
