@@ -237,8 +237,8 @@ class ElementCopies:
     ) -> NDArray[np.float64]:
         """Return the copies at some rows of a picture, times ``strength``, with new colors inside their own outlines.
 
-        Where elements meet, each pixel shows the copy that it is joined to by the least visible path: the watersheds of
-        the difference of the copies, from the places inside elements.
+        Where elements meet, copies are joined along the watersheds of their likeness, which are the lines on which they
+        differ least.
         """
         top, bottom, _ = rows.indices(shape[0])
         pad = math.ceil(6 * OUTLINE_REACH * self.elements.lattice.s) + 2
@@ -303,8 +303,8 @@ def _cut_seams(copies: NDArray[np.float64], shares: NDArray[np.float64], owner: 
     apart = np.zeros(owner.shape[1:])
     for r, s in itertools.combinations(range(len(copies)), 2):
         apart = np.maximum(apart, np.square(copies[r] - copies[s]).sum(-1) * (shares[s] > 0))
-    relief = scipy.ndimage.gaussian_filter(np.sqrt(apart), 0.8)
-    basin = watershed(relief, np.where(shares[0] > _CORE, owner[0] + 1, 0)) - 1  # type: ignore[no-untyped-call]
+    likeness = -scipy.ndimage.gaussian_filter(np.sqrt(apart), 0.8)
+    basin = watershed(likeness, np.where(shares[0] > _CORE, owner[0] + 1, 0)) - 1  # type: ignore[no-untyped-call]
     basin = np.where(((basin == owner) & (shares > 0)).any(0), basin, owner[0])
     weight, around = np.zeros(owner.shape), np.pad(basin, 1, mode="edge")
     for y, x in np.ndindex(3, 3):
