@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -20,7 +20,7 @@ _SPREAD = 0.01
 """Standard deviation of the colors of one class that is not seen, in values from 0 to 1."""
 _GAIN = (0.5, 8.0)
 """n colors are classes if their log-likelihood per color exceeds that of a Gaussian by at least a + b / n."""
-_AROUND: tuple[Lag, ...] = ((0, 0), (0, 1), (1, 0), (1, 1), (1, -1))
+_AROUND: tuple[Lag, ...] = ((0, 0), (0, 1), (1, 0), (1, 1), (1, -1), (0, -1), (-1, 0), (-1, -1), (-1, 1))
 """Lags in cells at which classes may go together."""
 _BY_CHANCE = 4.0
 """Twice the log-likelihood by which pairs of classes have to exceed chance, after BIC."""
@@ -32,10 +32,6 @@ _SWEEPS = 30
 """Times that all classes are drawn again, given their neighbors'."""
 _RATE = 0.3
 """Part of the logarithm of its ratio to the sample's by which a pair's share is corrected in a sweep."""
-_MOST = 12.0
-"""Largest potential of a pair."""
-_BALANCES = 3
-"""Steps in which the shares of classes are made the sample's, before they are drawn."""
 _UNSEEN = 1e-3
 """Share of a pair of classes that the sample does not show."""
 
@@ -57,11 +53,9 @@ def group_colors(color: InstanceColors) -> Numbers | None:
     tree = scipy.cluster.hierarchy.linkage(colors, "ward")
     best, found = -np.inf, None
     for groups in range(2, min(_MOST_CLASSES, count // 2) + 1):
-        label = scipy.cluster.hierarchy.fcluster(tree, groups, "maxclust") - 1
-        size = np.bincount(label, minlength=groups)
-        if not size.all():
-            continue
-        means = np.stack([np.bincount(label, channel) for channel in colors.T], -1) / size[:, np.newaxis]
+        label = scipy.cluster.hierarchy.cut_tree(tree, [groups])[:, 0]
+        size = np.bincount(label)
+        means = np.stack([colors[label == k].mean(0) for k in range(groups)])
         within = float(((colors - means[label]) ** 2).sum())
         power = within / (channels * (count - groups)) + _SPREAD**2
         likelihood = -count * channels / 2 * np.log(power) - within / (2 * power) + (size * np.log(size / count)).sum()
@@ -75,46 +69,35 @@ def group_colors(color: InstanceColors) -> Numbers | None:
     if len(whole) < 2:
         return None
     means = np.stack([colors[found == k].mean(0) for k in whole])
-    nearest = scipy.spatial.distance.cdist(colors, means).argmin(-1)
     classes = np.full(color.known.shape, -1)
-    classes[color.known] = np.where(np.isin(found, whole), np.searchsorted(whole, found), nearest)
+    classes[color.known] = scipy.spatial.distance.cdist(colors, means).argmin(-1)
     return classes
 
 
-class ClassLink(NamedTuple):
-    """The classes of elements a and, ``lag`` cells on, b go together: their joint shares ``(Ka, Kb)``."""
+def link_classes(classes: Sequence[Numbers]) -> dict[Pair, NDArray[np.float64]]:
+    """Return the pairs of neighbors whose classes depend on each other, and the shares ``(Ka, Kb)`` of their classes.
 
-    a: int
-    b: int
-    lag: Lag
-    shares: NDArray[np.float64]
-
-
-def link_classes(classes: Sequence[Numbers]) -> list[ClassLink]:
-    """Return the pairs of neighbors whose classes depend on each other.
-
-    The pairs of classes at a lag are compared with independent ones by their likelihood ratio, less the penalty of BIC.
-    Either each pair has a probability of its own, or pairs of one element are only more or less often equal.
+    The classes of element a and, ``lag`` cells on, of b are compared with independent ones by their likelihood ratio,
+    less the penalty of BIC. Either each pair of classes has a probability of its own, or pairs of one element are only
+    more or less often equal.
     """
-    links = []
+    links = {}
     for a, b in np.ndindex(len(classes), len(classes)):
         for lag in _AROUND:
-            if lag == (0, 0) and a >= b:
-                continue
             one, other = overlap(classes[a], classes[b], lag)
             known = (one >= 0) & (other >= 0)
             table = np.zeros((classes[a].max() + 1, classes[b].max() + 1))
             np.add.at(table, (one[known], other[known]), 1)
             shares = _test_pairs(table, a == b)
-            if shares is not None:
-                links.append(ClassLink(a, b, lag, shares))
+            if shares is not None and (a != b or lag != (0, 0)):
+                links[a, b, lag] = shares
     return links
 
 
 def find_object(classes: Mapping[int, Numbers]) -> Pair | None:
     """Return two elements and a lag at which their classes decide each other: they are parts of one object."""
     names = list(classes)
-    for a, b, lag, shares in link_classes(list(classes.values())):
+    for (a, b, lag), shares in link_classes(list(classes.values())).items():
         alone = [scipy.special.entr(shares.sum(axis)).sum() for axis in (0, 1)]
         both = scipy.special.entr(shares).sum()
         if a != b and both - min(alone) <= _UNDECIDED * max(alone):
@@ -124,31 +107,27 @@ def find_object(classes: Mapping[int, Numbers]) -> Pair | None:
 
 def _test_pairs(table: NDArray[np.float64], same: bool) -> NDArray[np.float64] | None:
     """Return the shares of pairs of classes by the best of two models, or None if independent classes are as good."""
-    count = table.sum()
-    if count < 2:
-        return None
-    shares = table / count
-    apart = shares.sum(1, keepdims=True) * shares.sum(0)
-    excess = 2 * count * scipy.special.rel_entr(shares, apart).sum() - (apart.size - sum(apart.shape) + 1) * np.log(
-        count
-    )
-    shares = np.where((table == 0) & (count * apart < _EXPECTED), apart / (count + 1), shares)
+    count = max(table.sum(), 1)
+    found = table / count
+    apart = found.sum(1, keepdims=True) * found.sum(0)
+    models = [(found, apart.size - sum(apart.shape) + 1)]
     if same:
         equal = np.eye(len(apart), dtype=bool)
-        ratios = [shares[part].sum() / max(float(apart[part].sum()), 1e-12) for part in (equal, ~equal)]
-        alike = apart * np.where(equal, *ratios)
-        less = 2 * count * scipy.special.rel_entr(alike, apart).sum() - np.log(count)
-        if less > excess - _BY_CHANCE:
-            excess, shares = less, alike
-    return np.asarray(shares) if excess > _BY_CHANCE else None
+        ratios = [found[part].sum() / max(float(apart[part].sum()), 1e-12) for part in (equal, ~equal)]
+        models.append((apart * np.where(equal, *ratios), 1))
+    gains = [2 * count * scipy.special.rel_entr(s, apart).sum() - free * np.log(count) for s, free in models]
+    if max(gains) <= _BY_CHANCE:
+        return None
+    shares, _ = models[int(np.argmax(gains))]
+    return np.asarray(np.where((shares == 0) & (count * apart < _EXPECTED), apart / (count + 1), shares))
 
 
 def draw_classes(classes: Sequence[Numbers], torus: CellTorus, rng: np.random.Generator) -> Numbers:
     """Return new classes on a torus, ``(I, J, E)``: a random field with the sample's shares of classes and of pairs.
 
     It is a Markov random field. Classes are drawn in an order in which each is given the neighbors before it, then
-    again given all neighbors, in parts that keep the shares of classes. Before each sweep, the potentials of pairs that
-    are too rare are raised, and of others lowered.
+    again given all neighbors. Before each sweep, the potentials of classes and pairs that are too rare are raised, and
+    of others lowered.
 
     Parameters
     ----------
@@ -159,56 +138,29 @@ def draw_classes(classes: Sequence[Numbers], torus: CellTorus, rng: np.random.Ge
     rng
         Draws the classes.
     """
-    shares = [np.bincount(own[own >= 0]) / (own >= 0).sum() for own in classes]
-    field = _ClassField(torus, link_classes(classes), shares)
+    if not classes:
+        return np.zeros((torus.columns, torus.rows, 0), np.int64)
+    links = link_classes(classes)
+    ends = np.cumsum([0, *(own.max() + 1 for own in classes)]).tolist()
+    parts = [slice(*pair) for pair in itertools.pairwise(ends)]
+    shares = np.concatenate([np.bincount(own[own >= 0]) / (own >= 0).sum() for own in classes])
+    target = np.full((len(_AROUND), len(shares), len(shares)), np.nan)
+    for (a, b, lag), joint in links.items():
+        target[_AROUND.index(lag), parts[a], parts[b]] = joint
+    potential = np.nan_to_num(np.log((target + _UNSEEN) / (np.outer(shares, shares) + _UNSEEN)))
     cells = np.stack(np.meshgrid(np.arange(torus.columns), np.arange(torus.rows), indexing="ij"), -1).reshape(-1, 2)
-    order = cells @ (2, 1)  # no two neighbors are equal in it
-    for turn in range(int(order.max()) + 1 if field.links else 1):
-        for element in range(len(classes)):
-            field.redraw(element, cells[order == turn] if field.links else cells, rng)
-    for _ in range(_SWEEPS if field.links else 0):
-        field.correct()
-        for part, element in np.ndindex(5, len(classes)):
-            field.redraw(element, cells[order % 5 == part], rng, balanced=True)
-    return field.classes
-
-
-class _ClassField:
-    """The classes that are drawn, -1 where they are not drawn yet, and the potentials of their pairs."""
-
-    def __init__(self, torus: CellTorus, links: list[ClassLink], shares: list[NDArray[np.float64]]) -> None:
-        self.torus, self.links, self.shares = torus, links, shares
-        self.classes = np.full((torus.columns, torus.rows, len(shares)), -1)
-        pairs = [np.log((s + _UNSEEN) / (s.sum(1, keepdims=True) * s.sum(0) + _UNSEEN)) for *_, s in links]
-        # Links of one element repeat each other, but what the sample does not show stays away.
-        repeats = max(1, len(links) // max(len(shares), 1))
-        self.pairs = [np.where(s > 0, pair / repeats, pair) for pair, (*_, s) in zip(pairs, links, strict=True)]
-
-    def redraw(self, element: int, cells: Numbers, rng: np.random.Generator, balanced: bool = False) -> None:
-        """Draw the classes of an element in cells ``(n, 2)``, given its neighbors; ``balanced``: with its shares."""
-        likelihood = np.tile(np.log(self.shares[element]), (len(cells), 1))
-        for (a, b, lag, _), pairs in zip(self.links, self.pairs, strict=True):
-            for own, other, table, sign in ((a, b, pairs, 1), (b, a, pairs.T, -1)):
-                if own == element:
-                    neighbors = self._read(other, cells + sign * np.array(lag))
-                    likelihood += np.where(neighbors[:, np.newaxis] >= 0, table.T[neighbors], 0)
-        for _ in range(_BALANCES if balanced else 0):
-            share = scipy.special.softmax(likelihood, -1).mean(0)
-            likelihood += np.log((self.shares[element] + _UNSEEN) / (share + _UNSEEN))
-        self.classes[cells[:, 0], cells[:, 1], element] = (likelihood + rng.gumbel(size=likelihood.shape)).argmax(-1)
-
-    def correct(self) -> None:
-        """Raise the potentials of pairs that are rarer than they should be, lower the others."""
-        cells = np.moveaxis(np.indices(self.classes.shape[:2]), 0, -1)
-        for n, (a, b, lag, target) in enumerate(self.links):
-            now = np.zeros(target.shape)
-            np.add.at(
-                now, (self.classes[..., a], self._read(b, cells + np.array(lag))), 1 / len(cells) / cells.shape[1]
-            )
-            change = _RATE * np.log((target + _UNSEEN) / (now + _UNSEEN))
-            self.pairs[n] = np.clip(self.pairs[n] + change, -_MOST, _MOST)
-
-    def _read(self, element: int, cells: Numbers) -> Numbers:
-        """Return the classes of an element in cells, ``(..., 2)``."""
-        at = self.torus.wrap(cells)
-        return np.asarray(self.classes[at[..., 0], at[..., 1], element])
+    near = torus.wrap(cells + np.array(_AROUND)[:, np.newaxis]) @ (torus.rows, 1)
+    drawn = np.zeros((len(cells), len(shares)))  # 1 where a cell is in a class
+    order = cells @ (2, 1) * bool(links)  # no two neighbors are equal in it
+    for sweep in range(_SWEEPS + 1 if links else 1):
+        for turn, part in itertools.product(range(order.max() + 1), parts):
+            at = order == turn
+            likelihood = np.log(shares[part]) + np.einsum("lnk,lck->nc", drawn[near[:, at]], potential[:, part])
+            if sweep:
+                likelihood += np.log(shares[part] / (scipy.special.softmax(likelihood, -1).mean(0) + _UNSEEN))
+            choice = (likelihood + rng.gumbel(size=likelihood.shape)).argmax(-1)
+            drawn[at, part] = np.eye(likelihood.shape[1])[choice]
+        now = np.einsum("nc,lnk->lck", drawn, drawn[near]) / len(cells)
+        potential += _RATE * np.nan_to_num(np.log((target + _UNSEEN) / (now + _UNSEEN)))
+        order %= 5
+    return np.stack([drawn[:, part].argmax(-1) for part in parts], -1).reshape(torus.columns, torus.rows, -1)
