@@ -92,11 +92,12 @@ class ElementCopies:
 
     @cached_property
     def _misfits(self) -> list[tuple[int, int, Lag, NDArray[np.float64]]]:
-        """The misfits of all instances of two elements at a lag where they meet, over their median.
+        """The misfits of all instances of two elements at a lag where they meet, over what is usual for both.
 
         An instance of the first element and one of the second show the same places: the surroundings of the first are
-        the second, and the other way around. Their misfit is the mean squared difference of what they show. Instances
-        that are neighbors in the sample agree by chance of the cut; they are as good as the best quarter.
+        the second, and the other way around. Their misfit is the squared difference of what they show. It is taken over
+        the medians of both instances, so that odd ones are drawn as often as others. Instances that are neighbors in
+        the sample agree there; they are as good as the best quarter.
         """
         smooth = [scipy.ndimage.gaussian_filter(plane, 0.7) for plane in np.moveaxis(self.rest, -1, 0)]
         found = []
@@ -107,12 +108,9 @@ class ElementCopies:
             ]
             misfit = scipy.spatial.distance.cdist(shown[0], shown[1], "sqeuclidean")
             neighbors = (self.whole[a][:, np.newaxis] + np.array(lag) == self.whole[b]).all(-1)
-            if neighbors.all():
-                continue
-            misfit = np.ma.array(misfit + 1e-9, mask=neighbors)
-            usual = np.ma.median(misfit, 1, keepdims=True) * np.ma.median(misfit, 0) / np.ma.median(misfit)
-            misfit = (misfit / usual).filled(np.nan)
-            misfit[neighbors] = np.nanquantile(misfit, 0.25)
+            misfit = np.where(neighbors, np.nan, misfit + 1e-9)
+            usual = np.nanmedian(misfit, 1, keepdims=True) * np.nanmedian(misfit, 0) / np.nanmedian(misfit)
+            misfit = np.where(neighbors, np.nanquantile(misfit / usual, 0.25), misfit / usual)
             found.append((a, b, lag, misfit))
         return found
 
