@@ -68,8 +68,8 @@ class Resample:
 
     A print has a few inks: colors that form classes are drawn as classes, which go together with their neighbors' as in
     the sample, and each element is a whole instance of the sample, color and detail. Where new elements are farther
-    from those of the sample than these are from each other, elements are whole instances as well; if those do not fit
-    together, whole cells are; and at last the output is that of ``tile-set``. The note says so.
+    from those of the sample than these are from each other, elements are whole instances as well; where these are too,
+    the output is that of ``tile-set``. The note says so.
 
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
     An element that the sample shows whole fewer than three times joins its neighbor. If this holds for every element,
@@ -116,8 +116,7 @@ class Resample:
             tiles = TileSet().synthesize(replace(task, lattice=lattice))
             return replace(tiles, detection_seconds=seconds, note=f"copied by tile-set: {model.copied}")
         image = model.draw(task, self.variation)
-        whole = f"elements are whole cells: smaller ones {model.whole_cells}" if model.whole_cells else ""
-        note = "; ".join(filter(None, (whole, model.describe_copies(), model.describe_threads(task))))
+        note = "; ".join(filter(None, (*model.notes, model.describe_threads(task))))
         return Synthesis(image, lattice, extras=model.pictures(), detection_seconds=seconds, note=note)
 
 
@@ -132,15 +131,13 @@ class VariationModel:
     colors
         The colors of elements.
     detail
-        The rest, without the field; the sample itself if elements are whole instances.
-    whole_cells
-        Why the elements are whole cells; empty if they are smaller.
+        The rest, without the field; the sample itself if elements are whole instances, with color and detail.
+    notes
+        How elements are drawn, if not in new colors, and why.
     field
         What runs on across the borders of elements; None if nothing does.
     colored
         Whether the colors of elements are drawn. If not, the field holds them.
-    instances
-        Whether each element is a whole instance of the sample, with its color and its detail.
     copied
         Why the sample should be copied instead; empty if it need not be.
     """
@@ -148,10 +145,9 @@ class VariationModel:
     mean: Tile
     colors: ElementColors
     detail: ElementCopies
-    whole_cells: str
+    notes: tuple[str, ...]
     field: CellField | None = None
     colored: bool = True
-    instances: bool = False
     copied: str = ""
 
     @classmethod
@@ -162,10 +158,10 @@ class VariationModel:
 
     @classmethod
     def fit(cls, sample: Image, lattice: Lattice) -> VariationModel:
-        """Return the model of a sample with a reduced lattice: the first of four that draws nothing strange.
+        """Return the model of a sample with a reduced lattice: the first of three that draws nothing strange.
 
-        New colors are drawn, unless colors form classes; else elements are whole instances; else whole cells are; else
-        the sample is to be copied. What they draw is compared with the sample (:class:`.novelty.NoveltyTest`).
+        New colors are drawn, unless colors form classes; else elements are whole instances; else the sample is to be
+        copied. What is drawn is compared with the sample (:class:`.novelty.NoveltyTest`).
         """
         shape, mean = sample.shape[:2], fold(sample, lattice, grid=map_grid(lattice))
         residual = sample - mean.unfold(shape)
@@ -173,36 +169,33 @@ class VariationModel:
         fitted = sum(int(color.known.sum()) for color in copies.colors.colors.values())
         rest = residual - copies.colors.render(copies.colors.of_sample(shape), shape)
         if rest.var() >= (1 - _EXPLAINED - _BY_CHANCE * fitted / rest[..., 0].size) * residual.var():
-            copies = cls._fit_elements(sample, mean, residual, "explain too little")
-        if copies.fewest < FEWEST:
-            return replace(copies, copied=f"the sample shows {copies.fewest} whole instances of an element")
+            copies = cls._fit_elements(sample, mean, residual, whole_cells=True)
+        fewest = min(map(len, copies.detail.whole))
+        if fewest < FEWEST:
+            return replace(copies, copied=f"the sample shows {fewest} whole instances of an element")
         test = NoveltyTest(sample, copies.detail.elements, copies.colors.threads)
         task = Task(sample, test.shape, lattice, np.random.default_rng(0))
-        if not copies.colors.classes and test.passes((drawn := copies.with_drawn_colors(sample)).draw(task, 1.0)):
-            return drawn
+        why = "their colors form classes"
+        if not copies.colors.classes:
+            why = "new ones are stranger than those of the sample are to each other"
+            drawn = copies.with_drawn_colors(sample)
+            if test.passes(drawn.draw(task, 1.0)):
+                return drawn
         if test.passes(copies.draw(task, 1.0)):
-            return copies
-        if not copies.whole_cells:
-            cells = cls._fit_elements(sample, mean, residual, "are strange beside each other")
-            if cells.fewest >= FEWEST and test.passes(cells.draw(task, 1.0)):
-                return cells
+            return replace(copies, notes=(*copies.notes, f"elements are whole instances: {why}"))
         return replace(copies, copied="what it draws is stranger than the elements of the sample are to each other")
 
     @classmethod
-    def _fit_elements(cls, sample: Image, mean: Tile, residual: Values, whole_cells: str = "") -> VariationModel:
-        elements = segment(sample, residual, mean.lattice, whole_cells=bool(whole_cells))
+    def _fit_elements(cls, sample: Image, mean: Tile, residual: Values, whole_cells: bool = False) -> VariationModel:
+        elements = segment(sample, residual, mean.lattice, whole_cells=whole_cells)
         colors = ElementColors.fit(elements, residual)
         while parts := find_object({k: c for k, c in colors.classes.items() if colors.threads[k].turn == (0, 0)}):
             elements = elements.joined(*parts)
             colors = ElementColors.fit(elements, residual)
         outlines = ElementOutlines.fit(sample, sample - residual, colors)
         copies = ElementCopies(elements, sample.astype(np.float64), outlines, colors.of_sample(sample.shape[:2]))
-        return cls(mean, colors, copies, whole_cells, instances=True)
-
-    @property
-    def fewest(self) -> int:
-        """Number of whole instances that the sample shows of the element that it shows whole least often."""
-        return min(map(len, self.detail.whole))
+        notes = ("elements are whole cells: smaller ones explain too little",) if whole_cells else ()
+        return cls(mean, colors, copies, notes)
 
     def with_drawn_colors(self, sample: Image) -> VariationModel:
         """Return the model whose elements take new colors, inside the outlines of copied ones.
@@ -215,7 +208,7 @@ class VariationModel:
         ):
             if steps < limit:
                 return self.with_field(detail, colored)
-        return replace(self, detail=details[True], instances=False)
+        return replace(self, detail=details[True])
 
     def details(self, sample: Image) -> dict[bool, ElementCopies]:
         """Return what is copied from a sample if a field holds the colors (False), and if they are drawn (True)."""
@@ -227,19 +220,11 @@ class VariationModel:
         """Return the model with a field of the coarse part of a detail."""
         fine = replace(detail, rest=detail.rest - smooth_coarsely(detail.rest, detail.elements))
         field = CellField.fit(detail.elements, detail.rest)
-        return replace(self, detail=fine, field=field, colored=colored, instances=False)
+        return replace(self, detail=fine, field=field, colored=colored)
 
     def torus(self, task: Task) -> CellTorus | None:
         """Return the cells of the output, if it repeats."""
         return CellTorus.closing(self.mean.lattice, task.shape) if task.tileable else None
-
-    def describe_copies(self) -> str:
-        """Return why elements are whole instances, if they are."""
-        if not self.instances:
-            return ""
-        if self.colors.classes:
-            return "elements are whole instances: their colors form classes"
-        return "elements are whole instances: new ones are stranger than those of the sample are to each other"
 
     def describe_threads(self, task: Task) -> str:
         """Return how many threads differ in an output that repeats, if fewer do than in the sample."""
@@ -259,10 +244,10 @@ class VariationModel:
         torus = self.torus(task)
         colors = self.colors.draw(task.shape, task.rng, torus)
         own = self.colors.of_classes(self.detail.rest.shape[:2])
-        exact = [t.first in self.colors.classes or t.turn != (0, 0) for t in self.colors.threads]
-        copied = self.detail.draw(
-            task.shape, task.rng, (own, colors) if self.colored else None, torus, exact if self.instances else ()
-        )
+        whole = self.detail.own is not None
+        exact = [whole and (t.first in self.colors.classes or t.turn != (0, 0)) for t in self.colors.threads]
+        given = (own, colors) if self.colored else None
+        copied = self.detail.draw(task.shape, task.rng, given, torus, exact)
         field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
@@ -270,7 +255,7 @@ class VariationModel:
         for top in range(0, height, _ROWS):
             rows = slice(top, min(top + _ROWS, height))
             mean = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
-            if self.instances:
+            if whole:
                 part = self.detail.render(copied, task.shape, rows, self.detail.colors_of(copied)) - mean
             else:
                 part = self.detail.render(copied, task.shape, rows, colors if self.colored else None, strength)

@@ -61,7 +61,7 @@ def test_elements_are_found(name: str, count: int) -> None:
     """Bricks, tiles and threads of one color each are found: their colors explain 0.85 of what varies."""
     made = drawn(name, color=0.3, noise=0)
     model = model_of(made)
-    assert model.detail.elements.count == count and not model.whole_cells
+    assert model.detail.elements.count == count and not model.notes
     assert explained(model, made) > 0.85
 
 
@@ -289,7 +289,7 @@ def test_dots_are_copied_whole() -> None:
     """Every pixel of new polka dots, and not only their middle, is near one of the sample's at the same place."""
     made = dotted()
     model, output = model_of(made), synthesize(Resample(), made.image, (128, 128), lattice_of(made))
-    assert model.instances and output.note == "elements are whole instances: their colors form classes"
+    assert model.detail.own is not None and output.note == "elements are whole instances: their colors form classes"
     test = NoveltyTest(made.image, model.detail.elements, model.colors.threads)
     assert test.measure(output.image) < 3
 
@@ -299,7 +299,9 @@ def test_new_elements_that_are_strange_are_not_drawn(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(element_colors, "group_colors", lambda color: None)
     made = dotted()
     model = VariationModel.fit(made.image, lattice_of(made))
-    assert model.instances and model.describe_copies().endswith("stranger than those of the sample are to each other")
+    assert model.detail.own is not None and model.notes[-1].endswith(
+        "stranger than those of the sample are to each other"
+    )
 
 
 def test_fresh_draws_are_as_new_as_the_sample() -> None:
