@@ -19,7 +19,6 @@ from nrbench.plugins.registry import build
 from nrbench.synthesizers.lattice_places.equal_places import CellTorus
 from nrbench.synthesizers.resample import Resample, VariationModel
 from nrbench.synthesizers.resampling import element_colors
-from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
 from nrbench.synthesizers.resampling.element_classes import draw_classes, find_object, group_colors, link_classes
 from nrbench.synthesizers.resampling.element_colors import ElementColors, draw_field, match_distribution
 from nrbench.synthesizers.resampling.element_copies import ElementCopies, _cut_seams
@@ -316,33 +315,6 @@ def test_fresh_draws_are_as_new_as_the_sample() -> None:
     assert not test.passes(np.clip(tinted, 0, 1))
 
 
-@cache
-def stained() -> Texture:
-    """Return tiles of one color under stains about as large as a tile, which run on across joints."""
-    made = drawn("hexagon", color=0, intensity=0, noise=0.01)
-    stains = gaussian_filter(np.random.default_rng(8).standard_normal((128, 128, 3)), (6, 6, 0), mode="wrap")
-    image = np.clip(made.image + 0.1 * stains / stains.std(), 0, 1)
-    return Texture(quantize(image.astype(np.float32)), made.lattice)
-
-
-def test_stains_run_on_across_elements() -> None:
-    """Stains are drawn as one field, which hardly steps at the borders of elements, and is as strong."""
-    made = stained()
-    model = model_of(made)
-    assert model.field is not None and not model.colored
-    output = synthesize(Resample(), made.image, (256, 256), lattice_of(made)).image
-    own, new = (image - model.mean.unfold(image.shape[:2]) for image in (made.image, output))
-    elements = model.detail.elements
-    assert measure_steps(new, elements) < 2 * measure_steps(own, elements)
-    assert np.square(new).mean() == pytest.approx(np.square(own).mean(), rel=0.35)
-
-
-@pytest.mark.parametrize("name", ["brick", "hexagon", "weave"])
-def test_independent_elements_have_no_field(name: str) -> None:
-    """Elements whose colors step at their borders are drawn one by one."""
-    assert model_of(drawn(name, color=0.3)).field is None
-
-
 def middles(image: Image, lattice: Lattice, reach: int) -> NDArray[np.float32]:
     """Return the middle of each whole cell of an image: places up to ``reach`` fifteenths of a vector away."""
     side = np.arange(-7, 8) / 15
@@ -352,17 +324,6 @@ def middles(image: Image, lattice: Lattice, reach: int) -> NDArray[np.float32]:
     whole = (points >= most).all(1) & (points <= np.array(image.shape[1::-1]) - 1 - most).all(1)
     part = np.s_[7 - reach : 8 + reach]
     return interpolate(image, points[whole][:, np.newaxis, np.newaxis] + around[part, part])
-
-
-def test_a_field_keeps_elements_whole() -> None:
-    """A field that is drawn from tiles of one color each, some of them cut by the sample's border, has such tiles."""
-    made = drawn("hexagon", color=0.3, noise=0)
-    model = model_of(made)
-    elements = model.detail.elements
-    field = CellField.fit(elements, made.image - model.mean.unfold((128, 128)))
-    image = field.render(field.draw((200, 200), np.random.default_rng(9)), (200, 200), slice(None))
-    tiles = middles(image, elements.lattice, 2)
-    assert tiles.std((1, 2)).mean() < 0.1 * tiles.mean((1, 2)).std()
 
 
 def test_without_variation_the_output_is_the_mean_tile() -> None:
@@ -462,7 +423,7 @@ def test_a_sample_whose_elements_stay_in_place_is_copied() -> None:
     copies = ElementCopies(
         model.detail.elements, made.image.astype(float), model.detail.outlines, model.colors.of_sample(shape)
     )
-    assert not model.instances
+    assert not model.notes
     np.testing.assert_allclose(laid, made.image, atol=0.02)
     np.testing.assert_allclose(copies.render(cells, shape, colors=copies.colors_of(cells)), made.image, atol=1e-6)
 
