@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 import tempfile
@@ -39,10 +40,12 @@ from nrbench.plugins.forms import Again, Observation, Shape, Synthesis
 from nrbench.plugins.registry import build
 from nrbench.running.phases import freeze
 from nrbench.suites.suite import load_suite
+from nrbench.synthesizers import resample
 from nrbench.synthesizers.planted import Planted
-from nrbench.synthesizers.resampling import element_copies, element_map, element_threads
+from nrbench.synthesizers.resampling import element_colors, element_copies, element_map, element_threads
 from nrbench.synthesizers.resampling.element_map import ElementMap
 from nrbench.synthesizers.resampling.element_threads import ElementThread, link_threads
+from nrbench.synthesizers.resampling.novelty import NoveltyTest
 
 CHOOSING = frozenset(
     (
