@@ -72,11 +72,12 @@ THREAD_LIMITS = {
     "_EVIDENCE": (1.0, 0.5, 2.0),
     "_LINKED": ((0.5, 1.0), (0.4, 1.0), (0.6, 1.0)),
     "_LINKED_THREADS": ((0.2, 1.0), (0.0, 1.0), (0.4, 1.0)),
+    "_STAINED": ((0.25, 0.5, 0.75), (0.01,)),
     "_STAIN_REACHES": ((2.0, 6.0), (1.0, 3.0)),
     "_MOST": (100, 40),
 }
 """The same for threads."""
-WITHOUT_STAINS: Mapping[str, Any] = {"_STAIN_REACHES": (0.001,)}
+WITHOUT_STAINS: Mapping[str, Any] = {"_STAINED": (0.01,)}
 THREADED = {
     "weave": ("weave", {"warp": 14.1, "weft": 11.7, "gap": 1.8}),
     "twill": ("weave", {"warp": 8.3, "weft": 7.9, "gap": 1.2, "draft": "twill"}),

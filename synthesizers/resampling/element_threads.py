@@ -22,6 +22,8 @@ _EVIDENCE = 1.0
 """Least evidence for threads in all elements: log10 of the ratio of likelihoods."""
 _RATIOS = (0.0, 1 / 9, 3 / 7, 1.0, 7 / 3, 9.0)
 """Variances common along a thread, over the other variance of colors; the first one is that without threads."""
+_STAINED = (0.25, 0.5, 0.75)
+"""Shares of the variance, beside threads, that may lie in stains."""
 _STAIN_REACHES = (2.0, 6.0)
 """Distances, in s, at which the correlation of a stain may be 1 / e."""
 _MOST = 100
@@ -172,7 +174,7 @@ def compare_turns(color: InstanceColors, lattice: Lattice) -> NDArray[np.float64
     apart = scipy.spatial.distance.cdist(places, places)
     stains = [contrasts @ np.exp(-apart / reach) @ contrasts.T for reach in _STAIN_REACHES]
     own = np.eye(len(values))
-    others = [own, *((own + stain) / 2 for stain in stains)]
+    others = [own, *((1 - share) * own + share * stain for stain in stains for share in _STAINED)]
     found = np.array([[_likelihoods(values, other + ratio * common) for ratio in _RATIOS] for other in others])
     prior = np.array([0.5] + [0.5 / (len(others) - 1)] * (len(others) - 1))[:, np.newaxis, np.newaxis]
     none, *threads = scipy.special.logsumexp(channels * (found - found[0, 0, 0]), 0, b=prior)
