@@ -2,8 +2,8 @@
 
 ``python benchmarks/resample.py STUDY``. The seeds are not those of the suites.
 
-``elements``, ``fields``
-    The limits of the element map and of threads, and of fields: on the models on which they were chosen, and on others.
+``elements``
+    The limits of the element map and of threads: on the models on which they were chosen, and on others.
 ``threads``
     The limits of threads in small samples of models with threads and without.
 ``novelty``
@@ -43,8 +43,6 @@ from nrbench.suites.suite import load_suite
 from nrbench.synthesizers import resample
 from nrbench.synthesizers.planted import Planted
 from nrbench.synthesizers.resampling import element_colors, element_copies, element_map, element_threads
-from nrbench.synthesizers.resampling.cell_field import measure_steps
-from nrbench.synthesizers.resampling.element_colors import ElementColors
 from nrbench.synthesizers.resampling.element_map import ElementMap
 from nrbench.synthesizers.resampling.element_threads import ElementThread, link_threads
 from nrbench.synthesizers.resampling.novelty import NoveltyTest
@@ -110,7 +108,6 @@ PLANTED_SEEDS = {True: (931, 932, 933, 934), False: (941, 942, 943, 944)}
 WIDTHS = (0.4, 0.8, 1.2, 1.6, 3.2)
 WIDTH_SEED = 77
 """The seed at which the width of detail is chosen. No table reports it."""
-CONTINUOUS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 NOVELTIES = (1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 DEFECTS = {
@@ -150,11 +147,6 @@ class Known:
     def residual(self, image: Image) -> Image:
         """Return a draw of the model on this lattice without its mean tile."""
         return image - fold(image, self.lattice, grid=element_map.map_grid(self.lattice)).unfold(self.shape)
-
-    def fresh_residual(self, number: int) -> Image:
-        """Return the residual of a fresh draw."""
-        fresh = self.model.again(self.made, self.shape, np.random.default_rng((77, number)))
-        return self.residual(quantize(fresh.image))
 
     def true_elements(self) -> np.ndarray:
         """Return the number of the model's element, or whole thread, at each pixel; -1 between elements."""
@@ -305,39 +297,6 @@ def print_threads() -> None:
         set_thread_limits({})
 
 
-def print_fields() -> None:
-    """Print how often a field is drawn where its steps at borders are farther from those of fresh draws, or not drawn.
-
-    The gain is the mean difference of the logarithms, of the choice that is made.
-    """
-    for choosing, colored in itertools.product((True, False), (False, True)):
-        cases = [compare_fields(k, colored) for k in draw_known(choosing)]
-        for limit in CONTINUOUS:
-            gained = np.array([gain if ratio < limit else -gain for ratio, gain in cases])
-            title = f"choosing: {choosing}, colors are drawn: {colored}, {limit}"
-            print(f"{title}: wrong {np.mean(gained < 0):.3f}, gain {gained.mean():.3f}", flush=True)
-
-
-def compare_fields(k: Known, colored: bool) -> tuple[float, float]:
-    """Return the ratio that is compared with the limit, and by how much a field is closer to the truth."""
-    model = resample.VariationModel.fit(k.made.image, k.lattice)
-    details = model.details(k.made.image)
-    detail = details[colored]
-    elements, rng = detail.elements, np.random.default_rng(1)
-    fresh = [k.fresh_residual(number) for number in range(2)]
-    if colored:
-        fits = [ElementColors.fit(elements, one) for one in fresh]
-        fresh = [one - fit.render(fit.of_sample(k.shape), k.shape) for one, fit in zip(fresh, fits, strict=True)]
-    alone = detail.render(detail.draw(k.shape, rng), k.shape)
-    joined = model.with_field(detail, colored)
-    assert joined.field is not None
-    field = joined.field.render(joined.field.draw(k.shape, rng), k.shape, slice(None))
-    field = field + joined.detail.render(joined.detail.draw(k.shape, rng), k.shape)
-    true = np.mean([measure_steps(one, elements) for one in fresh])
-    far = [abs(np.log(true / measure_steps(one, elements))) for one in (alone, field)]
-    return resample.compare_steps(details)[colored], float(far[0] - far[1])
-
-
 def print_novelty() -> None:
     """Print how often smooth colors, and three inks, are taken for classes, and a draw without classes for strange."""
     print("draws | in classes | strange at the limits " + ", ".join(map(str, NOVELTIES)))
@@ -452,7 +411,6 @@ def print_widths() -> None:
 STUDIES: Mapping[str, Callable[[], None]] = {
     "elements": print_elements,
     "threads": print_threads,
-    "fields": print_fields,
     "novelty": print_novelty,
     "widths": print_widths,
     "defects": print_defects,

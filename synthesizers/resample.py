@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, Final
@@ -17,7 +16,6 @@ from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .lattice_places.equal_places import CellTorus, require_two_periods
-from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
 from .resampling.element_classes import find_object
 from .resampling.element_colors import ElementColors
 from .resampling.element_copies import ElementCopies
@@ -32,10 +30,6 @@ _EXPLAINED = 0.05
 """Least share of the residual's variance that the colors of elements explain; with less, elements are whole cells."""
 _BY_CHANCE = 5.0
 """Pixels of noise whose variance one more color, and its gains, explain by chance."""
-_CONTINUOUS = 0.8
-"""The coarse detail is drawn as one field if it steps less than this share of what copied elements do."""
-_STAINED = 0.6
-"""The same for the coarse residual, with the colors of elements."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
 
@@ -53,11 +47,9 @@ class Resample:
        and gains are fitted by least squares. A joint that has the same color everywhere has a gain near 0.
     4. New colors are a Gaussian random field with the sample's correlations between elements, as far as they exceed
        chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
-    5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
-       color are more likely. Where elements meet, rests are mixed so that their variance stays.
-    6. Stains run on across elements. Where the coarse residual of the sample steps at their borders by less than 0.6 of
-       what copied elements do, it is drawn as one field: the spot noise of the lattice, with the covariance of the
-       sample. Where the rest steps by less than 0.8, so is the coarse part of the rest.
+    5. The rest of each new element is that of an instance in the sample, with what surrounds it. Instances of similar
+       color are more likely, and those whose surroundings fit their neighbors'. The new color is laid inside the
+       instance's own outline, which may differ from the mean tile's. Neighbors are joined where they differ least.
 
     The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
     the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
@@ -131,13 +123,9 @@ class VariationModel:
     colors
         The colors of elements.
     detail
-        The rest, without the field; the sample itself if elements are whole instances, with color and detail.
+        The rest; the sample itself if elements are whole instances, with color and detail.
     notes
         How elements are drawn, if not in new colors, and why.
-    field
-        What runs on across the borders of elements; None if nothing does.
-    colored
-        Whether the colors of elements are drawn. If not, the field holds them.
     copied
         Why the sample should be copied instead; empty if it need not be.
     """
@@ -146,8 +134,6 @@ class VariationModel:
     colors: ElementColors
     detail: ElementCopies
     notes: tuple[str, ...]
-    field: CellField | None = None
-    colored: bool = True
     copied: str = ""
 
     @classmethod
@@ -198,29 +184,10 @@ class VariationModel:
         return cls(mean, colors, copies, notes)
 
     def with_drawn_colors(self, sample: Image) -> VariationModel:
-        """Return the model whose elements take new colors, inside the outlines of copied ones.
-
-        Stains that hide the borders of elements are drawn as a field, in place of colors; so are stains of the detail.
-        """
-        details = self.details(sample)
-        for (colored, detail), steps, limit in zip(
-            details.items(), compare_steps(details), (_STAINED, _CONTINUOUS), strict=True
-        ):
-            if steps < limit:
-                return self.with_field(detail, colored)
-        return replace(self, detail=details[True])
-
-    def details(self, sample: Image) -> dict[bool, ElementCopies]:
-        """Return what is copied from a sample if a field holds the colors (False), and if they are drawn (True)."""
-        residual = (sample - self.mean.unfold(sample.shape[:2])).astype(np.float64)
-        rest = residual - self.detail.outlines.lay(self.colors.of_sample(sample.shape[:2]))
-        return {k: replace(self.detail, rest=part, own=None) for k, part in ((False, residual), (True, rest))}
-
-    def with_field(self, detail: ElementCopies, colored: bool) -> VariationModel:
-        """Return the model with a field of the coarse part of a detail."""
-        fine = replace(detail, rest=detail.rest - smooth_coarsely(detail.rest, detail.elements))
-        field = CellField.fit(detail.elements, detail.rest)
-        return replace(self, detail=fine, field=field, colored=colored)
+        """Return the model whose elements take new colors, inside the outlines of copied ones."""
+        shape = sample.shape[:2]
+        rest = sample - self.mean.unfold(shape) - self.detail.outlines.lay(self.colors.of_sample(shape))
+        return replace(self, detail=replace(self.detail, rest=rest, own=None))
 
     def torus(self, task: Task) -> CellTorus | None:
         """Return the cells of the output, if it repeats."""
@@ -229,7 +196,7 @@ class VariationModel:
     def describe_threads(self, task: Task) -> str:
         """Return how many threads differ in an output that repeats, if fewer do than in the sample."""
         torus = self.torus(task)
-        if torus is None or not self.colored:
+        if torus is None:
             return ""
         threads = {t.first: t.torus for t in self.colors.on_torus(torus).threads if t.turn != (0, 0)}
         count = sum(own.columns * own.rows for own in threads.values() if own is not None)
@@ -246,9 +213,7 @@ class VariationModel:
         own = self.colors.of_classes(self.detail.rest.shape[:2])
         whole = self.detail.own is not None
         exact = [whole and (t.first in self.colors.classes or t.turn != (0, 0)) for t in self.colors.threads]
-        given = (own, colors) if self.colored else None
-        copied = self.detail.draw(task.shape, task.rng, given, torus, exact)
-        field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
+        copied = self.detail.draw(task.shape, task.rng, (own, colors), torus, exact)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
         image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)
@@ -258,11 +223,8 @@ class VariationModel:
             if whole:
                 part = self.detail.render(copied, task.shape, rows, self.detail.colors_of(copied)) - mean
             else:
-                part = self.detail.render(copied, task.shape, rows, colors if self.colored else None, strength)
-            if self.field is not None and field is not None:
-                part += self.field.render(field, task.shape, rows)
-            part = mean + variation * part
-            image[rows] = np.clip(part, 0, 1)
+                part = self.detail.render(copied, task.shape, rows, colors, strength)
+            image[rows] = np.clip(mean + variation * part, 0, 1)
             task.progress(rows.stop / height)
         return image
 
@@ -275,16 +237,6 @@ class VariationModel:
         color = self.colors.lay(self.colors.of_sample(shape), shape) + self.mean.values.mean((0, 1))
         pictures = {"template": self.mean.unfold(shape), "elements": np.abs(2 * (hue % 1) - 1), "attributes": color}
         return {name: np.clip(picture, 0, 1).astype(np.float32) for name, picture in pictures.items()}
-
-
-def compare_steps(details: Mapping[bool, ElementCopies]) -> list[float]:
-    """Return the steps of details at the borders of elements, over those of copies of the elements."""
-    both = [detail.rest for detail in details.values()]
-    copies = replace(details[True], rest=np.concatenate(both, -1))
-    shape = both[0].shape[:2]
-    drawn = copies.render(copies.draw(shape, np.random.default_rng(0)), shape)
-    parts = zip(both, np.split(drawn, len(both), -1), strict=True)
-    return [measure_steps(own, copies.elements) / measure_steps(new, copies.elements) for own, new in parts]
 
 
 @lru_cache(maxsize=2)

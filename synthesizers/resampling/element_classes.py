@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -138,29 +137,27 @@ def draw_classes(classes: Sequence[Numbers], torus: CellTorus, rng: np.random.Ge
     rng
         Draws the classes.
     """
-    if not classes:
-        return np.zeros((torus.columns, torus.rows, 0), np.int64)
     links = link_classes(classes)
-    ends = np.cumsum([0, *(own.max() + 1 for own in classes)]).tolist()
-    parts = [slice(*pair) for pair in itertools.pairwise(ends)]
-    shares = np.concatenate([np.bincount(own[own >= 0]) / (own >= 0).sum() for own in classes])
-    target = np.full((len(_AROUND), len(shares), len(shares)), np.nan)
+    most = max((own.max() + 1 for own in classes), default=1)
+    counts = np.array([np.bincount(own[own >= 0], minlength=most) for own in classes]).reshape(-1, most)
+    shares = counts / counts.sum(1, keepdims=True)
+    level = np.log(np.maximum(shares, 1e-99))
+    target = np.full((len(_AROUND), *shares.shape, *shares.shape), np.nan)
     for (a, b, lag), joint in links.items():
-        target[_AROUND.index(lag), parts[a], parts[b]] = joint
-    potential = np.nan_to_num(np.log((target + _UNSEEN) / (np.outer(shares, shares) + _UNSEEN)))
+        target[_AROUND.index(lag), a, : len(joint), b, : joint.shape[1]] = joint
+    potential = np.nan_to_num(np.log((target + _UNSEEN) / (np.multiply.outer(shares, shares) + _UNSEEN)))
     cells = np.stack(np.meshgrid(np.arange(torus.columns), np.arange(torus.rows), indexing="ij"), -1).reshape(-1, 2)
     near = torus.wrap(cells + np.array(_AROUND)[:, np.newaxis]) @ (torus.rows, 1)
-    drawn = np.zeros((len(cells), len(shares)))  # 1 where a cell is in a class
+    drawn = np.zeros((len(cells), *shares.shape))  # 1 where a cell's element is in a class
     order = cells @ (2, 1) * bool(links)  # no two neighbors are equal in it
     for sweep in range(_SWEEPS + 1 if links else 1):
-        for turn, part in itertools.product(range(order.max() + 1), parts):
+        for turn, k in np.ndindex(order.max() + 1, len(classes)):
             at = order == turn
-            likelihood = np.log(shares[part]) + np.einsum("lnk,lck->nc", drawn[near[:, at]], potential[:, part])
+            likelihood = level[k] + np.einsum("lnbj,lcbj->nc", drawn[near[:, at]], potential[:, k])
             if sweep:
-                likelihood += np.log(shares[part] / (scipy.special.softmax(likelihood, -1).mean(0) + _UNSEEN))
-            choice = (likelihood + rng.gumbel(size=likelihood.shape)).argmax(-1)
-            drawn[at, part] = np.eye(likelihood.shape[1])[choice]
-        now = np.einsum("nc,lnk->lck", drawn, drawn[near]) / len(cells)
+                likelihood += level[k] - np.log(scipy.special.softmax(likelihood, -1).mean(0) + _UNSEEN)
+            drawn[at, k] = np.eye(most)[(likelihood + rng.gumbel(size=likelihood.shape)).argmax(-1)]
+        now = np.einsum("nac,lnbj->lacbj", drawn, drawn[near], optimize=True) / len(cells)
         potential += _RATE * np.nan_to_num(np.log((target + _UNSEEN) / (now + _UNSEEN)))
         order %= 5
-    return np.stack([drawn[:, part].argmax(-1) for part in parts], -1).reshape(torus.columns, torus.rows, -1)
+    return np.asarray(drawn.argmax(-1).reshape(torus.columns, torus.rows, -1))

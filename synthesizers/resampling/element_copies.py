@@ -92,11 +92,12 @@ class ElementCopies:
 
     @cached_property
     def _misfits(self) -> list[tuple[int, int, Lag, NDArray[np.float64]]]:
-        """The misfits of all instances of two elements at a lag where they meet, over their median.
+        """The misfits of all instances of two elements at a lag where they meet, over what is usual for both.
 
         An instance of the first element and one of the second show the same places: the surroundings of the first are
-        the second, and the other way around. Their misfit is the mean squared difference of what they show. Instances
-        that are neighbors in the sample agree by chance of the cut; they are as good as the best quarter.
+        the second, and the other way around. Their misfit is the squared difference of what they show. It is taken over
+        the medians of both instances, so that odd ones are drawn as often as others. Instances that are neighbors in
+        the sample agree there; they are as good as the best quarter.
         """
         smooth = [scipy.ndimage.gaussian_filter(plane, 0.7) for plane in np.moveaxis(self.rest, -1, 0)]
         found = []
@@ -107,10 +108,9 @@ class ElementCopies:
             ]
             misfit = scipy.spatial.distance.cdist(shown[0], shown[1], "sqeuclidean")
             neighbors = (self.whole[a][:, np.newaxis] + np.array(lag) == self.whole[b]).all(-1)
-            if neighbors.all():
-                continue
-            misfit /= max(float(np.median(misfit[~neighbors])), 1e-9)
-            misfit[neighbors] = np.quantile(misfit[~neighbors], 0.25)
+            misfit = np.where(neighbors, np.nan, misfit + 1e-9)
+            usual = np.nanmedian(misfit, 1, keepdims=True) * np.nanmedian(misfit, 0) / np.nanmedian(misfit)
+            misfit = np.where(neighbors, np.nanquantile(misfit / usual, 0.25), misfit / usual)
             found.append((a, b, lag, misfit))
         return found
 
@@ -235,8 +235,8 @@ class ElementCopies:
     ) -> NDArray[np.float64]:
         """Return the copies at some rows of a picture, times ``strength``, with new colors inside their own outlines.
 
-        Where elements meet, each pixel shows the copy that it is joined to by the least visible path: the watersheds of
-        the difference of the copies, from the places inside elements.
+        Where elements meet, copies are joined along the watersheds of their likeness, which are the lines on which they
+        differ least.
         """
         top, bottom, _ = rows.indices(shape[0])
         pad = math.ceil(6 * OUTLINE_REACH * self.elements.lattice.s) + 2
@@ -301,8 +301,8 @@ def _cut_seams(copies: NDArray[np.float64], shares: NDArray[np.float64], owner: 
     apart = np.zeros(owner.shape[1:])
     for r, s in itertools.combinations(range(len(copies)), 2):
         apart = np.maximum(apart, np.square(copies[r] - copies[s]).sum(-1) * (shares[s] > 0))
-    relief = scipy.ndimage.gaussian_filter(np.sqrt(apart), 0.8)
-    basin = watershed(relief, np.where(shares[0] > _CORE, owner[0] + 1, 0)) - 1  # type: ignore[no-untyped-call]
+    likeness = -scipy.ndimage.gaussian_filter(np.sqrt(apart), 0.8)
+    basin = watershed(likeness, np.where(shares[0] > _CORE, owner[0] + 1, 0)) - 1  # type: ignore[no-untyped-call]
     basin = np.where(((basin == owner) & (shares > 0)).any(0), basin, owner[0])
     weight, around = np.zeros(owner.shape), np.pad(basin, 1, mode="edge")
     for y, x in np.ndindex(3, 3):

@@ -65,7 +65,7 @@ class ElementOutlines:
 
         A pixel shows one of the elements around it, or the ground between them (:func:`_find_elements`). So a joint
         that lies elsewhere than in the mean tile is found where it lies, if its color differs from the elements'.
-        Such outlines, and those of the mean tile, are mixed at each place of the cell as they explain the sample best.
+        Such outlines, and those of the mean tile, are mixed at each place of the cell as they explain its pixels best.
 
         Parameters
         ----------
@@ -79,7 +79,7 @@ class ElementOutlines:
         elements, shape = colors.shares.elements, sample.shape[:2]
         row, column, _ = elements.places(shape)
         shares = ElementShares.of(elements, OUTLINE_REACH * elements.lattice.s)
-        found, shown = _find_elements(sample, mean, colors, shares)
+        found, shown, shown_colors = _find_elements(sample, mean, colors, shares)
         usual, moved = np.zeros((2, 4 * elements.count, *shape), np.float32)
         for at, share, label, cell in colors.shares.within(shape):
             usual[find_plane(label, cell), *np.nonzero(at)] += share
@@ -93,8 +93,8 @@ class ElementOutlines:
         usual *= level[row, column]
         moved *= np.clip(level / np.maximum(shown, _GROUND), 0, _MOST_GAIN)[row, column]
         outlines = cls(shares, usual, np.clip(gain / np.maximum(level, 0.1)[..., np.newaxis], 0.5, 2))
-        step = replace(outlines, mattes=moved - usual).lay(table)
         rest = residual - outlines.lay(table)
+        step = shown_colors - sample + rest
         gained, power = (
             scipy.ndimage.gaussian_filter(_fold(f.sum(-1), elements), 1, mode="wrap") for f in (step * rest, step**2)
         )
@@ -129,8 +129,10 @@ def find_plane(label: Numbers, cell: Numbers) -> Numbers:
 
 def _find_elements(
     sample: Values, mean: Values, colors: ElementColors, shares: ElementShares
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the probability that a pixel shows each element around it, ``(R, H, W)``, and that a place shows any.
+
+    The third value is the color that is expected at each pixel, ``(H, W, C)``.
 
     Elements and the ground each have a normal distribution of colors, and a probability at each place of the cell.
     These probabilities, and those of pixels given their colors, are estimated in turn (expectation and maximization;
@@ -160,7 +162,7 @@ def _find_elements(
         ground = found[0] + 1e-9
         chance = np.stack([_fold(one, elements) for one in found])
         chance = scipy.ndimage.gaussian_filter(chance, (0, _SMOOTH, _SMOOTH), mode="wrap")
-    return found[1:], chance[1:].sum(0)
+    return found[1:], chance[1:].sum(0), (found[..., np.newaxis] * expected).sum(0)
 
 
 def _fold(values: NDArray[np.float64], elements: ElementMap) -> NDArray[np.float64]:

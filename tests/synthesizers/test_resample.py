@@ -10,6 +10,7 @@ from skimage.color import rgb2lab
 from synthesis_cases import noise, synthesize
 
 from nrbench import texture
+from nrbench.datasets_procedural.modelling.pattern import Frame
 from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import fold, interpolate
 from nrbench.lattice.geometry import Lattice
@@ -18,10 +19,11 @@ from nrbench.plugins.registry import build
 from nrbench.synthesizers.lattice_places.equal_places import CellTorus
 from nrbench.synthesizers.resample import Resample, VariationModel
 from nrbench.synthesizers.resampling import element_colors
-from nrbench.synthesizers.resampling.cell_field import CellField, measure_steps
 from nrbench.synthesizers.resampling.element_classes import draw_classes, find_object, group_colors, link_classes
-from nrbench.synthesizers.resampling.element_colors import draw_field, match_distribution
+from nrbench.synthesizers.resampling.element_colors import ElementColors, draw_field, match_distribution
+from nrbench.synthesizers.resampling.element_copies import ElementCopies, _cut_seams
 from nrbench.synthesizers.resampling.element_map import ElementMap, InstanceColors, _without_few
+from nrbench.synthesizers.resampling.element_outlines import ElementOutlines
 from nrbench.synthesizers.resampling.element_threads import find_turns, link_threads
 from nrbench.synthesizers.resampling.novelty import NoveltyTest
 from nrbench.synthesizers.tile_set import TileSet
@@ -313,33 +315,6 @@ def test_fresh_draws_are_as_new_as_the_sample() -> None:
     assert not test.passes(np.clip(tinted, 0, 1))
 
 
-@cache
-def stained() -> Texture:
-    """Return tiles of one color under stains about as large as a tile, which run on across joints."""
-    made = drawn("hexagon", color=0, intensity=0, noise=0.01)
-    stains = gaussian_filter(np.random.default_rng(8).standard_normal((128, 128, 3)), (6, 6, 0), mode="wrap")
-    image = np.clip(made.image + 0.1 * stains / stains.std(), 0, 1)
-    return Texture(quantize(image.astype(np.float32)), made.lattice)
-
-
-def test_stains_run_on_across_elements() -> None:
-    """Stains are drawn as one field, which hardly steps at the borders of elements, and is as strong."""
-    made = stained()
-    model = model_of(made)
-    assert model.field is not None and not model.colored
-    output = synthesize(Resample(), made.image, (256, 256), lattice_of(made)).image
-    own, new = (image - model.mean.unfold(image.shape[:2]) for image in (made.image, output))
-    elements = model.detail.elements
-    assert measure_steps(new, elements) < 2 * measure_steps(own, elements)
-    assert np.square(new).mean() == pytest.approx(np.square(own).mean(), rel=0.35)
-
-
-@pytest.mark.parametrize("name", ["brick", "hexagon", "weave"])
-def test_independent_elements_have_no_field(name: str) -> None:
-    """Elements whose colors step at their borders are drawn one by one."""
-    assert model_of(drawn(name, color=0.3)).field is None
-
-
 def middles(image: Image, lattice: Lattice, reach: int) -> NDArray[np.float32]:
     """Return the middle of each whole cell of an image: places up to ``reach`` fifteenths of a vector away."""
     side = np.arange(-7, 8) / 15
@@ -349,17 +324,6 @@ def middles(image: Image, lattice: Lattice, reach: int) -> NDArray[np.float32]:
     whole = (points >= most).all(1) & (points <= np.array(image.shape[1::-1]) - 1 - most).all(1)
     part = np.s_[7 - reach : 8 + reach]
     return interpolate(image, points[whole][:, np.newaxis, np.newaxis] + around[part, part])
-
-
-def test_a_field_keeps_elements_whole() -> None:
-    """A field that is drawn from tiles of one color each, some of them cut by the sample's border, has such tiles."""
-    made = drawn("hexagon", color=0.3, noise=0)
-    model = model_of(made)
-    elements = model.detail.elements
-    field = CellField.fit(elements, made.image - model.mean.unfold((128, 128)))
-    image = field.render(field.draw((200, 200), np.random.default_rng(9)), (200, 200), slice(None))
-    tiles = middles(image, elements.lattice, 2)
-    assert tiles.std((1, 2)).mean() < 0.1 * tiles.mean((1, 2)).std()
 
 
 def test_without_variation_the_output_is_the_mean_tile() -> None:
@@ -445,3 +409,76 @@ def test_details_are_copied_from_other_cells_than_the_neighbors() -> None:
     for lag in ((1, 0), (0, 1), (1, 1), (1, -1)):
         same = (cells == np.roll(cells, lag, (0, 1))).all(-1)
         assert not same[2:-2, 2:-2].any()
+
+
+def test_a_sample_whose_elements_stay_in_place_is_copied() -> None:
+    """Copies of all instances in their own places are the sample, with copied colors and with its colors laid anew."""
+    made = drawn("weave", color=0.3)
+    model = model_of(made)
+    shape = made.image.shape[:2]
+    cells = np.broadcast_to(
+        model.detail.elements.cells(shape), (model.detail.elements.count, *model.detail.elements.cells(shape).shape)
+    )
+    laid = model.detail.render(cells, shape, colors=model.colors.of_sample(shape)) + model.mean.unfold(shape)
+    copies = ElementCopies(
+        model.detail.elements, made.image.astype(float), model.detail.outlines, model.colors.of_sample(shape)
+    )
+    assert not model.notes
+    np.testing.assert_allclose(laid, made.image, atol=0.02)
+    np.testing.assert_allclose(copies.render(cells, shape, colors=copies.colors_of(cells)), made.image, atol=1e-6)
+
+
+def test_outlines_lie_where_the_elements_are() -> None:
+    """On a wall whose bricks are displaced, outlines err half as much as those of the mean tile."""
+    model = build("datasets", "brick", {"color": 0.3, "jitter": 0.5, "noise": 0.02})
+    made = model.render((160, 160), np.random.default_rng(5))
+    lattice = lattice_of(made).reduced()
+    frame = Frame(lattice_of(made).origin, 0.0)
+    layers = model.colored_pattern(*frame.grid((160, 160), moved=made.displacement)).layers
+    true = np.clip(sum(np.broadcast_to(layer.coverage, (160, 160)) for layer in layers), 0, 1)
+    fit = VariationModel.fit(quantize(made.image), lattice)
+    row, column, _ = fit.detail.elements.places((160, 160))
+    usual = np.clip(fit.colors.gain.mean(-1)[row, column], 0, 1)
+    errors = [np.abs(np.clip(found, 0, 1) - true).mean() for found in (fit.detail.outlines.mattes.sum(0), usual)]
+    assert errors[0] < 0.5 * errors[1]
+
+
+def test_seams_lie_where_copies_agree() -> None:
+    """Two copies that agree along a winding line, and differ elsewhere, are joined along it."""
+    y, x = np.indices((60, 60))
+    line = 30 + np.rint(8 * np.sin(y / 7)).astype(int)
+    copies = np.stack([np.zeros((60, 60, 1)), (np.abs(x - line) > 2)[..., np.newaxis].astype(float)])
+    shares = np.stack([np.where(x < 15, 1, 0.5), np.where(x < 15, 0, 0.5)])
+    shares[:, x > 44] = [[1.0], [0.0]]
+    owner = np.stack([np.where(x > 44, 2, 1), np.where(x > 44, 1, 2)])
+    copies[:, x > 44] = copies[::-1, x > 44]
+    weight = _cut_seams(copies, shares, owner)
+    first = np.where(owner[0] == 1, weight[0], weight[1])
+    assert np.abs(first.sum(1) - line[:, 0] - 0.5).max() <= 3
+
+
+def two_joints(count: int) -> ElementCopies:
+    """Return tiles whose upright joints are dark or bright, each tile between two joints of its own."""
+    rng = np.random.default_rng(3)
+    bright = rng.integers(2, size=(count, count + 1))
+    y, x = np.indices((12 * count, 12 * count))
+    sample = np.full((*x.shape, 3), 0.5)
+    joint = (x + 2) % 12 < 4
+    sample[joint] = bright[y // 12, (x + 2) // 12][joint][:, np.newaxis] * 0.8 + 0.1
+    lattice = Lattice.from_basis(np.array([[12.0, 0], [0, 12.0]]), (-0.5, -0.5))
+    elements = ElementMap(lattice, np.zeros((18, 18), np.int64), np.zeros((18, 18, 2), np.int64))
+    colors = ElementColors.fit(elements, np.zeros(sample.shape, np.float32))
+    outlines = ElementOutlines.fit(sample.astype(np.float32), np.full(sample.shape, 0.5, np.float32), colors)
+    return ElementCopies(elements, sample, outlines, colors.of_sample(sample.shape[:2]))
+
+
+def test_neighbors_are_drawn_whose_joints_fit() -> None:
+    """Most tiles lie beside one that shows the same joint; by chance half do. All tiles are drawn about as often."""
+    copies = two_joints(8)
+    cells = copies.draw((400, 400), np.random.default_rng(4))[0]
+    bright = copies.rest[6::12, ::12, 0] > 0.5  # the left joint of each tile, and its right joint
+    left, right = (np.pad(bright, ((0, 0), (0, 1)), mode="edge")[cells[..., 1], cells[..., 0] + k] for k in (0, 1))
+    known = (cells[..., 0] < 7)[:-1]
+    assert (right[:-1] == left[1:])[known].mean() > 0.9
+    used = np.unique(cells.reshape(-1, 2), axis=0, return_counts=True)[1]
+    assert len(used) == len(copies.whole[0]) and used.max() < 3 * used.mean()
