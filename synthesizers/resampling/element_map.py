@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 from skimage.segmentation import watershed
 
-from nrbench.imaging.mean_tile import Values, cell_coordinates, fold
+from nrbench.imaging.mean_tile import Values, cell_coordinates, fold, sample_tile
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Shape
 
@@ -226,7 +226,8 @@ def _watersheds(sample: Values, lattice: Lattice) -> tuple[ElementMap, NDArray[n
     steps = [scipy.ndimage.gaussian_filter(sample, (0.8, 0.8, 0), order=order) for order in ((1, 0, 0), (0, 1, 0))]
     power = np.square(steps, dtype=np.float64).sum(0).sum(-1, keepdims=True)
     v, u = map_grid(lattice)
-    relief = np.sqrt(fold(power.astype(np.float32), lattice, grid=(v, u)).values[..., 0].astype(np.float64))
+    uv = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1)
+    relief = np.sqrt(sample_tile(fold(power.astype(np.float32), lattice).values, uv)[..., 0].astype(np.float64))
     relief = scipy.ndimage.gaussian_filter(relief, max(1.0, 0.04 * GRID * lattice.s), mode="wrap")
     minima = np.argwhere(scipy.ndimage.minimum_filter(relief, 5, mode="wrap") == relief)
     # Three by three copies of the cell: the copy of a minimum whose basin holds a place tells the cell of its instance.
@@ -247,12 +248,15 @@ def _renumbered(label: Numbers) -> Numbers:
 def _most_alike(regions: ElementMap, relief: NDArray[np.float64], residual: Values) -> tuple[float, Pair]:
     """Return how alike the two neighbors are that are most alike, and the pair."""
     colors = regions.mean_colors(residual)
+    energy = [color.energy() for color in colors]
     inside = [float(np.quantile(relief[regions.label == k], 0.9)) for k in range(regions.count)]
 
     def likeness(pair: Pair, height: float) -> float:
         a, b, lag = pair
         salience = height / max(inside[a], inside[b], 1e-12)
-        return colors[a].correlation(colors[b], lag)[0] + _DOUBT * max(0.0, _SALIENT - salience)
+        comparable = _GROUND * energy[a] < energy[b] < energy[a] / _GROUND
+        together = colors[a].correlation(colors[b], lag)[0] if comparable else 0.0
+        return together + _DOUBT * max(0.0, _SALIENT - salience)
 
     return max((likeness(pair, height), pair) for pair, height in regions.borders(relief).items())
 
