@@ -230,8 +230,7 @@ class VariationModel:
 
     def pictures(self) -> dict[str, Image]:
         """Return the mean tile, the elements and their colors as pictures of the sample's shape."""
-        height, width, _ = self.detail.rest.shape
-        shape = height, width
+        shape = self.detail.rest.shape[:2]
         label, cell = self.detail.elements.instances(shape)
         hue = (0.38 * label + cell @ (0.618, 0.267))[..., np.newaxis] + np.arange(3) / 3
         color = self.colors.lay(self.colors.of_sample(shape), shape) + self.mean.values.mean((0, 1))
