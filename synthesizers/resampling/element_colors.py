@@ -25,6 +25,8 @@ _SOFTNESS = 0.5
 """px, standard deviation of the Gaussian that softens the borders between the colors of elements."""
 _CORE = 0.95
 """Share from which a place is inside its element, where its color is measured."""
+_ROUNDS = 3
+"""Fits of colors, with a fit of gains between two of them."""
 _MOST_GAIN = 1.6
 _REACH = 2
 """Largest lag, in cells, at which colors are correlated."""
@@ -67,38 +69,44 @@ class ElementColors:
 
     @classmethod
     def fit(cls, elements: ElementMap, residual: Values) -> ElementColors:
-        """Return the model of a residual: the colors are means inside elements, the gains are fitted by least squares.
+        """Return the model of a residual: colors and gains are fitted in turn, by least squares.
 
         A gain is drawn to 1 as far as noise hides it. Its mean inside elements is 1.
         """
-        shape = residual.shape[:2]
+        shape, channels = residual.shape[:2], residual.shape[2]
         shares = ElementShares.of(elements, _SOFTNESS)
         regions = elements.mean_colors(residual)
         threads = link_threads(regions, elements.lattice)
         core = shares.share[0] > _CORE
         row, column, _ = elements.places(shape)
-        inside = core[row, column, np.newaxis]
         parts = np.stack([region.shown for region in regions])
         seen = parts > 0
         number = np.stack([thread.number(elements.cells(shape)) for thread in threads])[seen]
         low, first = number.min(0), np.array([thread.first for thread in threads])
         index = first[np.nonzero(seen)[0]], *(number - low).T
-        shown = np.zeros((len(threads), *(number.max(0) - low + 1)))
+        box = len(threads), *(number.max(0) - low + 1)
+        shown = np.zeros(box)
         np.maximum.at(shown, index, parts[seen])
-        sums = np.zeros((*shown.shape, residual.shape[2] + 1))
-        np.add.at(sums, index, elements.sum_pixels(np.concatenate([residual * inside, inside], -1))[seen])
-        values = sums[..., :-1] / np.maximum(sums[..., -1:], 1)
-        colors = {k: InstanceColors(values[k], shown[k]) for k in sorted(set(first.tolist()))}
-        model = cls(shares, np.ones((*core.shape, residual.shape[2]), np.float32), threads, colors, low)
-        flat = model.lay(model.of_sample(shape), shape)
-        doubt = (residual - flat).var((0, 1)) + 1e-12
-        product, power = (
-            fold(f.astype(np.float32), elements.lattice, grid=core.shape) for f in (flat * residual, flat**2)
-        )
-        count = power.counts[..., np.newaxis]
-        gain = (product.values * count + doubt) / (power.values * count + doubt)
-        gain = scipy.ndimage.gaussian_filter(gain, (0.7, 0.7, 0), mode="wrap")
-        return replace(model, gain=np.clip(gain / gain[core].mean(0), 0, _MOST_GAIN).astype(np.float32))
+        gain = np.ones((*core.shape, channels), np.float32)
+        for turn in range(_ROUNDS):
+            weight = gain[row, column] * core[row, column, np.newaxis]
+            sums = np.zeros((*box, 2 * channels))
+            np.add.at(sums, index, elements.sum_pixels(np.concatenate([weight * residual, weight**2], -1))[seen])
+            values = sums[..., :channels] / np.maximum(sums[..., channels:], 1e-9)
+            colors = {k: InstanceColors(values[k], shown[k]) for k in sorted(set(first.tolist()))}
+            model = cls(shares, gain, threads, colors, low)
+            if turn == _ROUNDS - 1:
+                break
+            flat = model.lay(model.of_sample(shape), shape)
+            doubt = (residual - flat * gain[row, column]).var((0, 1)) + 1e-12
+            product, power = (
+                fold(f.astype(np.float32), elements.lattice, grid=core.shape) for f in (flat * residual, flat**2)
+            )
+            count = power.counts[..., np.newaxis]
+            gain = (product.values * count + doubt) / (power.values * count + doubt)
+            gain = scipy.ndimage.gaussian_filter(gain, (0.7, 0.7, 0), mode="wrap")
+            gain = np.clip(gain / gain[core].mean(0), 0, _MOST_GAIN).astype(np.float32)
+        return model
 
     def spread(self, colors: Mapping[int, Table], low: Numbers, shape: Shape) -> Table:
         """Return the color of each instance in a picture, on the box of :meth:`ElementMap.cells`.
