@@ -72,8 +72,7 @@ THREAD_LIMITS = {
     "_LINKED_THREADS": ((0.2, 1.0), (0.0, 1.0), (0.4, 1.0)),
     "_STAINED": ((0.25, 0.5, 0.75), (0.01,)),
     "_STAIN_REACHES": ((2.0, 6.0), (1.0, 3.0)),
-    "_FADES": (0.02, 0.2, 1e-9),
-    "_MOST": (150, 40),
+    "_MOST": (100, 40),
 }
 """The same for threads."""
 WITHOUT_STAINS: Mapping[str, Any] = {"_STAINED": (0.01,)}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy
@@ -16,7 +15,7 @@ from nrbench.plugins.forms import Shape
 
 from ..lattice_places.equal_places import CellTorus
 from .element_classes import draw_classes, group_colors
-from .element_map import WHOLE, ElementMap, ElementShares, InstanceColors, Numbers
+from .element_map import ElementMap, ElementShares, InstanceColors, Numbers
 from .element_threads import ElementThread, link_threads
 
 Table = NDArray[np.float64]
@@ -74,42 +73,37 @@ class ElementColors:
 
         A gain is drawn to 1 as far as noise hides it. Its mean inside elements is 1.
         """
-        shape, grid = residual.shape[:2], elements.label.shape
+        shape, channels = residual.shape[:2], residual.shape[2]
         shares = ElementShares.of(elements, _SOFTNESS)
         regions = elements.mean_colors(residual)
         threads = link_threads(regions, elements.lattice)
         core = shares.share[0] > _CORE
         row, column, _ = elements.places(shape)
-        label, instance = elements.instances(shape)
-        numbers = np.stack([thread.number(instance) for thread in threads])
-        number = np.take_along_axis(numbers, label[np.newaxis, ..., np.newaxis], 0)[0]
-        low = number.min((0, 1))
-        box = (len(threads), *(number.max((0, 1)) - low + 1).tolist())
-        first = np.array([thread.first for thread in threads])
-        index = np.ravel_multi_index((first[label], *np.moveaxis(number - low, -1, 0)), box).ravel()
-        whole = np.bincount(elements.label[core], minlength=len(threads)) / core.size * elements.lattice.area
-        inside = core[row, column]
-        shown = np.bincount(index, inside.ravel(), int(np.prod(box))).reshape(box) / np.maximum(whole, 1)[:, None, None]
-        shown = np.minimum(shown, 0.9)
-        for thread, region in zip(threads, regions, strict=True):
-            seen = thread.number(elements.cells(shape)[region.shown >= WHOLE]) - low
-            shown[(thread.first, *seen.T)] = 1  # only whole instances are copied
-        gain = np.ones((*grid, residual.shape[2]), np.float32)
+        parts = np.stack([region.shown for region in regions])
+        seen = parts > 0
+        number = np.stack([thread.number(elements.cells(shape)) for thread in threads])[seen]
+        low, first = number.min(0), np.array([thread.first for thread in threads])
+        index = first[np.nonzero(seen)[0]], *(number - low).T
+        box = len(threads), *(number.max(0) - low + 1)
+        shown = np.zeros(box)
+        np.maximum.at(shown, index, parts[seen])
+        gain = np.ones((*core.shape, channels), np.float32)
         for turn in range(_ROUNDS):
-            weight = gain[row, column] * inside[..., np.newaxis]
-            values = _sums(weight * residual, index, box) / np.maximum(_sums(weight * weight, index, box), 1e-9)
+            weight = gain[row, column] * core[row, column, np.newaxis]
+            sums = np.zeros((*box, 2 * channels))
+            np.add.at(sums, index, elements.sum_pixels(np.concatenate([weight * residual, weight**2], -1))[seen])
+            values = sums[..., :channels] / np.maximum(sums[..., channels:], 1e-9)
             colors = {k: InstanceColors(values[k], shown[k]) for k in sorted(set(first.tolist()))}
             model = cls(shares, gain, threads, colors, low)
             if turn == _ROUNDS - 1:
                 break
-            flat = model.lay(model.spread({k: c.values for k, c in colors.items()}, low, shape), shape)
-            noise = (residual - flat * gain[row, column]).var((0, 1))
+            flat = model.lay(model.of_sample(shape), shape)
+            doubt = (residual - flat * gain[row, column]).var((0, 1)) + 1e-12
             product, power = (
-                fold(f.astype(np.float32), elements.lattice, grid=grid) for f in (flat * residual, flat**2)
+                fold(f.astype(np.float32), elements.lattice, grid=core.shape) for f in (flat * residual, flat**2)
             )
             count = power.counts[..., np.newaxis]
-            prior = noise + 1e-12
-            gain = (product.values * count + prior) / (power.values * count + prior)
+            gain = (product.values * count + doubt) / (power.values * count + doubt)
             gain = scipy.ndimage.gaussian_filter(gain, (0.7, 0.7, 0), mode="wrap")
             gain = np.clip(gain / gain[core].mean(0), 0, _MOST_GAIN).astype(np.float32)
         return model
@@ -135,21 +129,18 @@ class ElementColors:
             table.append(values[i, j])
         return np.stack(table)
 
-    def lay(self, table: Table, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
-        """Return the color of the elements at each pixel of some rows of a picture, before the gain."""
-        top, bottom, _ = rows.indices(shape[0])
+    def lay(self, table: Table, shape: Shape) -> NDArray[np.float64]:
+        """Return the color of the elements at each pixel of a picture, before the gain."""
         corner = self.shares.elements.cells(shape)[0, 0]
-        laid = np.zeros((bottom - top, shape[1], table.shape[-1]))
-        for at, share, label, cell in self.shares.within(laid.shape[:2], (0, top)):
-            i, j = (cell - corner).T
-            laid[at] += share[:, np.newaxis] * table[label, i, j]
+        laid = np.zeros((*shape, table.shape[-1]))
+        for at, share, label, cell in self.shares.within(shape):
+            laid[at] += share[:, np.newaxis] * table[label, *(cell - corner).T]
         return laid
 
-    def render(self, table: Table, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
-        """Return the colors at each pixel of some rows of a picture, with the gain."""
-        laid = self.lay(table, shape, rows)
-        row, column, _ = self.shares.elements.places(laid.shape[:2], (0, rows.indices(shape[0])[0]))
-        return np.asarray(laid * self.gain[row, column])
+    def render(self, table: Table, shape: Shape) -> NDArray[np.float64]:
+        """Return the colors at each pixel of a picture, with the gain."""
+        row, column, _ = self.shares.elements.places(shape)
+        return np.asarray(self.lay(table, shape) * self.gain[row, column])
 
     @cached_property
     def classes(self) -> dict[int, Numbers]:
@@ -157,21 +148,22 @@ class ElementColors:
         found = {name: group_colors(color) for name, color in self.colors.items()}
         return {name: classes for name, classes in found.items() if classes is not None}
 
+    @cached_property
+    def _means(self) -> dict[int, Table]:
+        """The mean color of each class, ``(K, C)``."""
+        return {
+            name: np.stack([self.colors[name].values[own == k].mean(0) for k in range(own.max() + 1)])
+            for name, own in self.classes.items()
+        }
+
     def of_sample(self, shape: Shape) -> Table:
         """Return the sample's own colors, for :meth:`lay` and :meth:`render`."""
         return self.spread({k: c.values for k, c in self.colors.items()}, self.low, shape)
 
     def of_classes(self, shape: Shape) -> Table:
-        """Return the sample's own colors; for elements that are in classes but in no thread, the mean of the class."""
-        return self.spread({k: self._prototypes(k) for k in self.colors}, self.low, shape)
-
-    def _prototypes(self, name: int) -> Table:
-        """Return the colors of threads; for elements that are in classes but in no thread, the mean of the class."""
-        values, classes = self.colors[name].values, self.classes.get(name)
-        if classes is None or self.threads[name].turn != (0, 0):
-            return values
-        means = np.stack([values[classes == k].mean(0) for k in range(classes.max() + 1)])
-        return np.where(classes[..., np.newaxis] < 0, values, means[classes])
+        """Return the sample's own colors; for elements that are in classes, the mean of the class."""
+        means = {name: self._means[name][own] for name, own in self.classes.items()}
+        return self.spread({k: c.values for k, c in self.colors.items()} | means, self.low, shape)
 
     def on_torus(self, torus: CellTorus) -> ElementColors:
         """Return the model for an output that repeats: a thread runs around its edges, and may meet itself."""
@@ -180,36 +172,23 @@ class ElementColors:
     def draw(self, shape: Shape, rng: np.random.Generator, torus: CellTorus | None = None) -> Table:
         """Return new colors for a picture: a Gaussian field with the sample's correlations, and its distribution.
 
-        Where colors form classes, those are drawn (:func:`.element_classes.draw_classes`), and each has the color of a
-        random member.
+        Where colors form classes, those are drawn (:func:`.element_classes.draw_classes`), and each has its mean color.
         """
-        if torus is not None:
-            return self.on_torus(torus)._draw_numbers(shape, rng, np.zeros(2, np.int64), torus)
-        cells = self.shares.elements.cells(shape)
-        numbers = np.concatenate([thread.number(cells).reshape(-1, 2) for thread in self.threads])
-        low = numbers.min(0)
-        extent = numbers.max(0) - low + 1 + 2 * _REACH
-        return self._draw_numbers(shape, rng, low, CellTorus.of(np.diag(extent)))
-
-    def _draw_numbers(self, shape: Shape, rng: np.random.Generator, low: Numbers, torus: CellTorus) -> Table:
+        if torus is None:
+            cells = self.shares.elements.cells(shape)
+            numbers = np.stack([thread.number(cells) for thread in self.threads])
+            model, low = self, numbers.min((0, 1, 2))
+            torus = CellTorus.of(np.diag(np.ptp(numbers, (0, 1, 2)) + 1 + 2 * _REACH))
+        else:
+            model, low = self.on_torus(torus), np.zeros(2, np.int64)
         field = draw_field(list(self.colors.values()), torus, rng)
         drawn = {
             name: match_distribution(field[:, :, k], color.values[color.known], rng)
             for k, (name, color) in enumerate(self.colors.items())
         }
         classes = draw_classes(list(self.classes.values()), torus, rng)
-        for new, (name, own) in zip(np.moveaxis(classes, -1, 0), self.classes.items(), strict=True):
-            for k in range(own.max() + 1):
-                members = self._prototypes(name)[own == k]
-                drawn[name][new == k] = members[rng.integers(len(members), size=(new == k).sum())]
-        return self.spread(drawn, low, shape)
-
-
-def _sums(values: NDArray[np.floating[Any]], index: Numbers, box: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the sum of the pixels of each index, ``(*box, C)``."""
-    size = int(np.prod(box))
-    sums = np.stack([np.bincount(index, plane.ravel(), size) for plane in np.moveaxis(values, -1, 0)], -1)
-    return np.asarray(sums, np.float64).reshape(*box, -1)
+        drawn |= {name: self._means[name][classes[..., k]] for k, name in enumerate(self.classes)}
+        return model.spread(drawn, low, shape)
 
 
 def draw_field(colors: Sequence[InstanceColors], torus: CellTorus, rng: np.random.Generator) -> Table:
@@ -261,18 +240,14 @@ def match_distribution(field: Table, sample: NDArray[np.float64], rng: np.random
         return np.zeros_like(field)
     power, axes = np.linalg.eigh(np.atleast_2d(np.cov(sample.T)))
     root = (axes * np.sqrt(np.maximum(power, 0))).T
-    colors = field.reshape(-1, channels) @ root
     width = 0.6 * count ** (-1 / 7)
     size = (max(4096, 8 * count), channels)
     target = (sample[rng.integers(count, size=size[0])] - sample.mean(0)) * np.sqrt(count / (count - 1))
     target = (target + width * rng.standard_normal(size) @ root) / np.hypot(1, width)
-    source = rng.standard_normal(size) @ root
-    for turn in range(_BASES):
-        basis = np.linalg.qr(rng.standard_normal((channels, channels)))[0] if turn else axes
-        for axis in basis.T:
-            old, new = np.quantile(source @ axis, _LEVELS), np.quantile(target @ axis, _LEVELS)
-            for points in (source, colors):
-                along = points @ axis
-                moved = np.interp(along, old, new) + np.minimum(along - old[0], 0) + np.maximum(along - old[-1], 0)
-                points += (moved - along)[:, np.newaxis] * axis
-    return np.asarray(colors.reshape(field.shape))
+    points = np.concatenate([rng.standard_normal(size) @ root, field.reshape(-1, channels) @ root])
+    for _ in range(_BASES):
+        for axis in np.linalg.qr(rng.standard_normal((channels, channels)))[0]:
+            along = points @ axis
+            old, new = np.quantile(along[: size[0]], _LEVELS), np.quantile(target @ axis, _LEVELS)
+            points += np.interp(along, old, new - old)[:, np.newaxis] * axis
+    return np.asarray(points[size[0] :].reshape(field.shape))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,17 +20,13 @@ _LAGS = [(i, j) for i in (0, 1, 2) for j in (-2, -1, 0, 1, 2) if (i, j) > (0, 0)
 """The turns that a thread may have, in cells."""
 _EVIDENCE = 1.0
 """Least evidence for threads in all elements: log10 of the ratio of likelihoods."""
-_SHARED = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Shares of the variance of colors, beside stains, that may be common along a thread."""
+_RATIOS = (0.0, 1 / 9, 3 / 7, 1.0, 7 / 3, 9.0)
+"""Variances common along a thread, over the other variance of colors; the first one is that without threads."""
 _STAINED = (0.25, 0.5, 0.75)
 """Shares of the variance, beside threads, that may lie in stains."""
 _STAIN_REACHES = (2.0, 6.0)
 """Distances, in s, at which the correlation of a stain may be 1 / e."""
-_THREAD_REACHES = (1.0, 2.0)
-"""The same along a thread whose color fades, in turns."""
-_FADES = 0.02
-"""Probability that the color of a thread fades, in that of threads whose color stays."""
-_MOST = 150
+_MOST = 100
 """Largest number of instances of an element that are compared, those in the middle."""
 _LINKED = (0.5, 1.0)
 """Different elements whose colors correlate at a lag by a + b / sqrt(pairs) are one thread."""
@@ -85,16 +82,12 @@ def link_threads(colors: Sequence[InstanceColors], lattice: Lattice) -> list[Ele
         Its basis spans the cells.
     """
     threads = [ElementThread(k, turn=turn) for k, turn in enumerate(find_turns(colors, lattice))]
-    links = []
-    for a, one in enumerate(threads):
-        for b in range(a + 1, len(threads)):
-            turn = max(one.turn, threads[b].turn)
-            if min(one.turn, threads[b].turn) in ((0, 0), turn):
-                for lag in ((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
-                    links.append((_compare(colors[a], colors[b], lag, turn), a, b, lag))
-    for excess, a, b, lag in sorted(links, reverse=True):
-        if excess < 0:
-            break
+    links = [
+        (_compare(colors[a], colors[b], (i, j), max(threads[a].turn, threads[b].turn)), a, b, (i, j))
+        for a, b in itertools.combinations(range(len(threads)), 2)
+        for i, j in itertools.product((-1, 0, 1), repeat=2)
+    ]
+    for _, a, b, lag in sorted((link for link in links if link[0] >= 0), reverse=True):
         one, other = threads[a], threads[b]
         turn = max(one.turn, other.turn)
         if one.first == other.first or min(one.turn, other.turn) not in ((0, 0), turn):
@@ -157,7 +150,7 @@ def compare_turns(color: InstanceColors, lattice: Lattice) -> NDArray[np.float64
     exponentially with the distance, and a rest that is independent. The shares and the reach of stains are integrated
     over grids; stains have the probability 1/2. The mean and the variance of the colors are integrated as well: the
     likelihood is the restricted one of a random effects model (Patterson and Thompson 1971). The channels are as
-    many as the eigenvalues of their covariance amount to. Without threads, colors may also fade along the best lag.
+    many as the eigenvalues of their covariance amount to.
 
     Parameters
     ----------
@@ -176,55 +169,19 @@ def compare_turns(color: InstanceColors, lattice: Lattice) -> NDArray[np.float64
     values = contrasts @ values
     covariance = values.T @ values
     channels = np.trace(covariance) ** 2 / max(float((covariance**2).sum()), 1e-30)
-    groups = [_group(ElementThread(0, turn=lag).number(cells)) for lag in _LAGS]
-    members = [contrasts @ np.eye(group.max() + 1)[group] for group in groups]
+    groups = np.stack([_group(ElementThread(0, turn=lag).number(cells)) for lag in _LAGS])
+    common = contrasts @ (groups[:, :, np.newaxis] == groups[:, np.newaxis]) @ contrasts.T
     apart = scipy.spatial.distance.cdist(places, places)
-    found, prior = [], []
-    for reach in _STAIN_REACHES:
-        power, axes = np.linalg.eigh(contrasts @ np.exp(-apart / reach) @ contrasts.T)
-        turned, turned_members = axes.T @ values, [axes.T @ one for one in members]
-        for share in (0.0, *_STAINED):
-            found.append(_likelihoods(turned, turned_members, 1 / np.maximum(1 - share + share * power, 1e-9)))
-            prior.append([[0.5 / len(_STAIN_REACHES) / (len(_STAINED) if share else 1)]])
-    own = found[0][0, 0]
-    likely = scipy.special.logsumexp(channels * (np.array(found) - own), 0, b=np.array(prior))
-    threads, none = scipy.special.logsumexp(likely[1:], 1) - math.log(len(_SHARED)), np.full(len(_LAGS), likely[0, 0])
-    # Threads whose color fades are rare: they are only compared with the best of those whose color stays.
-    best = int(threads.argmax())
-    same = groups[best][:, np.newaxis] == groups[best]
-    step = apart[same & (apart > 0)].min(initial=np.inf)
-    fading = []
-    for reach in _THREAD_REACHES:
-        power, axes = np.linalg.eigh(contrasts @ (same * np.exp(-apart / (reach * step))) @ contrasts.T)
-        variances = [np.maximum(1 - share + share * power, 1e-9) for share in _SHARED]
-        fading += [_likelihoods(axes.T @ values, (), 1 / variance)[0, 0] - own for variance in variances]
-    faded = scipy.special.logsumexp(channels * np.array(fading)) + math.log(_FADES / len(fading))
-    none[best] = np.logaddexp(none[best], faded)
-    return np.asarray((threads - none) / math.log(10))
+    stains = [contrasts @ np.exp(-apart / reach) @ contrasts.T for reach in _STAIN_REACHES]
+    own = np.eye(len(values))
+    others = [own, *((1 - share) * own + share * stain for stain in stains for share in _STAINED)]
+    found = np.array([[_likelihoods(values, other + ratio * common) for ratio in _RATIOS] for other in others])
+    prior = np.array([0.5] + [0.5 / (len(others) - 1)] * (len(others) - 1))[:, np.newaxis, np.newaxis]
+    none, *threads = scipy.special.logsumexp(channels * (found - found[0, 0, 0]), 0, b=prior)
+    return np.asarray((scipy.special.logsumexp(threads, 0) - math.log(len(threads)) - none) / math.log(10))
 
 
-def _likelihoods(
-    values: NDArray[np.float64], members: Sequence[NDArray[np.float64]], weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the log-likelihood of no threads, and of each grouping and share, ``(1 + groupings, shares)``, a channel.
-
-    Parameters
-    ----------
-    values
-        ``(n, C)``, independent but for threads.
-    members
-        The effect of each group on the values, ``(n, groups)`` each.
-    weight
-        ``(n,)``: the inverse variances of the values.
-    """
-    ratio = np.array(_SHARED) / (1 - np.array(_SHARED))
-    square, spread = (weight[:, np.newaxis] * values**2).sum(), -np.log(weight).sum()
-    rows = [np.full(len(ratio), spread + len(values) * math.log(max(square, 1e-12)))]
-    for member in members:
-        weighted = weight[:, np.newaxis] * member
-        power, axes = np.linalg.eigh(member.T @ weighted)
-        grown = 1 + ratio[:, np.newaxis] * np.maximum(power, 0)
-        common = ((axes.T @ (weighted.T @ values)) ** 2).sum(1)
-        left = np.maximum(square - (ratio[:, np.newaxis] * common / grown).sum(1), 1e-12)
-        rows.append(spread + np.log(grown).sum(1) + len(values) * np.log(left))
-    return -0.5 * np.array(rows)
+def _likelihoods(values: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the log-likelihood a channel of values ``(n, C)`` for covariances ``(..., n, n)`` of unknown scale."""
+    square = (values * np.linalg.solve(covariance, values)).sum((-2, -1))
+    return np.asarray(-(np.linalg.slogdet(covariance)[1] + len(values) * np.log(np.maximum(square, 1e-12))) / 2)

