@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import ClassVar, Final
 
 import numpy as np
+import scipy
 
 from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
@@ -30,6 +31,10 @@ _EXPLAINED = 0.05
 """Least share of the residual's variance that the colors of elements explain; with less, elements are whole cells."""
 _BY_CHANCE = 5.0
 """Pixels of noise whose variance one more color, and its gains, explain by chance."""
+_TONES = 0.6
+"""Least share of the variance of the coarse residual that the colors of elements explain, for colors to be drawn."""
+_COARSE = 1 / 14
+"""Standard deviation, in s, of the Gaussian by which the coarse part of a residual is told from its detail."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
 
@@ -169,10 +174,12 @@ class VariationModel:
         task = Task(sample, test.shape, lattice, np.random.default_rng(0))
         why = "their colors form classes"
         if not copies.colors.classes:
-            why = "new ones are stranger than those of the sample are to each other"
             drawn = copies.with_drawn_colors(sample)
-            if test.passes(drawn.draw(task, 1.0)):
-                return drawn
+            why = "their tones vary inside them"
+            if explain_tones(residual, drawn.detail) >= _TONES:
+                why = "new ones are stranger than those of the sample are to each other"
+                if test.passes(drawn.draw(task, 1.0)):
+                    return drawn
         if test.passes(copies.draw(task, 1.0)):
             return replace(copies, notes=(*copies.notes, f"elements are whole instances: {why}"))
         return replace(copies, copied="what it draws is stranger than the elements of the sample are to each other")
@@ -242,6 +249,13 @@ class VariationModel:
         color = self.colors.lay(self.colors.of_sample(shape), shape) + self.mean.values.mean((0, 1))
         pictures = {"template": self.mean.unfold(shape), "elements": np.abs(2 * (hue % 1) - 1), "attributes": color}
         return {name: np.clip(picture, 0, 1).astype(np.float32) for name, picture in pictures.items()}
+
+
+def explain_tones(residual: Values, detail: ElementCopies) -> float:
+    """Return the share of the variance of a coarse residual that the colors of elements explain."""
+    width = _COARSE * detail.elements.lattice.s
+    left, whole = (scipy.ndimage.gaussian_filter(a, (width, width, 0)).var() for a in (detail.rest, residual))
+    return float(1 - left / max(whole, 1e-12))
 
 
 @lru_cache(maxsize=2)

@@ -40,8 +40,6 @@ _EXACT = 0.02
 _EQUAL = 6.0
 """Log-likelihood that two copies of one instance beside each other cost."""
 _AROUND: tuple[Lag, ...] = ((1, 0), (0, 1), (1, 1), (1, -1), (-1, 0), (0, -1), (-1, -1), (-1, 1))
-_OFF = 8.0
-"""Log-likelihood that a shift of a pixel costs by which a copy lies beside its place."""
 _SWEEPS = 5
 """Times that each element is drawn again, given its neighbors."""
 _EVEN = 0.7
@@ -66,8 +64,8 @@ class ElementCopies:
         The outlines of its instances.
     own
         ``(E, I, J, C)``: the colors of the instances, on the box of :meth:`ElementMap.cells`, if ``rest`` holds them.
-        Then pixels of the sample are copied as they are, and what surrounds an element takes the colors of its new
-        neighbors. None: ``rest`` is interpolated, and all colors are laid.
+        Then no copied value leaves the range of the pixels around its place, and what surrounds an element takes the
+        colors of its new neighbors. None: all colors are laid.
     """
 
     elements: ElementMap
@@ -89,6 +87,18 @@ class ElementCopies:
     @cached_property
     def _splines(self) -> list[NDArray[np.float64]]:
         return [scipy.ndimage.spline_filter(plane, _ORDER, mode="mirror") for plane in np.moveaxis(self.rest, -1, 0)]
+
+    @cached_property
+    def _extremes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        filters = scipy.ndimage.minimum_filter, scipy.ndimage.maximum_filter
+        low, high = (f(self.rest, (2, 2, 1), origin=(-1, -1, 0), mode="nearest") for f in filters)
+        return low, high
+
+    def _find_range(self, places: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return the least and the largest value of the four pixels around each place (x, y), ``(n, C)`` each."""
+        size = np.array(self.rest.shape[1::-1]) - 1
+        x, y = np.floor(size - np.abs(size - np.abs(places))).astype(np.int64).clip(0, size).T
+        return [extreme[y, x] for extreme in self._extremes]
 
     @cached_property
     def _misfits(self) -> list[tuple[int, int, Lag, NDArray[np.float64]]]:
@@ -178,8 +188,6 @@ class ElementCopies:
                 if colors is not None:
                     likelihood -= self._compare_colors(k, colors[0][k], colors[1][k][i, j], bool(exact) and exact[k])
                 likelihood -= self._weigh_neighbors(k, drawn, i, j)
-                if self.own is not None:
-                    likelihood -= self._weigh_shifts(k, places[i, j])
                 drawn[k][i, j] = likelihood.argmax(-1)
                 drawn[k] = drawn[k][equal]
             count = np.bincount(drawn[k].ravel(), minlength=len(bias[k]))
@@ -196,11 +204,6 @@ class ElementCopies:
     def colors_of(self, drawn: Numbers) -> Table:
         """Return the colors of the elements that were drawn, ``(E, I, J, C)``."""
         return np.stack([np.asarray(self._read_own(np.array(k), cells)) for k, cells in enumerate(drawn)])
-
-    def _weigh_shifts(self, k: int, cells: Numbers) -> NDArray[np.float64]:
-        """Return minus the log-likelihoods ``(m, n)`` of n instances at m cells, by how far off pixels they lie."""
-        shift = (cells[:, np.newaxis] - self.whole[k]) @ self.elements.lattice.matrix
-        return np.asarray(_OFF * np.square(shift - _round(shift)).sum(-1))
 
     def _compare_colors(self, k: int, own: Table, new: Table, exact: bool) -> NDArray[np.float64]:
         """Return minus the log-likelihoods ``(m, n)`` that m new colors belong to n whole instances of an element."""
@@ -250,14 +253,11 @@ class ElementCopies:
         copies = np.zeros((ranks, *size, self.rest.shape[2]))
         for rank, (at, _, label, cell) in enumerate(around):
             step = drawn[label, *(cell - corner).T] - cell
-            shift = step @ self.elements.lattice.matrix
-            place = np.argwhere(at)[:, ::-1] + (-pad, top - pad) + (shift if self.own is None else _round(shift))
+            place = np.argwhere(at)[:, ::-1] + (-pad, top - pad) + step @ self.elements.lattice.matrix
+            for channel, plane in enumerate(self._splines):
+                copies[rank, at, channel] = strength * _interpolate(plane, place)
             if self.own is not None:
-                x, y = _reflect(place, np.array(self.rest.shape[1::-1])).T
-                copies[rank, at] = self.rest[y, x]
-            else:
-                for channel, plane in enumerate(self._splines):
-                    copies[rank, at, channel] = strength * _interpolate(plane, place)
+                copies[rank, at] = np.clip(copies[rank, at], *self._find_range(place))
             if colors is not None:
                 laid = np.zeros((len(place), self.rest.shape[2]))
                 for other in range(ranks):
@@ -270,15 +270,6 @@ class ElementCopies:
         weight = _cut_seams(copies, shares, np.asarray(np.ravel_multi_index(tuple(index), drawn.shape[:3])))
         inner = slice(pad, size[0] - pad), slice(pad, size[1] - pad)
         return np.asarray((copies * weight[..., np.newaxis]).sum(0)[inner])
-
-
-def _round(places: NDArray[np.float64]) -> Numbers:
-    return np.floor(places + 0.5).astype(np.int64)
-
-
-def _reflect(places: Numbers, size: Numbers) -> Numbers:
-    """Return places (x, y) reflected into a picture of this (width, height)."""
-    return np.asarray(np.clip(np.where(places < 0, -places, np.minimum(places, 2 * (size - 1) - places)), 0, size - 1))
 
 
 def _interpolate(plane: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
