@@ -13,6 +13,8 @@ from .element_map import WHOLE, InstanceColors, Lag, Numbers, Pair, overlap
 
 _MOST_CLASSES = 8
 """Largest number of classes of one element."""
+_MOST = 1000
+"""Largest number of colors that are grouped; others take the nearest group."""
 _FEWEST = 6
 """Fewer colors are not taken for classes."""
 _SPREAD = 0.01
@@ -43,12 +45,17 @@ def group_colors(color: InstanceColors) -> Numbers | None:
     number of groups explains a smooth distribution better than a Gaussian by this measure, as each halving of the width
     costs as much as it gains.
     """
-    colors = color.values[color.known]
+    known = color.values[color.known]
+    chosen = np.random.default_rng(0).permutation(len(known))[:_MOST]
+    colors = known[chosen]
     count, channels = colors.shape
     if count < _FEWEST:
         return None
-    power = np.maximum(np.linalg.eigvalsh(np.atleast_2d(np.cov(colors.T, bias=True))), 0) + _SPREAD**2
-    gaussian = -count / 2 * (np.log(power).sum() + channels) - channels * (channels + 3) / 4 * np.log(count)
+    spread = np.maximum(np.linalg.eigvalsh(np.atleast_2d(np.cov(colors.T, bias=True))), 0)
+    power = spread + _SPREAD**2
+    gaussian = -count / 2 * (np.log(power).sum() + (spread / power).sum()) - channels * (channels + 3) / 4 * np.log(
+        count
+    )
     tree = scipy.cluster.hierarchy.linkage(colors, "ward")
     best, found = -np.inf, None
     for groups in range(2, min(_MOST_CLASSES, count // 2) + 1):
@@ -64,12 +71,12 @@ def group_colors(color: InstanceColors) -> Numbers | None:
     if found is None or best - gaussian < _GAIN[0] * count + _GAIN[1]:
         return None
     # Instances that the sample shows in part may seem a class of their own, of which none can be copied.
-    whole = np.unique(found[color.shown[color.known] >= WHOLE])
+    whole = np.unique(found[color.shown[color.known][chosen] >= WHOLE])
     if len(whole) < 2:
         return None
     means = np.stack([colors[found == k].mean(0) for k in whole])
     classes = np.full(color.known.shape, -1)
-    classes[color.known] = scipy.spatial.distance.cdist(colors, means).argmin(-1)
+    classes[color.known] = scipy.spatial.distance.cdist(known, means).argmin(-1)
     return classes
 
 

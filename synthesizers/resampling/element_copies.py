@@ -208,9 +208,10 @@ class ElementCopies:
     def _compare_colors(self, k: int, own: Table, new: Table, exact: bool) -> NDArray[np.float64]:
         """Return minus the log-likelihoods ``(m, n)`` that m new colors belong to n whole instances of an element."""
         corner = self.elements.cells(self.rest.shape[:2])[0, 0]
-        apart = scipy.spatial.distance.cdist(new, own[tuple((self.whole[k] - corner).T)], "sqeuclidean")
+        whole = own[tuple((self.whole[k] - corner).T)]
+        apart = scipy.spatial.distance.cdist(new, whole, "sqeuclidean")
         width = _EXACT if exact else _ALIKE
-        return np.asarray(apart / (2 * width**2 * max(float(own.var((0, 1)).sum()), 1e-12)))
+        return np.asarray(apart / (2 * width**2 * max(float(whole.var(0).sum()), 1e-12)))
 
     def _weigh_neighbors(self, k: int, drawn: Sequence[Numbers], i: Numbers, j: Numbers) -> NDArray[np.float64]:
         """Return minus the log-likelihoods ``(m, n)`` of n instances of an element at m cells, given those around."""

@@ -229,7 +229,10 @@ def _watersheds(sample: Values, lattice: Lattice) -> tuple[ElementMap, NDArray[n
     uv = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1)
     relief = np.sqrt(sample_tile(fold(power.astype(np.float32), lattice).values, uv)[..., 0].astype(np.float64))
     relief = scipy.ndimage.gaussian_filter(relief, max(1.0, 0.04 * GRID * lattice.s), mode="wrap")
-    minima = np.argwhere(scipy.ndimage.minimum_filter(relief, 5, mode="wrap") == relief)
+    plateaus, _ = scipy.ndimage.label(scipy.ndimage.minimum_filter(relief, 5, mode="wrap") == relief)
+    minima = np.stack(np.unravel_index(np.unique(plateaus, return_index=True)[1][1:], relief.shape), -1)
+    if not len(minima):  # the relief is flat
+        minima = np.zeros((1, 2), np.int64)
     # Three by three copies of the cell: the copy of a minimum whose basin holds a place tells the cell of its instance.
     markers = np.zeros((3 * v, 3 * u), np.int64)
     for j, i in np.ndindex(3, 3):
@@ -304,7 +307,7 @@ class ElementShares:
     def of(cls, elements: ElementMap, width: float, ranks: int = 3) -> ElementShares:
         """Return the shares after a Gaussian of ``width`` px, those of the ``ranks`` largest."""
         v, u = elements.label.shape
-        pad = min(v, u, 8)
+        pad = math.ceil(4 * width * GRID)
         row, column = np.ix_(np.arange(-pad, v + pad), np.arange(-pad, u + pad))
         label, offset = elements.label[row % v, column % u], elements.offset[row % v, column % u].copy()
         offset += np.stack(np.broadcast_arrays(column // u, row // v), -1)

@@ -98,7 +98,7 @@ class ElementOutlines:
         gained, power = (
             scipy.ndimage.gaussian_filter(_fold(f.sum(-1), elements), 1, mode="wrap") for f in (step * rest, step**2)
         )
-        moved_share = np.clip(gained / (power + _DOUBT * np.square(rest).sum(-1).mean()), 0, 1)[row, column]
+        moved_share = np.clip(gained / (power + _DOUBT * np.square(rest).sum(-1).mean() + 1e-12), 0, 1)[row, column]
         return replace(outlines, mattes=(usual + moved_share * (moved - usual)).astype(np.float32))
 
     def lay(self, table: Table) -> NDArray[np.float64]:
@@ -157,7 +157,8 @@ def _find_elements(
             spread[0] = np.average(np.square(smooth - expected[0]).mean(-1), weights=ground) + 1e-5
         width = spread[:, np.newaxis, np.newaxis]
         fit = -np.square(smooth - expected).sum(-1) / (2 * width) - channels / 2 * np.log(width)
-        found = np.where(possible, np.maximum(chance, _SEEN), 0)[:, row, column] * np.exp(fit - fit.max(0))
+        fit = np.where(possible[:, row, column], fit, -np.inf)
+        found = np.maximum(chance, _SEEN)[:, row, column] * np.exp(fit - fit.max(0))
         found /= found.sum(0)
         ground = found[0] + 1e-9
         chance = np.stack([_fold(one, elements) for one in found])
@@ -179,7 +180,7 @@ def _fit_gain(
     It is drawn to the share of the cells in which an element is shown there, by a normal distribution around it.
     """
     row, column, _ = elements.places(residual.shape[:2])
-    doubt = float((residual - flat * shown[row, column]).var()) / _GAIN_SPREAD**2
+    doubt = float((residual - flat * shown[row, column]).var()) / _GAIN_SPREAD**2 + 1e-12
     product, power = (
         fold(f.astype(np.float32), elements.lattice, grid=elements.label.shape) for f in (flat * residual, flat**2)
     )

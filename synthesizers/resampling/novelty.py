@@ -127,4 +127,4 @@ class NoveltyTest:
 
     def passes(self, picture: Image) -> bool:
         """Return whether a picture is about as near to the sample as the sample's cells are to each other."""
-        return self.compare(picture) <= _MOST_NEW
+        return bool(np.isfinite(picture).all()) and self.compare(picture) <= _MOST_NEW

@@ -443,6 +443,26 @@ def test_outlines_lie_where_the_elements_are() -> None:
     assert errors[0] < 0.5 * errors[1]
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("inks", [1, 2])
+def test_clean_tiles_without_noise_stay_clean(inks: int) -> None:
+    """Flat tiles of one or two colors, on whole pixels and with thin joints, give such tiles, without a warning."""
+    y, x = np.indices((120, 120))
+    ink = np.random.default_rng(1).integers(inks, size=(5, 5))[y // 24, x // 24]
+    image = np.array([(0.7, 0.2, 0.2), (0.2, 0.2, 0.7)])[ink]
+    image[(y % 24 == 0) | (x % 24 == 0)] = 0.1
+    made = Texture(image.astype(np.float32), Lattice((24.0, 0.0), (0.0, 24.0)))
+    output = synthesize(Resample(), made.image, (160, 160), made.lattice).image
+    away = np.linalg.norm(output[12::24, 12::24, np.newaxis] - np.array([(0.7, 0.2, 0.2), (0.2, 0.2, 0.7)]), axis=-1)
+    assert away.min(-1).max() < 0.01
+
+
+def test_faint_colors_are_no_classes() -> None:
+    """Colors that vary by less than what is seen of one ink form no classes."""
+    values = np.random.default_rng(2).normal(0.5, 0.004, (8, 8, 3))
+    assert group_colors(InstanceColors(values, np.ones((8, 8)))) is None
+
+
 def test_seams_lie_where_copies_agree() -> None:
     """Two copies that agree along a winding line, and differ elsewhere, are joined along it."""
     y, x = np.indices((60, 60))
