@@ -70,9 +70,10 @@ class Resample:
     the sample, and each element is a whole instance of the sample, color and detail. What it shows of its neighbors
     takes their new colors. Parts whose classes decide each other are one element.
 
-    The method checks what it draws. Where colors are farther from those of the sample than these are from each other at
-    equal places, elements are whole instances as well; where these are strange, too, the output is that of
-    ``tile-set``. The note says so.
+    Where tones vary inside elements nearly as much as between them, elements are whole instances as well. The method
+    also checks what it draws. Where colors are farther from those of the sample than these are from each other at equal
+    places, elements are whole instances; where these are strange, too, the output is that of ``tile-set``. The note
+    says so.
 
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
     An element that the sample shows whole fewer than three times joins its neighbor. If this holds for every element,
