@@ -189,8 +189,10 @@ def add(target: Path, files: Sequence[Path], labeled_by: str) -> None:
     key = pd.read_csv(target / "key.csv", dtype=str, keep_default_na=False)
     added = pd.concat([read_answers(key, file, labeled_by) for file in files])
     if ANSWERS.exists():
-        added = pd.concat([pd.read_csv(ANSWERS, dtype=str, keep_default_na=False), added])
-    added.drop_duplicates(["set", "grader", "number"], keep="last").to_csv(ANSWERS, index=False)
+        kept = pd.read_csv(ANSWERS, dtype=str, keep_default_na=False)
+        rows, given = (pd.MultiIndex.from_frame(part[["set", "grader"]]) for part in (kept, added))
+        added = pd.concat([kept[~rows.isin(given)], added])
+    added.to_csv(ANSWERS, index=False)
 
 
 def preferences(answers: pd.DataFrame) -> pd.DataFrame:

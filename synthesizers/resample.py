@@ -34,7 +34,7 @@ _BY_CHANCE = 5.0
 _TONES = 0.6
 """Least share of the variance of the coarse residual that the colors of elements explain, for colors to be drawn."""
 _COARSE = 1 / 14
-"""Standard deviation, in s, of the Gaussian by which the coarse part of a residual is told from its detail."""
+"""Standard deviation, in s, of the Gaussian that separates the coarse part of a residual from its detail."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
 
@@ -76,9 +76,9 @@ class Resample:
     says so.
 
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
-    An element that the sample shows whole fewer than three times joins its neighbor. If this holds for every element,
-    the output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the
-    same sample in the same process reuses the model.
+    An element that the sample shows whole fewer than three times joins its neighbor. Where it has none, the output is
+    that of ``tile-set``, which has no extras. The note says so. Without a lattice the sample is refused. Another output
+    of the same sample in the same process reuses the model.
 
     Parameters
     ----------

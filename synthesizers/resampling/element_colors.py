@@ -27,7 +27,10 @@ _CORE = 0.95
 """Share from which a place is inside its element, where its color is measured."""
 _ROUNDS = 3
 """Fits of colors, with a fit of gains between two of them."""
-_MOST_GAIN = 1.6
+MOST_GAIN = 1.6
+"""Largest gain."""
+_SMOOTH = 0.7
+"""Standard deviation, in places of the cell, of the Gaussian that smooths gains."""
 _REACH = 2
 """Largest lag, in cells, at which colors are correlated."""
 _CHANCE = 2.5
@@ -98,14 +101,9 @@ class ElementColors:
             if turn == _ROUNDS - 1:
                 break
             flat = model.lay(model.of_sample(shape), shape)
-            doubt = (residual - flat * gain[row, column]).var((0, 1)) + 1e-12
-            product, power = (
-                fold(f.astype(np.float32), elements.lattice, grid=core.shape) for f in (flat * residual, flat**2)
-            )
-            count = power.counts[..., np.newaxis]
-            gain = (product.values * count + doubt) / (power.values * count + doubt)
-            gain = scipy.ndimage.gaussian_filter(gain, (0.7, 0.7, 0), mode="wrap")
-            gain = np.clip(gain / gain[core].mean(0), 0, _MOST_GAIN).astype(np.float32)
+            noise = (residual - flat * gain[row, column]).var((0, 1))
+            gain = fit_gain(residual, flat, elements, 1.0, noise)
+            gain = np.clip(gain / gain[core].mean(0), 0, MOST_GAIN).astype(np.float32)
         return model
 
     def spread(self, colors: Mapping[int, Table], low: Numbers, shape: Shape) -> Table:
@@ -189,6 +187,36 @@ class ElementColors:
         classes = draw_classes(list(self.classes.values()), torus, rng)
         drawn |= {name: self._means[name][classes[..., k]] for k, name in enumerate(self.classes)}
         return model.spread(drawn, low, shape)
+
+
+def fit_gain(
+    residual: NDArray[np.float64] | Values,
+    flat: NDArray[np.float64],
+    elements: ElementMap,
+    usual: NDArray[np.float64] | float,
+    doubt: NDArray[np.float64] | float,
+) -> NDArray[np.float64]:
+    """Return how much of its color each place of the cell takes, ``(V, U, C)``, by least squares, smoothed.
+
+    Parameters
+    ----------
+    residual
+        ``(H, W, C)``.
+    flat
+        ``(H, W, C)``: the color of the element at each pixel.
+    elements
+        The elements.
+    usual
+        The gain to which noise draws that of a place.
+    doubt
+        Weight of the usual gain: the variance of noise over that of gains.
+    """
+    product, power = (
+        fold(f.astype(np.float32), elements.lattice, grid=elements.label.shape) for f in (flat * residual, flat**2)
+    )
+    count = power.counts[..., np.newaxis]
+    gain = (product.values * count + (doubt + 1e-12) * usual) / (power.values * count + doubt + 1e-12)
+    return np.asarray(scipy.ndimage.gaussian_filter(gain, (_SMOOTH, _SMOOTH, 0), mode="wrap"))
 
 
 def draw_field(colors: Sequence[InstanceColors], torus: CellTorus, rng: np.random.Generator) -> Table:

@@ -17,10 +17,10 @@ from skimage.segmentation import watershed
 from nrbench.plugins.forms import Shape
 
 from ..lattice_places.equal_places import CellTorus
-from .element_map import WHOLE, ElementMap, ElementShares, Lag, Numbers
+from .element_colors import Table
+from .element_map import WHOLE, ElementMap, Lag, Numbers
 from .element_outlines import OUTLINE_REACH, ElementOutlines
 
-Table = NDArray[np.float64]
 Colors = tuple[Table, Table]
 
 _CORE = 0.97
@@ -81,10 +81,6 @@ class ElementCopies:
         return [c if len(c) <= _MOST else np.random.default_rng(0).permutation(c)[:_MOST] for c in cells]
 
     @cached_property
-    def _shares(self) -> ElementShares:
-        return ElementShares.of(self.elements, OUTLINE_REACH * self.elements.lattice.s)
-
-    @cached_property
     def _splines(self) -> list[NDArray[np.float64]]:
         return [scipy.ndimage.spline_filter(plane, _ORDER, mode="mirror") for plane in np.moveaxis(self.rest, -1, 0)]
 
@@ -126,7 +122,7 @@ class ElementCopies:
 
     def _find_meetings(self) -> Iterator[tuple[int, int, Lag, NDArray[np.float64]]]:
         """Yield pairs of elements, the lag of the second one, and places that show both, from the first one's cell."""
-        shares = self._shares
+        shares = self.outlines.shares
         v, u = self.elements.label.shape
         place = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1)
         pairs, places = [], []
@@ -245,7 +241,7 @@ class ElementCopies:
         top, bottom, _ = rows.indices(shape[0])
         pad = math.ceil(6 * OUTLINE_REACH * self.elements.lattice.s) + 2
         size, corner = (bottom - top + 2 * pad, shape[1] + 2 * pad), self.elements.cells(shape)[0, 0]
-        around = list(self._shares.within(size, (-pad, top - pad)))
+        around = list(self.outlines.shares.within(size, (-pad, top - pad)))
         ranks = len(around)
         shares, index = np.zeros((ranks, *size)), np.zeros((3, ranks, *size), np.int64)
         for rank, (at, share, label, cell) in enumerate(around):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.mean_tile import Values, fold
 
-from .element_colors import ElementColors, Table
+from .element_colors import MOST_GAIN, ElementColors, Table, fit_gain
 from .element_map import ElementMap, ElementShares, Numbers
 
 OUTLINE_REACH = 0.05
@@ -31,7 +31,6 @@ _LEAST_GROUND = 0.005
 """Least share of the sample that is ground; with less there is none."""
 _SOFTNESS = 0.5
 """px, standard deviation of the Gaussian that softens outlines."""
-_MOST_GAIN = 1.6
 _GAIN_SPREAD = 0.25
 """Standard deviation of gains around the share of the cells in which an element is shown."""
 _DOUBT = 0.1
@@ -88,11 +87,16 @@ class ElementOutlines:
         moved = scipy.ndimage.gaussian_filter(moved, (0, _SOFTNESS, _SOFTNESS))
         outlines = cls(shares, usual, np.ones((*shown.shape, sample.shape[2]), np.float32))
         table, residual = colors.of_sample(shape), (sample - mean).astype(np.float64)
-        gain = _fit_gain(residual, outlines.lay(table), shown[..., np.newaxis], elements)
+        flat = outlines.lay(table)
+        doubt = float((residual - flat * shown[row, column, np.newaxis]).var()) / _GAIN_SPREAD**2
+        gain = fit_gain(residual, flat, elements, shown[..., np.newaxis], doubt)
+        gain = np.clip(gain, 0, MOST_GAIN).astype(np.float32)
         level = gain.mean(-1)
         usual *= level[row, column]
-        moved *= np.clip(level / np.maximum(shown, _GROUND), 0, _MOST_GAIN)[row, column]
-        outlines = cls(shares, usual, np.clip(gain / np.maximum(level, 0.1)[..., np.newaxis], 0.5, 2))
+        moved *= np.clip(level / np.maximum(shown, _GROUND), 0, MOST_GAIN)[row, column]
+        outlines = cls(
+            shares, usual, np.clip(gain / np.maximum(level, 0.1)[..., np.newaxis], 0.5, 2).astype(np.float32)
+        )
         rest = residual - outlines.lay(table)
         step = shown_colors - sample + rest
         gained, power = (
@@ -170,24 +174,6 @@ def _fold(values: NDArray[np.float64], elements: ElementMap) -> NDArray[np.float
     """Return the mean of values ``(H, W)`` over all cells, on the grid of elements."""
     tile = fold(values[..., np.newaxis].astype(np.float32), elements.lattice, grid=elements.label.shape)
     return tile.values[..., 0].astype(np.float64)
-
-
-def _fit_gain(
-    residual: NDArray[np.float64], flat: NDArray[np.float64], shown: NDArray[np.float64], elements: ElementMap
-) -> Values:
-    """Return how much of its color each place takes, ``(V, U, C)``, by least squares.
-
-    It is drawn to the share of the cells in which an element is shown there, by a normal distribution around it.
-    """
-    row, column, _ = elements.places(residual.shape[:2])
-    doubt = float((residual - flat * shown[row, column]).var()) / _GAIN_SPREAD**2 + 1e-12
-    product, power = (
-        fold(f.astype(np.float32), elements.lattice, grid=elements.label.shape) for f in (flat * residual, flat**2)
-    )
-    count = power.counts[..., np.newaxis]
-    gain = (product.values * count + doubt * shown) / (power.values * count + doubt)
-    gain = scipy.ndimage.gaussian_filter(gain, (_SMOOTH, _SMOOTH, 0), mode="wrap")
-    return np.clip(gain, 0, _MOST_GAIN).astype(np.float32)
 
 
 def _expect_colors(shares: ElementShares, mean: Values, core: NDArray[np.bool_], table: Table) -> NDArray[np.float64]:
