@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.lattice.geometry import Lattice
 
-OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png", kind=Path)]
+OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png|.tif|.webp", kind=Path)]
 All = Annotated[bool, Flag("--all", kind=bool)]
 
 
@@ -51,17 +51,17 @@ def synth_command(
     Parameters
     ----------
     output
-        The output.
+        The output, with the 8 or 16 bits a channel of IMAGE; WebP has 8.
     extras
         Also write the pictures that the method returns beside the output.
     """
     from nrbench import plugins
     from nrbench.api.arguments import plugin_in
     from nrbench.calling.method_calls import is_picture
-    from nrbench.pictures.files import read_image, write_image
+    from nrbench.pictures.files import WRITTEN, read_image, write_image
     from nrbench.plugins.parameters import parse_size
 
-    check_output(output)
+    check_output(output, *WRITTEN)
     if os.path.realpath(output) == os.path.realpath(image):
         raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
     finder = getattr(plugin_in("synthesizers", method, {}), "finder", "")
