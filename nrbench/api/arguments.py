@@ -149,7 +149,7 @@ def picture_file(image: Imagelike, folder: Path) -> Path:
 
     if isinstance(image, str | os.PathLike):
         return Path(image)
-    write_image(folder / "picture.png", image_in(image))
+    write_image(folder / "picture.png", stored_image(image))
     return folder / "picture.png"
 
 

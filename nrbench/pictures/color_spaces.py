@@ -81,11 +81,12 @@ class ColorSpace:
         np.clip(light, 0, 1, out=light)
         light = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** np.float32(1 / 2.4) - np.float32(0.055))
         stored = np.rint(light * peak).astype(dtype)
-        if levels is not None and np.abs(stored.astype(np.int64) - values).max() <= _SEEN * peak:
-            return pixels, ""
         lost = f"{self.name}: {clipped:.0%} of the pixels have colors outside sRGB, which are clipped"
+        lost = lost if clipped >= _CLIPPED else ""
+        if levels is not None and np.abs(stored.astype(np.int64) - values).max() <= _SEEN * peak:
+            return pixels, lost
         alpha = pixels[..., colors:] if levels is not None else np.rint(pixels[..., colors:] * peak).astype(dtype)
-        return np.concatenate([stored, alpha], -1), lost if clipped >= _CLIPPED else ""
+        return np.concatenate([stored, alpha], -1), lost
 
 
 LINEAR = ColorSpace("linear light", lambda values: values)
@@ -134,12 +135,11 @@ def _from_codes(primaries: int, transfer: int) -> ColorSpace | None:
 
 
 def _from_primaries(name: str, xy: Sequence[float], white: Sequence[float], gamma: float) -> ColorSpace | None:
-    """Return a color space of a power law; 2.2 stands for the curve of sRGB, as in the recommendation of PNG."""
-    curve: Curve = _decode_srgb if abs(gamma - 2.2) < 0.005 else lambda values: values**gamma
-    if curve is _decode_srgb and np.allclose((*xy, *white), (*_SRGB, *_D65), atol=0.005):
+    """Return a color space of a power law; with the primaries of sRGB, 2.2 stands for its curve, as usual in PNG."""
+    if abs(gamma - 2.2) < 0.005 and np.allclose((*xy, *white), (*_SRGB, *_D65), atol=0.005):
         return None
     try:
-        return ColorSpace(name, curve, _matrix_to_srgb(xy, white))
+        return ColorSpace(name, lambda values: values**gamma, _matrix_to_srgb(xy, white))
     except (np.linalg.LinAlgError, ZeroDivisionError):
         return ColorSpace(name)
 
@@ -177,16 +177,17 @@ def read_profile(content: bytes) -> ColorSpace | None:
         return ColorSpace("a broken ICC profile")
 
 
-def apply_profile(picture: PIL.Image.Image, profile: bytes) -> PIL.Image.Image | None:
+def apply_profile(picture: PIL.Image.Image, content: bytes) -> PIL.Image.Image | None:
     """Return a picture of 8 bits in sRGB, by an ICC profile of any kind; gray stays gray. None if it does not fit."""
-    gray, alpha = picture.mode in ("1", "L", "LA"), None
-    if picture.has_transparency_data:
-        alpha = picture.convert("RGBA").getchannel("A")
-    color = picture if picture.mode in ("RGB", "CMYK", "LAB") else picture.convert("L" if gray else "RGB")
-    given, srgb = PIL.ImageCms.ImageCmsProfile(io.BytesIO(profile)), PIL.ImageCms.createProfile("sRGB")
+    alpha = picture.convert("RGBA").getchannel("A") if picture.has_transparency_data else None
+    profile, gray = PIL.ImageCms.ImageCmsProfile(io.BytesIO(content)), picture.mode in ("1", "L", "LA")
+    mode = {"GRAY": "L", "RGB ": "RGB", "CMYK": "CMYK"}.get(profile.profile.xcolor_space, "")
+    if not mode or (mode == "CMYK") != (picture.mode == "CMYK") or (mode == "L" and not gray):
+        return None
     intent, flags = PIL.ImageCms.Intent.RELATIVE_COLORIMETRIC, PIL.ImageCms.Flags.BLACKPOINTCOMPENSATION
+    srgb, color = PIL.ImageCms.createProfile("sRGB"), picture if picture.mode == mode else picture.convert(mode)
     try:
-        made = PIL.ImageCms.profileToProfile(color, given, srgb, intent, "RGB", flags=flags)
+        made = PIL.ImageCms.profileToProfile(color, profile, srgb, intent, "RGB", flags=flags)
     except PIL.ImageCms.PyCMSError:
         return None
     assert made is not None

@@ -52,6 +52,7 @@ _TURNED = (5, 6, 7, 8)
 """EXIF orientations that exchange height and width."""
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _HEIC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+_OTHERS = {b"v/1\1": "OpenEXR", b"#?RAD": "Radiance HDR", b"\xff\n": "JPEG XL", b"\0\0\0\x0cJXL ": "JPEG XL"}
 _NO_PICTURE = "is no picture that can be read; pass a PNG, JPEG or TIFF file"
 _FLIPPED = {2: (1,), 3: (0, 1), 4: (0,), 6: (1,), 7: (0, 1), 8: (0,)}
 """The axes that each orientation turns over after that."""
@@ -126,13 +127,11 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
 
 def _range_remark(image: Image) -> list[str]:
     """Return a remark if an image uses little of its scale; single bright or dark pixels do not count."""
-    values = image.reshape(-1)[:: max(1, image.size // _SAMPLED)]
+    values = image.reshape(-1, image.shape[2])[:: image.size // _SAMPLED | 1]  # an odd step meets all columns
     low, high = np.quantile(values, (0.001, 0.999)).tolist()
     if high - low >= _LOW or high == low:
         return []
-    return [
-        f"uses only {low:.3f} to {high:.3f} of its scale from 0 to 1; if it shall not look flat, stretch its values"
-    ]
+    return [f"uses only {low:.3f} to {high:.3f} of its scale from 0 to 1; stretch its values unless it shall look so"]
 
 
 @contextmanager
@@ -145,11 +144,7 @@ def _opened(path: str | Path, where: str) -> Iterator[tuple[PIL.Image.Image | ti
     """
     _check_file(Path(path), where)
     try:
-        with (
-            warnings.catch_warnings(action="ignore"),
-            Path(path).open("rb") as file,
-            ExitStack() as opened,
-        ):
+        with warnings.catch_warnings(action="ignore"), Path(path).open("rb") as file, ExitStack() as opened:
             head = file.read(_HEAD)
             picture: PIL.Image.Image | tifffile.TiffPage
             try:
@@ -158,9 +153,9 @@ def _opened(path: str | Path, where: str) -> Iterator[tuple[PIL.Image.Image | ti
                 if picture.format == "TIFF" and picture.tag_v2.get(284) == 2 and picture.tag_v2.get(258, (8,))[0] > 8:
                     raise PIL.UnidentifiedImageError("planes of more than 8 bits, which Pillow garbles")
             except PIL.UnidentifiedImageError:
-                if head[:4] not in _TIFF:
-                    raise BadInput(f"{where}: {_name_format(head)}") from None
                 file.seek(0)
+                if head[:4] not in _TIFF:
+                    raise BadInput(f"{where}: {_name_format(head, file)}") from None
                 picture = opened.enter_context(tifffile.TiffFile(file)).pages.first
                 width, height = picture.imagewidth, picture.imagelength
             if width * height > MOST_PIXELS:
@@ -190,15 +185,16 @@ def _formats(head: bytes) -> tuple[str, ...]:
     return tuple(name for name in FORMATS[-2:] if name in PIL.Image.OPEN)
 
 
-def _name_format(head: bytes) -> str:
+def _name_format(head: bytes, file: IO[bytes]) -> str:
     """Return what a file is that is no picture of the formats to try, and what to do."""
     if head[4:8] == b"ftyp" and head[8:11] == b"avi":
         return "is AVIF, which this Pillow cannot read; install Pillow 11.3 or later, or save it as PNG"
     if head[4:8] == b"ftyp" and head[8:12] in _HEIC:
         return "is HEIC, which needs the package pillow-heif: pip install 'nrbench[heic]'; or save it as PNG"
-    PIL.Image.init()
-    known = [name for name, (_, accept) in PIL.Image.OPEN.items() if accept and accept(head[:16]) is True]
-    return f"is no picture that can be read, but {known[0]}; save it as PNG" if known else _NO_PICTURE
+    name = next((name for start, name in _OTHERS.items() if head.startswith(start)), None)
+    with suppress(Exception), PIL.Image.open(file) as other:
+        name = other.format
+    return f"is no picture that can be read, but {name}; save it as PNG" if name else _NO_PICTURE
 
 
 def list_pictures(folder: Path) -> list[Path]:
@@ -217,7 +213,8 @@ def list_pictures(folder: Path) -> list[Path]:
     skipped = [name for name in names if Path(name).suffix.lower() not in ENDINGS | _COMPANIONS]
     if skipped:
         some = ", ".join(map(strip_control, skipped[:5])) + (", ..." if len(skipped) > 5 else "")
-        warnings.warn(f"directory {folder}: {len(skipped)} files are no pictures, and skipped: {some}", stacklevel=2)
+        why = "skipped, because their names do not end as those of pictures"
+        warnings.warn(f"directory {folder}: {len(skipped)} of the files are {why}: {some}", stacklevel=2)
     return [folder / name for name in names if Path(name).suffix.lower() in ENDINGS]
 
 
@@ -263,13 +260,18 @@ def _pixels(
     """Return the pixels of a picture, upright, and the color space from which they must be converted; add notes."""
     if _has_several_frames(picture):
         notes.append("has several frames; the first one is read")
-    space, deep = find_color_space(picture, head), _is_deep(picture, head)
-    profile = b"" if space is None else space.profile
-    wide = _read_wide(picture, file) if deep and not profile else None
+    deep = _is_deep(picture, head)
+    wide = _read_wide(picture, file) if deep else None  # before EXIF is read, for which Pillow decodes a PNG
+    space, upright = find_color_space(picture, head), PIL.ImageOps.exif_transpose(picture)
+    wide = np.asarray(upright) if upright.mode.startswith("I") else wide
     if wide is not None:
-        return wide, space
-    upright = PIL.ImageOps.exif_transpose(picture)
-    managed = apply_profile(upright, profile) if profile and upright.mode[0] not in "IF" else None
+        wide = _sixteen_bits(wide, picture.info.get("transparency"), where)
+        if space is None or not space.profile:
+            return wide, space
+        upright, deep = PIL.Image.fromarray(np.rint(wide / 257).astype(np.uint8)), True
+    managed = apply_profile(upright, space.profile) if space is not None and space.profile else None
+    if upright.mode == "CMYK" and managed is None:
+        notes.append("is CMYK without a profile that fits; its colors are estimated")
     if deep:
         notes.append("has more than 8 bits a channel, which are rounded to 8")
     return _plain_pixels(managed or upright, where), None if managed else space
@@ -298,8 +300,8 @@ def _read_wide(picture: PIL.Image.Image, file: IO[bytes]) -> NDArray[np.uint16] 
     for each in modes:
         file.seek(0)
         with PIL.Image.open(file, formats=[str(picture.format)]) as again:
-            args = each if isinstance(given, str) else (each, *given[1:])
-            again.tile = [tile._replace(args=args) for tile in again.tile]
+            plain = isinstance(given, str)
+            again.tile = [tile._replace(args=each if plain else (each, *tile.args[1:])) for tile in again.tile]
             planes.append(np.asarray(PIL.ImageOps.exif_transpose(again)))
     if len(planes) == 2:
         return planes[0] * np.uint16(256) + planes[1]
@@ -324,8 +326,6 @@ def _orientation(page: tifffile.TiffPage) -> int:
 def _plain_pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
     if picture.mode == "F":
         return np.asarray(picture)
-    if picture.mode.startswith("I"):
-        return _sixteen_bits(np.asarray(picture), picture.info.get("transparency"), where)
     if picture.has_transparency_data:
         picture = picture.convert(_VIA_ALPHA.get(picture.mode, "RGBA"))
     elif picture.mode in _VIA:
@@ -335,14 +335,15 @@ def _plain_pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
     return np.asarray(picture)
 
 
-def _sixteen_bits(pixels: NDArray[Any], transparent: int | None, where: str) -> NDArray[np.uint16]:
-    """Return gray values of more than 8 bits, which some formats store in 32 bits; with alpha if one is transparent."""
+def _sixteen_bits(pixels: NDArray[Any], transparent: Any, where: str) -> NDArray[np.uint16]:
+    """Return values of more than 8 bits, which some formats store in 32 bits; with alpha if a color is transparent."""
     if pixels.min() < 0 or pixels.max() > 65535:
         raise BadInput(f"{where}: has gray values outside 0 to 65535; save it with 8 or 16 bits a channel")
     values = pixels.astype(np.uint16)
     if transparent is None:
         return values
-    return np.stack([values, np.where(values == transparent, 0, 65535).astype(np.uint16)], -1)
+    values = values.reshape(*values.shape[:2], -1)
+    return np.dstack([values, np.where((values == transparent).all(-1), 0, 65535).astype(np.uint16)])
 
 
 def to_rgb(picture: PIL.Image.Image) -> NDArray[np.uint8]:
