@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.calling.method_calls import call_method
+from nrbench.calling.method_calls import synthesize_exactly
 from nrbench.displacement.bent_detection import find_deformation
 from nrbench.displacement.deformation_field import LEAST_AMPLITUDE, Deformation, pixel_places, read_spline
 from nrbench.displacement.free_form import REPEATS, FreeForm
@@ -108,11 +108,11 @@ def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey
     """
     survey = survey or survey_sample(method, task)
     if survey is None:
-        return call_method(method, task)
+        return synthesize_exactly(method, task)
     geometry: Geometry = getattr(method, "geometry", "as-is")
     seconds, bent, note = 0.0 if task.lattice else survey.seconds, survey.bent, survey.note
     task = replace(task, detected=(task.sample, _detector_of(method), survey.found))
-    made = call_method(method, task) if bent is None else _synthesize_bent(method, task, bent, geometry)
+    made = synthesize_exactly(method, task) if bent is None else _synthesize_bent(method, task, bent, geometry)
     if bent is not None:
         note += f", and the output is {'straight' if geometry == 'straight' else 'bent'}"
     note = "; ".join(filter(None, (made.note, note)))
@@ -138,7 +138,7 @@ def _synthesize_bent(method: Synthesizer, task: Task, bent: Deformation, geometr
     low, high = np.floor(places.min((0, 1))) - margin, np.ceil(places.max((0, 1))) + margin
     columns, rows = (high - low).astype(int) + 1
     shape = int(rows), int(columns)
-    made = call_method(method, replace(task, sample=sample, shape=shape, lattice=straight))
+    made = synthesize_exactly(method, replace(task, sample=sample, shape=shape, lattice=straight))
     # The output continues the phase of the straightened sample, whose corner is elsewhere on the plane.
     places = places - low + bent.lattice.wrap(low - bent.corner)
     image = read_spline(made.image, places)

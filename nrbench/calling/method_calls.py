@@ -98,7 +98,7 @@ _BAND = 1 << 20
 """Number of pixels that are checked at a time: a large output leaves no room for copies."""
 
 
-def call_method(method: Synthesizer, task: Task) -> Synthesis:
+def synthesize_exactly(method: Synthesizer, task: Task) -> Synthesis:
     """Return the synthesis of a method. Of a sample of 16 bits, copies are exact: some methods compute in 8 bits."""
     made = method.synthesize(task)
     if made.source is None or depth_of(task.sample) == 8:

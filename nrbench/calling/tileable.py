@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench import plugins
-from nrbench.calling.method_calls import call_method
+from nrbench.calling.method_calls import synthesize_exactly
 from nrbench.displacement.deformation_field import pixel_places, read_spline
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, depth_of, largest_box, quantize
@@ -56,13 +56,13 @@ def synthesize_tileable(method: Synthesizer, task: Task) -> Synthesis:
     require_wrapping(type(method))
     found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or in_role("detector")))
     if found.lattice is None:
-        return call_method(method, replace(task, tileable=True))
+        return synthesize_exactly(method, replace(task, tileable=True))
     bent, bending = None, ""
     if getattr(method, "geometry", "as-is") != "as-is":
         bent, bending = find_bend(task.sample, found.lattice, task.lattice is not None)
     sample, lattice = (task.sample, found.lattice) if bent is None else bent.straighten()
     strained = StrainedSample.of(sample, lattice, task.shape, depth_of(task.sample))
-    made = call_method(method, replace(task, sample=strained.image, lattice=strained.lattice, tileable=True))
+    made = synthesize_exactly(method, replace(task, sample=strained.image, lattice=strained.lattice, tileable=True))
     source = made.source
     if source is not None and (strained.image is not sample or bent is not None):
         source = source.copy()

@@ -18,8 +18,10 @@ import numpy as np
 import PIL.ExifTags
 import PIL.Image
 import PIL.ImageCms
+import PIL.ImageFile
 import PIL.ImageOps
 import PIL.PngImagePlugin
+import PIL.TiffImagePlugin
 import tifffile
 from numpy.typing import NDArray
 
@@ -28,6 +30,7 @@ from nrbench.imaging.convert import MIN_SIDE, Image, as_image, depth_of, to_byte
 from nrbench.pictures.color_spaces import LINEAR, ColorSpace, apply_profile, find_color_space, read_profile
 from nrbench.storage import write_aside
 
+_Opened = PIL.ImageFile.ImageFile | tifffile.TiffPage
 ENDINGS = frozenset(
     {
         *(".png", ".jpg", ".jpeg", ".jfif", ".tif", ".tiff", ".bmp", ".webp", ".gif", ".tga", ".jp2"),
@@ -129,13 +132,15 @@ def _range_remark(image: Image) -> list[str]:
     """Return a remark if an image uses little of its scale; single bright or dark pixels do not count."""
     values = image.reshape(-1, image.shape[2])[:: image.size // _SAMPLED | 1]  # an odd step meets all columns
     low, high = np.quantile(values, (0.001, 0.999)).tolist()
-    if high - low >= _LOW or high == low:
+    if high - low >= _LOW or not np.ptp(values, axis=0).any():
         return []
     return [f"uses only {low:.3f} to {high:.3f} of its scale from 0 to 1; stretch its values unless it shall look so"]
 
 
 @contextmanager
-def _opened(path: str | Path, where: str) -> Iterator[tuple[PIL.Image.Image | tifffile.TiffPage, IO[bytes], bytes]]:
+def _opened(
+    path: str | Path, where: str
+) -> Iterator[tuple[PIL.ImageFile.ImageFile | tifffile.TiffPage, IO[bytes], bytes]]:
     """Yield an opened picture of one of :data:`FORMATS`, its file, and its first bytes; turn errors into BadInput.
 
     A TIFF that Pillow does not know, such as one of floats in color, is a page of tifffile. Crafted files make the
@@ -146,11 +151,12 @@ def _opened(path: str | Path, where: str) -> Iterator[tuple[PIL.Image.Image | ti
     try:
         with warnings.catch_warnings(action="ignore"), Path(path).open("rb") as file, ExitStack() as opened:
             head = file.read(_HEAD)
-            picture: PIL.Image.Image | tifffile.TiffPage
+            picture: _Opened
             try:
                 picture = opened.enter_context(PIL.Image.open(file, formats=_formats(head)))
                 width, height = picture.size
-                if picture.format == "TIFF" and picture.tag_v2.get(284) == 2 and picture.tag_v2.get(258, (8,))[0] > 8:
+                tags = picture.tag_v2 if isinstance(picture, PIL.TiffImagePlugin.TiffImageFile) else {}
+                if tags.get(284) == 2 and tags.get(258, (8,))[0] > 8:
                     raise PIL.UnidentifiedImageError("planes of more than 8 bits, which Pillow garbles")
             except PIL.UnidentifiedImageError:
                 file.seek(0)
@@ -158,6 +164,8 @@ def _opened(path: str | Path, where: str) -> Iterator[tuple[PIL.Image.Image | ti
                     raise BadInput(f"{where}: {_name_format(head, file)}") from None
                 picture = opened.enter_context(tifffile.TiffFile(file)).pages.first
                 width, height = picture.imagewidth, picture.imagelength
+                if not 0 < width * height:
+                    raise BadInput(f"{where}: {_NO_PICTURE}")
             if width * height > MOST_PIXELS:
                 most = f"at most {MOST_PIXELS} px in all are read"
                 raise BadInput(f"{where}: {width}x{height} px; {most}: crop it, or scale it down")
@@ -255,7 +263,7 @@ def _has_several_frames(picture: PIL.Image.Image) -> bool:
 
 
 def _pixels(
-    picture: PIL.Image.Image, file: IO[bytes], head: bytes, where: str, notes: list[str]
+    picture: PIL.ImageFile.ImageFile, file: IO[bytes], head: bytes, where: str, notes: list[str]
 ) -> tuple[NDArray[Any], ColorSpace | None]:
     """Return the pixels of a picture, upright, and the color space from which they must be converted; add notes."""
     if _has_several_frames(picture):
@@ -277,7 +285,7 @@ def _pixels(
     return _plain_pixels(managed or upright, where), None if managed else space
 
 
-def _is_deep(picture: PIL.Image.Image, head: bytes) -> bool:
+def _is_deep(picture: PIL.ImageFile.ImageFile, head: bytes) -> bool:
     """Return whether a file has more than 8 bits a channel, of which Pillow reads 8."""
     if picture.format in ("PNG", "TIFF"):
         return picture.mode[0] not in "IF" and any(mark in str(picture.tile) for mark in (";16B", ";16L", ";16N"))
@@ -285,13 +293,14 @@ def _is_deep(picture: PIL.Image.Image, head: bytes) -> bool:
     return int(picture.info.get("bit_depth", 8)) > 8 or (at >= 0 and bool(head[at + 6] & 0x40))
 
 
-def _read_wide(picture: PIL.Image.Image, file: IO[bytes]) -> NDArray[np.uint16] | None:
+def _read_wide(picture: PIL.ImageFile.ImageFile, file: IO[bytes]) -> NDArray[np.uint16] | None:
     """Return color, or gray with alpha, of 16 bits, upright; None if the pixels have another layout.
 
     Pillow keeps the upper of two bytes. If it is given the wrong order of the bytes, it keeps the lower one.
     """
-    modes, given = [], picture.tile[0].args if picture.tile else ""
-    mode = given if isinstance(given, str) else given[0]
+    plain, modes = picture.format == "PNG", list[str]()
+    given: Any = picture.tile[0].args
+    mode = given if plain else given[0]
     if mode == "LA;16B":
         modes = ["RGBA"]  # four bytes
     elif mode[:-1] in ("RGB;16", "RGBX;16", "RGBA;16"):
@@ -300,18 +309,18 @@ def _read_wide(picture: PIL.Image.Image, file: IO[bytes]) -> NDArray[np.uint16] 
     for each in modes:
         file.seek(0)
         with PIL.Image.open(file, formats=[str(picture.format)]) as again:
-            plain = isinstance(given, str)
-            again.tile = [tile._replace(args=each if plain else (each, *tile.args[1:])) for tile in again.tile]
+            tiles: Any = again.tile
+            again.tile = [tile._replace(args=each if plain else (each, *tile.args[1:])) for tile in tiles]
             planes.append(np.asarray(PIL.ImageOps.exif_transpose(again)))
     if len(planes) == 2:
-        return planes[0] * np.uint16(256) + planes[1]
+        return np.asarray(planes[0] * np.uint16(256) + planes[1])
     return np.ascontiguousarray(planes[0]).view(">u2").astype(np.uint16) if planes else None
 
 
 def _page_pixels(page: tifffile.TiffPage, where: str) -> tuple[NDArray[Any], ColorSpace | None]:
     """Return the pixels of a page of tifffile, upright, and its color space."""
-    if page.photometric not in (1, 2):
-        raise BadInput(f"{where}: has pixels of the kind {page.photometric}; save it as gray or RGB")
+    if page.photometric not in (1, 2) or not 0 < page.size <= 4 * MOST_PIXELS:
+        raise BadInput(f"{where}: has pixels of another kind than gray or RGB; save it as PNG")
     pixels = page.asarray()
     pixels = np.moveaxis(pixels, 0, -1) if page.planarconfig == 2 and pixels.ndim == 3 else pixels
     turn = _orientation(page)
@@ -432,7 +441,12 @@ def _write_deep_png(file: IO[bytes], image: Image) -> None:
     lines[:, 1:] = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint8))
     file.write(b"\x89PNG\r\n\x1a\n")
     header = struct.pack(">IIBBBBB", width, height, 16, 2 if channels == 3 else 0, 0, 0, 0)
-    for name, data in ((b"IHDR", header), (b"sRGB", b"\x00"), (b"IDAT", zlib.compress(lines, 1)), (b"IEND", b"")):
+    for name, data in (
+        (b"IHDR", header),
+        (b"sRGB", b"\x00"),
+        (b"IDAT", zlib.compress(lines.tobytes(), 1)),
+        (b"IEND", b""),
+    ):
         PIL.PngImagePlugin.putchunk(file, name, data)
 
 

@@ -23,8 +23,10 @@ Pixels = NDArray[Any]
 """``(h, w, C)``: ``float32`` in [0, 1], or ``uint8``."""
 Source = NDArray[np.float32]
 """``float32 (h, w, 3)``: the nearest pixel (x, y) of the sample and its weight, 1 where a pixel is copied."""
-Patch = tuple[Pixels, Source] | tuple[Pixels, Source, Image]
-"""The pixels of a patch, its source map, and its exact pixels for a canvas that has them."""
+Patch = tuple[Pixels, Source]
+"""The pixels of a patch and its source map."""
+ExactPatch = Patch | tuple[Pixels, Source, Image]
+"""A patch, also with its exact pixels, for a canvas that has them."""
 
 
 class Canvas:
@@ -100,7 +102,7 @@ class Canvas:
             return (np.arange(y0, y1) % height)[:, np.newaxis], np.arange(x0, x1)[np.newaxis] % width
         return slice(y0 + down, y1 + down), slice(x0 + across, x1 + across)
 
-    def place(self, window: Window, patch: Patch, mask: Mask | None = None) -> None:
+    def place(self, window: Window, patch: ExactPatch, mask: Mask | None = None) -> None:
         """Show a patch in a window, where a mask ``bool (h, w)`` is True. None: everywhere."""
         pixels, layers = (
             self.pixels(window),
@@ -118,7 +120,7 @@ class Canvas:
                 canvas[pixels] = old
         self.known[pixels] |= mask
 
-    def blend(self, window: Window, patch: Patch, weights: NDArray[np.float64], full: float = 1.0) -> None:
+    def blend(self, window: Window, patch: ExactPatch, weights: NDArray[np.float64], full: float = 1.0) -> None:
         """Blend a patch into a window of a canvas of ``uint8``. Halves of a gray level are rounded up.
 
         Parameters
@@ -158,7 +160,7 @@ def _whole_pixels(array: NDArray[Any]) -> NDArray[Any]:
     return array.view(np.dtype((np.void, array.itemsize * array.shape[-1])))[..., 0]
 
 
-def copy_patch(values: Pixels, place: tuple[int, int], shape: Shape, exact: Image | None = None) -> Patch:
+def copy_patch(values: Pixels, place: tuple[int, int], shape: Shape, exact: Image | None = None) -> ExactPatch:
     """Return a view of the patch at a place (x, y) of a sample ``(H, W, C)``, its source map, and its exact pixels."""
     (x, y), (height, width) = place, shape
     source = np.ones((height, width, 3), np.float32)

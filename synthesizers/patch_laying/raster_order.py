@@ -13,7 +13,7 @@ from nrbench.errors import require
 from nrbench.imaging.convert import depth_of, to_bytes
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
-from ..canvas.canvas import Box, Canvas, Patch, Sides, Window, copy_patch
+from ..canvas.canvas import Box, Canvas, ExactPatch, Sides, Window, copy_patch
 
 Place = tuple[int, int]
 """(x, y) of a patch's first pixel in the sample."""
@@ -177,7 +177,7 @@ def cover(
     task: Task,
     grid: RasterGrid,
     choose: Callable[[NDArray[np.float32], Box], Place],
-    join: Callable[[Canvas, Spot, Patch], None],
+    join: Callable[[Canvas, Spot, ExactPatch], None],
 ) -> Synthesis:
     """Cover all spots of a grid in their order, and return the synthesis.
 

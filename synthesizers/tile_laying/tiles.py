@@ -17,7 +17,7 @@ from nrbench.imaging.mean_tile import fold
 from nrbench.imaging.wallpaper_group import find_wallpaper_group
 from nrbench.lattice.geometry import Lattice, Points
 
-from ..canvas.canvas import Mask, Patch, Pixels, Source
+from ..canvas.canvas import ExactPatch, Mask, Pixels, Source
 from ..lattice_places.equal_places import pixel_grid
 from ..sample_reading.patches import Patches, point_source
 from .tile_kernels import Overlap, absolute_differences, best_move, gather, nearest_places
@@ -496,7 +496,7 @@ class TileStock:
         shown = ((at >= 0) & (at <= np.array(self.images.shape[1::-1]) - 1)).all((1, 2))
         return places._replace(row=places.row + (copy + 1) * self.images.parts**2).take(shown)
 
-    def cut(self, drawn: TilePlaces) -> Patch:
+    def cut(self, drawn: TilePlaces) -> ExactPatch:
         """Return the patch of one tile over its box, and its source map."""
         (x, y), row, parts = drawn.pixel[0], int(drawn.row[0]), self.images.parts
         (left, top), (right, bottom) = self.tile.box.tolist()
