@@ -15,7 +15,7 @@ from nrbench.api.arguments import as_lattice, lattice_in, names_of
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.cli.verbs import check_output, choose_one, verb
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.flags import Flag, Json, Switch
 from nrbench.storage import write_text
 
@@ -65,7 +65,9 @@ def synth_command(
     if os.path.realpath(output) == os.path.realpath(image):
         raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
     finder = getattr(plugin_in("synthesizers", method, {}), "finder", "")
-    size, sample = parse_size(shape), read_image(image)
+    size = parse_size(shape)
+    require(max(size) < 1 << 14 or output.suffix.lower() != ".webp", f"-o {output}: WebP has at most 16383 px; use PNG")
+    sample = read_image(image)
     given = _given_lattice(sample, lattice)
     with waiting(f"{method.partition(':')[0]}, {shape}") as progress:
         synthesis = call(image=sample, shape=size, lattice=given, progress=progress)

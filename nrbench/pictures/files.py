@@ -70,7 +70,7 @@ _SAMPLED = 1 << 18
 def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     """Read an image file as sRGB: PNG, JPEG, TIFF or another of :data:`FORMATS`.
 
-    There is a warning if the values are not exactly those of the file, if their meaning is not known, if they use less
+    One warning says if the values are not exactly those of the file, if their meaning is not known, if they use less
     than a quarter of their scale, and if the file has several frames, of which the first one is read.
 
     Parameters
@@ -123,8 +123,8 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
         notes += [remark] if remark else []
     image = as_image(pixels, where, smallest)
     notes += _range_remark(image)
-    for note in notes:
-        warnings.warn(f"{where}: {note}", UserWarning, stacklevel=2)
+    if notes:
+        warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=2)
     return image
 
 
@@ -164,8 +164,8 @@ def _opened(
                     raise BadInput(f"{where}: {_name_format(head, file)}") from None
                 picture = opened.enter_context(tifffile.TiffFile(file)).pages.first
                 width, height = picture.imagewidth, picture.imagelength
-                if not 0 < width * height:
-                    raise BadInput(f"{where}: {_NO_PICTURE}")
+            if width * height == 0:
+                raise BadInput(f"{where}: {_NO_PICTURE}")
             if width * height > MOST_PIXELS:
                 most = f"at most {MOST_PIXELS} px in all are read"
                 raise BadInput(f"{where}: {width}x{height} px; {most}: crop it, or scale it down")
@@ -268,10 +268,12 @@ def _pixels(
     """Return the pixels of a picture, upright, and the color space from which they must be converted; add notes."""
     if _has_several_frames(picture):
         notes.append("has several frames; the first one is read")
-    deep = _is_deep(picture, head)
-    wide = _read_wide(picture, file) if deep else None  # before EXIF is read, for which Pillow decodes a PNG
+    deep, twelve = _is_deep(picture, head), "I;12" in str(picture.tile)
+    # Before EXIF is read, for which Pillow decodes a PNG.
+    wide = _read_wide(picture, file) if deep and picture.tile else None
     space, upright = find_color_space(picture, head), PIL.ImageOps.exif_transpose(picture)
-    wide = np.asarray(upright) if upright.mode.startswith("I") else wide
+    if upright.mode.startswith("I"):
+        wide = np.rint(np.asarray(upright) * (65535 / 4095)) if twelve else np.asarray(upright)
     if wide is not None:
         wide = _sixteen_bits(wide, picture.info.get("transparency"), where)
         if space is None or not space.profile:
@@ -289,6 +291,9 @@ def _is_deep(picture: PIL.ImageFile.ImageFile, head: bytes) -> bool:
     """Return whether a file has more than 8 bits a channel, of which Pillow reads 8."""
     if picture.format in ("PNG", "TIFF"):
         return picture.mode[0] not in "IF" and any(mark in str(picture.tile) for mark in (";16B", ";16L", ";16N"))
+    if picture.format == "PPM":
+        args: Any = picture.tile[0].args
+        return picture.mode == "RGB" and not isinstance(args, str) and args[1] > 255
     at = head.find(b"av1C") if picture.format == "AVIF" else -1
     return int(picture.info.get("bit_depth", 8)) > 8 or (at >= 0 and bool(head[at + 6] & 0x40))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import warnings
 from pathlib import Path
 from typing import BinaryIO
@@ -300,3 +301,23 @@ def test_heic(tmp_path: Path) -> None:
     pillow_heif.register_heif_opener()
     image = read_image(_saved(tmp_path, picture, "a.heic", quality=-1, chroma=444))
     np.testing.assert_allclose(image, np.asarray(picture) / 255, atol=4 / 255)
+    wide = (np.asarray(picture) * np.uint16(257)).tobytes()
+    pillow_heif.from_bytes("RGB;16", picture.size, wide).save(tmp_path / "b.heic", quality=-1, chroma=444)
+    with pytest.warns(UserWarning, match="more than 8 bits a channel"):
+        np.testing.assert_allclose(read_image(tmp_path / "b.heic"), image, atol=4 / 255)
+
+
+def test_twelve_bits_fill_the_scale(tmp_path: Path) -> None:
+    """A TIFF that packs 12 bits a pixel has its white at 4095; color of 16 bits in a PPM is rounded, with a warning."""
+    values = np.linspace(0, 4095, 12 * 16).astype(np.uint16).reshape(12, 16)
+    bits = np.unpackbits(values.astype(">u2").view(np.uint8).reshape(12, 16, 2), axis=2)[..., 4:]
+    rows = np.packbits(bits.reshape(12, -1), axis=1)
+    tags = {256: 16, 257: 12, 258: 12, 259: 1, 262: 1, 273: 8, 277: 1, 278: 12, 279: rows.size}
+    table = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in sorted(tags.items()))
+    content = b"II*\0" + struct.pack("<I", 8 + rows.size) + rows.tobytes() + struct.pack("<H", len(tags)) + table
+    (tmp_path / "a.tif").write_bytes(content + bytes(4))
+    np.testing.assert_allclose(read_image(tmp_path / "a.tif")[..., 0], values / 4095, atol=1e-5)
+    color = np.random.default_rng(0).integers(0, 65536, (12, 16, 3)).astype(">u2")
+    (tmp_path / "a.ppm").write_bytes(b"P6\n16 12\n65535\n" + color.tobytes())
+    with pytest.warns(UserWarning, match="more than 8 bits a channel"):
+        np.testing.assert_allclose(read_image(tmp_path / "a.ppm"), color / 65535, atol=1 / 255)
