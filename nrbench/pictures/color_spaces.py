@@ -34,6 +34,8 @@ PAPER_WHITE = 203.0
 """cd/m2 that become white in a PQ picture (ITU-R BT.2408)."""
 _SEEN = 1 / 255
 """A conversion that changes no value by more than this is left out."""
+_BAND = 1 << 20
+"""Number of pixels that are converted at a time."""
 _OUTSIDE, _CLIPPED = 0.02, 0.01
 """Linear values this far outside [0, 1] are named if at least this share of the pixels has one."""
 
@@ -72,21 +74,23 @@ class ColorSpace:
         colors = 3 if pixels.shape[2] > 2 else 1
         dtype = pixels.dtype if pixels.dtype.kind == "u" else np.dtype(np.uint16)
         peak = np.iinfo(dtype).max
-        levels = np.arange(peak + 1) / peak if dtype == pixels.dtype else None
-        values = pixels[..., :colors]
-        light = (self.curve(values) if levels is None else self.curve(levels)[values]).astype(np.float32)
-        if self.matrix is not None and colors == 3:
-            light = light @ self.matrix.T.astype(np.float32)
-        clipped = float(((light < -_OUTSIDE) | (light > 1 + _OUTSIDE)).any(-1).mean())
-        np.clip(light, 0, 1, out=light)
-        light = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** np.float32(1 / 2.4) - np.float32(0.055))
-        stored = np.rint(light * peak).astype(dtype)
-        lost = f"{self.name}: {clipped:.0%} of the pixels have colors outside sRGB, which are clipped"
-        lost = lost if clipped >= _CLIPPED else ""
-        if levels is not None and np.abs(stored.astype(np.int64) - values).max() <= _SEEN * peak:
-            return pixels, lost
-        alpha = pixels[..., colors:] if levels is not None else np.rint(pixels[..., colors:] * peak).astype(dtype)
-        return np.concatenate([stored, alpha], -1), lost
+        table = self.curve(np.arange(peak + 1) / peak) if dtype == pixels.dtype else None
+        stored, clipped = pixels.astype(dtype) if table is not None else np.rint(pixels * peak).astype(dtype), 0
+        step = max(1, _BAND // pixels.shape[1])
+        for top in range(0, len(pixels), step):  # a large picture leaves no room for copies
+            values = pixels[top : top + step, :, :colors]
+            light = (self.curve(values) if table is None else table[values]).astype(np.float32)
+            if self.matrix is not None and colors == 3:
+                light = light @ self.matrix.T.astype(np.float32)
+            clipped += int(((light < -_OUTSIDE) | (light > 1 + _OUTSIDE)).any(-1).sum())
+            np.clip(light, 0, 1, out=light)
+            light = np.where(light > 0.0031308, 1.055 * light ** np.float32(1 / 2.4) - 0.055, 12.92 * light)
+            stored[top : top + step, :, :colors] = np.rint(light * peak)
+        share = clipped / (pixels.shape[0] * pixels.shape[1])
+        lost = f"{self.name}: {share:.0%} of the pixels have colors outside sRGB, which are clipped"
+        if table is not None and np.abs(np.subtract(stored, pixels, dtype=np.int32)).max() <= _SEEN * peak:
+            stored = pixels
+        return stored, lost if share >= _CLIPPED else ""
 
 
 LINEAR = ColorSpace("linear light", lambda values: values)
@@ -166,7 +170,7 @@ def read_profile(content: bytes) -> ColorSpace | None:
         tags = np.frombuffer(content, ">u4", 3 * int.from_bytes(content[128:132], "big"), 132).reshape(-1, 3).tolist()
         data = {tag.to_bytes(4, "big"): content[start : start + size] for tag, start, size in tags}
         curves = {data[tag] for tag in (b"rTRC", b"gTRC", b"bTRC", b"kTRC") if tag in data}
-        if len(curves) != 1 or b"A2B0" in data:
+        if len(curves) != 1 or b"A2B0" in data or content[20:24] != b"XYZ ":
             return ColorSpace(name, profile=content)
         curve = _curve_of_tag(curves.pop())
         if b"kTRC" in data:

@@ -59,11 +59,11 @@ _OTHERS = {b"v/1\1": "OpenEXR", b"#?RAD": "Radiance HDR", b"\xff\n": "JPEG XL", 
 _NO_PICTURE = "is no picture that can be read; pass a PNG, JPEG or TIFF file"
 _FLIPPED = {2: (1,), 3: (0, 1), 4: (0,), 6: (1,), 7: (0, 1), 8: (0,)}
 """The axes that each orientation turns over after that."""
-_HEAD = 1 << 20
+_HEAD = 1 << 16
 """Bytes at the beginning of a file in which statements about color and depth are searched for."""
 _LOW = 0.25
 """A picture that uses less of its scale is named."""
-_SAMPLED = 1 << 18
+_SAMPLED = 1 << 13
 """About the most values of a picture from which this is determined; 1 in 1000 may lie outside at each end."""
 
 
@@ -221,8 +221,8 @@ def list_pictures(folder: Path) -> list[Path]:
     skipped = [name for name in names if Path(name).suffix.lower() not in ENDINGS | _COMPANIONS]
     if skipped:
         some = ", ".join(map(strip_control, skipped[:5])) + (", ..." if len(skipped) > 5 else "")
-        why = "skipped, because their names do not end as those of pictures"
-        warnings.warn(f"directory {folder}: {len(skipped)} of the files are {why}: {some}", stacklevel=2)
+        why = "files skipped, as their names do not end as those of pictures"
+        warnings.warn(f"directory {folder}: {why}: {len(skipped)} ({some})", stacklevel=2)
     return [folder / name for name in names if Path(name).suffix.lower() in ENDINGS]
 
 
