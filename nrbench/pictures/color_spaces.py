@@ -34,6 +34,8 @@ PAPER_WHITE = 203.0
 """cd/m2 that become white in a PQ picture (ITU-R BT.2408)."""
 _SEEN = 1 / 255
 """A conversion that changes no value by more than this is left out."""
+_BRIGHTEST = 100.0
+"""More than the linear light of any curve; a matrix with larger numbers is that of no color space, either."""
 _BAND = 1 << 20
 """Number of pixels that are converted at a time."""
 _OUTSIDE, _CLIPPED = 0.02, 0.01
@@ -74,12 +76,12 @@ class ColorSpace:
         colors = 3 if pixels.shape[2] > 2 else 1
         dtype = pixels.dtype if pixels.dtype.kind == "u" else np.dtype(np.uint16)
         peak = np.iinfo(dtype).max
-        table = self.curve(np.arange(peak + 1) / peak) if dtype == pixels.dtype else None
+        table = _find_light(self.curve, np.arange(peak + 1) / peak) if dtype == pixels.dtype else None
         stored, clipped = pixels.astype(dtype) if table is not None else np.rint(pixels * peak).astype(dtype), 0
         step = max(1, _BAND // pixels.shape[1])
         for top in range(0, len(pixels), step):  # a large picture leaves no room for copies
             values = pixels[top : top + step, :, :colors]
-            light = (self.curve(values) if table is None else table[values]).astype(np.float32)
+            light = _find_light(self.curve, values) if table is None else table[values]
             if self.matrix is not None and colors == 3:
                 light = light @ self.matrix.T.astype(np.float32)
             clipped += int(((light < -_OUTSIDE) | (light > 1 + _OUTSIDE)).any(-1).sum())
@@ -94,6 +96,12 @@ class ColorSpace:
 
 
 LINEAR = ColorSpace("linear light", lambda values: values)
+
+
+def _find_light(curve: Curve, values: NDArray[Any]) -> NDArray[np.float32]:
+    """Return finite linear light, also by the curve of a damaged file."""
+    with np.errstate(all="ignore"):
+        return np.clip(np.nan_to_num(curve(values)), 0, _BRIGHTEST).astype(np.float32)
 
 
 def find_color_space(picture: PIL.Image.Image, head: bytes) -> ColorSpace | None:
@@ -144,7 +152,7 @@ def _from_primaries(name: str, xy: Sequence[float], white: Sequence[float], gamm
         return None
     try:
         return ColorSpace(name, lambda values: values**gamma, _matrix_to_srgb(xy, white))
-    except (np.linalg.LinAlgError, ZeroDivisionError):
+    except (ValueError, ZeroDivisionError):
         return ColorSpace(name)
 
 
@@ -176,8 +184,8 @@ def read_profile(content: bytes) -> ColorSpace | None:
         if b"kTRC" in data:
             return ColorSpace(name, curve)
         columns = np.stack([_fixed(data[tag][8:20]) for tag in (b"rXYZ", b"gXYZ", b"bXYZ")], -1)
-        return ColorSpace(name, curve, np.linalg.solve(_SRGB_D50, columns))
-    except (OSError, ValueError, KeyError, IndexError, PIL.ImageCms.PyCMSError):
+        return ColorSpace(name, curve, _sound(np.linalg.solve(_SRGB_D50, columns)))
+    except (OSError, ValueError, KeyError, IndexError, ZeroDivisionError, PIL.ImageCms.PyCMSError):
         return ColorSpace("a broken ICC profile")
 
 
@@ -185,7 +193,7 @@ def apply_profile(picture: PIL.Image.Image, content: bytes) -> PIL.Image.Image |
     """Return a picture of 8 bits in sRGB, by an ICC profile of any kind; gray stays gray. None if it does not fit."""
     alpha = picture.convert("RGBA").getchannel("A") if picture.has_transparency_data else None
     profile, gray = PIL.ImageCms.ImageCmsProfile(io.BytesIO(content)), picture.mode in ("1", "L", "LA")
-    mode = {"GRAY": "L", "RGB ": "RGB", "CMYK": "CMYK"}.get(profile.profile.xcolor_space, "")
+    mode = {b"GRAY": "L", b"RGB ": "RGB", b"CMYK": "CMYK"}.get(content[16:20], "")
     if not mode or (mode == "CMYK") != (picture.mode == "CMYK") or (mode == "L" and not gray):
         return None
     intent, flags = PIL.ImageCms.Intent.RELATIVE_COLORIMETRIC, PIL.ImageCms.Flags.BLACKPOINTCOMPENSATION
@@ -233,7 +241,15 @@ def _matrix_to_srgb(xy: Sequence[float], white: Sequence[float]) -> Values:
         for colors, point in ((_columns(xy), white), (_columns(_SRGB), _D65))
     )
     matrix = np.linalg.solve(srgb, given)
-    return np.asarray(matrix / matrix.sum(1, keepdims=True))
+    with np.errstate(all="ignore"):
+        return _sound(matrix / matrix.sum(1, keepdims=True))
+
+
+def _sound(matrix: Values) -> Values:
+    """Return a matrix; raise ValueError if it is that of no color space."""
+    if not np.abs(matrix).max() < _BRIGHTEST:
+        raise ValueError(matrix)
+    return matrix
 
 
 def _columns(xy: Sequence[float]) -> Values:
