@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import logging
 import os
 import struct
 import sys
@@ -30,6 +31,8 @@ from nrbench.imaging.convert import MIN_SIDE, Image, as_image, depth_of, to_byte
 from nrbench.pictures.color_spaces import LINEAR, ColorSpace, apply_profile, find_color_space, read_profile
 from nrbench.storage import write_aside
 
+for _library in ("PIL", "tifffile"):  # they print the faults of a damaged file, of which we make one error
+    logging.getLogger(_library).addHandler(logging.NullHandler())
 _Opened = PIL.ImageFile.ImageFile | tifffile.TiffPage
 ENDINGS = frozenset(
     {
@@ -56,6 +59,7 @@ _TURNED = (5, 6, 7, 8)
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _HEIC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 _OTHERS = {b"v/1\1": "OpenEXR", b"#?RAD": "Radiance HDR", b"\xff\n": "JPEG XL", b"\0\0\0\x0cJXL ": "JPEG XL"}
+_FRAMES = "has several frames; the first one is read"
 _NO_PICTURE = "is no picture that can be read; pass a PNG, JPEG or TIFF file"
 _FLIPPED = {2: (1,), 3: (0, 1), 4: (0,), 6: (1,), 7: (0, 1), 8: (0,)}
 """The axes that each orientation turns over after that."""
@@ -107,11 +111,10 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     """
     where, notes = f"picture {path}", list[str]()
     with _opened(path, where) as (picture, file, head):
-        pixels, space = (
-            _page_pixels(picture, where)
-            if isinstance(picture, tifffile.TiffPage)
-            else _pixels(picture, file, head, where, notes)
-        )
+        if isinstance(picture, tifffile.TiffPage):
+            pixels, space = _page_pixels(picture, where, notes)
+        else:
+            pixels, space = _pixels(picture, file, head, where, notes)
     pixels = pixels if pixels.ndim == 3 else pixels[..., np.newaxis]
     if pixels.dtype.kind == "f":
         as_image(pixels, where, smallest)  # the range of floats is checked before the conversion
@@ -138,9 +141,7 @@ def _range_remark(image: Image) -> list[str]:
 
 
 @contextmanager
-def _opened(
-    path: str | Path, where: str
-) -> Iterator[tuple[PIL.ImageFile.ImageFile | tifffile.TiffPage, IO[bytes], bytes]]:
+def _opened(path: str | Path, where: str) -> Iterator[tuple[_Opened, IO[bytes], bytes]]:
     """Yield an opened picture of one of :data:`FORMATS`, its file, and its first bytes; turn errors into BadInput.
 
     A TIFF that Pillow does not know, such as one of floats in color, is a page of tifffile. Crafted files make the
@@ -267,7 +268,7 @@ def _pixels(
 ) -> tuple[NDArray[Any], ColorSpace | None]:
     """Return the pixels of a picture, upright, and the color space from which they must be converted; add notes."""
     if _has_several_frames(picture):
-        notes.append("has several frames; the first one is read")
+        notes.append(_FRAMES)
     deep, twelve = _is_deep(picture, head), "I;12" in str(picture.tile)
     # Before EXIF is read, for which Pillow decodes a PNG.
     wide = _read_wide(picture, file) if deep and picture.tile else None
@@ -322,8 +323,10 @@ def _read_wide(picture: PIL.ImageFile.ImageFile, file: IO[bytes]) -> NDArray[np.
     return np.ascontiguousarray(planes[0]).view(">u2").astype(np.uint16) if planes else None
 
 
-def _page_pixels(page: tifffile.TiffPage, where: str) -> tuple[NDArray[Any], ColorSpace | None]:
-    """Return the pixels of a page of tifffile, upright, and its color space."""
+def _page_pixels(page: tifffile.TiffPage, where: str, notes: list[str]) -> tuple[NDArray[Any], ColorSpace | None]:
+    """Return the pixels of a page of tifffile, upright, and its color space; add notes."""
+    if len(page.parent.pages) > 1:
+        notes.append(_FRAMES)
     if page.photometric not in (1, 2) or not 0 < page.size <= 4 * MOST_PIXELS:
         raise BadInput(f"{where}: has pixels of another kind than gray or RGB; save it as PNG")
     pixels = page.asarray()

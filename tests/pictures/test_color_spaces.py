@@ -17,6 +17,7 @@ import pytest
 import tifffile
 from numpy.typing import NDArray
 
+import nrbench
 from nrbench.pictures.files import read_image
 
 SRGB_PROFILE = PIL.ImageCms.ImageCmsProfile(PIL.ImageCms.createProfile("sRGB")).tobytes()
@@ -298,3 +299,18 @@ def test_boxes_of_avif(tmp_path: Path) -> None:
     assert content.count(b"colrnclx\0\1\0\x0d") == 1
     wide = _read(tmp_path / "b.avif", content.replace(b"colrnclx\0\1\0\x0d", b"colrnclx\0\x0c\0\x0d"))
     np.testing.assert_allclose(_srgb_curve(_linear(wide) @ TO_P3.T), COLORS, atol=5 / 255)
+
+
+def test_the_judge_sees_one_wall_in_two_spaces(tmp_path: Path) -> None:
+    """A red wall in Display P3 looks like the same wall in sRGB, to the judge and in what a method makes of both."""
+    brick = nrbench.texture("brick", shape=(96, 96), seed=2, color=0.3)
+    wall = np.clip(brick.image * (1, 0.8, 0.7), 0.1, 0.9)
+    chunk = _icc(profile_of(TO_P3, PARAMETRIC))
+    (tmp_path / "p3.png").write_bytes(png(_srgb_curve(_linear(wall) @ TO_P3.T), chunk))
+    (tmp_path / "srgb.png").write_bytes(png(wall))
+    scores = nrbench.score(tmp_path / "srgb.png", tmp_path / "p3.png", metrics="appearance")
+    assert scores.values["appearance.score"] == 1
+    made = [
+        nrbench.synthesize("tiling", tmp_path / name, (96, 96), brick.lattice).image for name in ("p3.png", "srgb.png")
+    ]
+    np.testing.assert_allclose(made[0], made[1], atol=2.1 / 255)
