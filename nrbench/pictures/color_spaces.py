@@ -236,13 +236,16 @@ def _fixed(data: bytes) -> Values:
 
 def _matrix_to_srgb(xy: Sequence[float], white: Sequence[float]) -> Values:
     """Return the matrix from linear values of primaries to linear sRGB; white becomes white."""
-    given, srgb = (
-        colors * np.linalg.solve(colors, _xyz(*point))
-        for colors, point in ((_columns(xy), white), (_columns(_SRGB), _D65))
-    )
-    matrix = np.linalg.solve(srgb, given)
+    matrix = np.linalg.solve(_matrix_to_xyz(_SRGB, _D65), _matrix_to_xyz(xy, white))
     with np.errstate(all="ignore"):
         return _sound(matrix / matrix.sum(1, keepdims=True))
+
+
+def _matrix_to_xyz(xy: Sequence[float], white: Sequence[float]) -> Values:
+    columns = np.array([xy[::2], xy[1::2], 1 - np.add(xy[::2], xy[1::2])])
+    return np.asarray(
+        columns * np.linalg.solve(columns, (white[0] / white[1], 1, (1 - white[0] - white[1]) / white[1]))
+    )
 
 
 def _sound(matrix: Values) -> Values:
@@ -250,14 +253,6 @@ def _sound(matrix: Values) -> Values:
     if not np.abs(matrix).max() < _BRIGHTEST:
         raise ValueError(matrix)
     return matrix
-
-
-def _columns(xy: Sequence[float]) -> Values:
-    return np.stack([_xyz(xy[i], xy[i + 1]) for i in (0, 2, 4)], -1)
-
-
-def _xyz(x: float, y: float) -> Values:
-    return np.array([x / y, 1.0, (1 - x - y) / y])
 
 
 def _decode_srgb(values: Values) -> Values:
