@@ -40,11 +40,13 @@ BENCHMARKS = {
     "zoo.py fresh --count 1 --kinds dots net": "zoo.py fresh",
     "zoo.py prints --count 1 --kinds dots": "zoo.py prints",
     "zoo.py faults --count 1 --kinds dots": "zoo.py faults",
+    "prints.py colors --names dots-two --seeds 1": "prints.py colors",
     "doses.py plot doses.svg": "the same",
     "sensitivity.py runs/default --textures brick-strong --limits JND": "sensitivity.py runs/default",
     "seeds.py --seeds 1 2 --textures brick-strong": "seeds.py",
     "table_errors.py --short --runs 50": "table_errors.py --runs 400",
     "labels.py --sets models-2": "labels.py --photographs FOLDER",
+    "graders.py": "the same",
 }
 """The command of each short form, and that of the full figures, as the docs quote them."""
 

@@ -35,7 +35,7 @@ from unittest import mock
 
 import numpy as np
 import pandas as pd
-from prints import SUITE, draw_prints
+from prints import SUITE, draw_labeled
 
 from nrbench import plugins
 from nrbench.calling.method_calls import checked_synthesis
@@ -159,7 +159,7 @@ def pictures_of(suite: Suite, photographs: Path) -> Iterator[Path]:
         yield photographs
         return
     with tempfile.TemporaryDirectory() as folder:
-        draw_prints(Path(folder))
+        draw_labeled(Path(folder))
         yield Path(folder)
 
 

@@ -6,6 +6,7 @@ r"""Draw the pictures of the docs, into ``docs/``: of the README and the page on
     nrbench run core -m resample -m rsgf -m tile-set -m copier -m cartoon -m oracle --lattice given --replicates 5 \
         --seed 5 --out runs/resample
 
+``python benchmarks/pictures.py cases`` draws ``resample_cases.jpg``: prints, photographs, and failures of `resample`.
 ``python benchmarks/pictures.py presets`` draws ``presets/METHOD.jpg`` for each method that has presets, ``presets rsgf
 gpnn`` those of two methods.
 ``python benchmarks/pictures.py structure`` draws ``structure.svg`` from the packages and their docstrings.
@@ -22,14 +23,19 @@ from typing import Any
 
 import matplotlib
 import matplotlib.figure
+import skimage.data
+from prints import graded_samples
 
 matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 
 import nrbench
-from nrbench import Lattice, Refused, Run, draw_lattice, plugins, read_image
+from nrbench import Lattice, Refused, Run, Texture, draw_lattice, plugins, read_image
+from nrbench.imaging.convert import as_image
 from nrbench.runs.records import CellRecord
+from nrbench.suites.plan import draw_samples
+from nrbench.suites.suite import load_suite
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -120,6 +126,58 @@ def draw_perils(run: Run) -> None:
                 title = f"{texture}, {METHODS[method]}"
                 show(axis, image, title=title, xlabel=label if method == "resample" else "")
     save(figure, "resample_perils.jpg", 75, 88)
+
+
+CASES = {
+    "prints": ("prints: dots-three", "prints: flowers", "prints: pixels"),
+    "photographs": ("photograph: brick, all", "default: brick-material", "default: weave-material"),
+    "failures": ("prints: checks", "report2004: figure-27-windows", "photograph: brick"),
+}
+"""The textures of each row: a suite and its texture, or a part of the photograph of scikit-image."""
+CASE = 256
+"""px: side of the outputs."""
+
+
+def find_case(name: str) -> Texture:
+    """Return the texture of a case."""
+    source, _, texture = name.partition(": ")
+    if source == "photograph":
+        image = skimage.data.brick()
+        return Texture(as_image(image[:200, 100:300] if texture == "brick" else image[::2, ::2]))
+    if source == "prints":
+        with graded_samples([texture]) as (sample,):
+            made = sample.texture
+    else:
+        made = next(iter(draw_samples(load_suite(source), [texture]))).texture
+    assert made is not None
+    return made
+
+
+def draw_cases() -> None:
+    """Draw one row a group: each sample beside an output of `resample`, pixel for pixel; the lattice is given if known.
+
+    The line above an output is the note of the method.
+    """
+    made = {name: find_case(name) for group in CASES.values() for name in group}
+    wide = max(texture.image.shape[1] for texture in made.values()) + CASE + 2 * SPACE
+    height = len(CASES) * (CASE + HEADING + SPACE)
+    figure = matplotlib.figure.Figure((3 * wide / 100, height / 100), dpi=100)
+    for row, group in enumerate(CASES.values(), 1):
+        below = height - row * (CASE + HEADING + SPACE)
+        for column, name in enumerate(group):
+            left, texture = column * wide, made[name]
+            try:
+                result = nrbench.synthesize("resample", texture.image, (CASE, CASE), texture.lattice, seed=1)
+                output, note = result.image, result.note
+            except Refused as why:
+                output, note = None, f"refused: {why}"
+            pictures = [(texture.image, left, name), (output, left + wide - CASE - SPACE, note)]
+            for image, at, text in pictures:
+                figure.text(at / (3 * wide), (below + CASE + 5) / height, textwrap.shorten(text, 40), size=8)
+                if image is not None:
+                    gray = image if image.shape[2] == 3 else image.repeat(3, 2)
+                    figure.figimage(gray, at, below + CASE - len(gray))
+    figure.savefig(DOCS / "resample_cases.jpg", dpi=100, pil_kwargs={"quality": 90})
 
 
 PRESET_TEXTURES = ("brick", "weave", "hexagon")
@@ -219,11 +277,13 @@ def main() -> None:
     """Draw the pictures of one page."""
     drawn = {"first-light": (draw_light,), "resample": (draw_methods, draw_perils)}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("page", choices=[*drawn, "presets", "structure"])
+    parser.add_argument("page", choices=[*drawn, "cases", "presets", "structure"])
     parser.add_argument("names", nargs="*", help="directory of the run, or methods")
     options = parser.parse_args()
     if options.page == "structure":
         draw_structure()
+    if options.page == "cases":
+        draw_cases()
     if options.page == "presets":
         draw_presets(options.names)
     for draw in drawn.get(options.page, ()):

@@ -2,8 +2,12 @@
 
 ``python benchmarks/resample.py STUDY``. The seeds are not those of the suites.
 
-``elements``, ``fields``
-    The limits of the element map and of threads, and of fields: on the models on which they were chosen, and on others.
+``elements``
+    The limits of the element map and of threads: on the models on which they were chosen, and on others.
+``threads``
+    The limits of threads in small samples of models with threads and without.
+``novelty``
+    How often colors are taken for classes, and draws for strange: textures whose colors vary smoothly, and in few inks.
 ``widths``
     Quality by how closely the colors of copied detail must match.
 ``defects``, ``rare``
@@ -12,6 +16,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 import tempfile
@@ -37,10 +42,10 @@ from nrbench.running.phases import freeze
 from nrbench.suites.suite import load_suite
 from nrbench.synthesizers import resample
 from nrbench.synthesizers.planted import Planted
-from nrbench.synthesizers.resampling import element_colors, element_detail, element_map
-from nrbench.synthesizers.resampling.cell_field import measure_steps
-from nrbench.synthesizers.resampling.element_colors import ElementColors, ElementThread
+from nrbench.synthesizers.resampling import element_colors, element_copies, element_map, element_threads
 from nrbench.synthesizers.resampling.element_map import ElementMap
+from nrbench.synthesizers.resampling.element_threads import ElementThread, link_threads
+from nrbench.synthesizers.resampling.novelty import NoveltyTest
 
 CHOOSING = frozenset(
     (
@@ -61,13 +66,49 @@ ELEMENT_LIMITS = {
 }
 """The limits of the element map: the value in use, and those that are tried in its place."""
 WITHOUT_STILL = {"_STILL": 0.0}
-THREADS = (((0.3, 2.0), (0.5, 1.0)), ((0.6, 0.0), (0.85, 0.0)), ((0.2, 2.0), (0.5, 1.0)), ((0.4, 2.0), (0.5, 1.0)))
-THREADS += (((0.3, 2.0), (0.4, 1.0)), ((0.3, 2.0), (0.6, 1.0)), ((0.3, 2.0), (0.8, 0.0)))
-"""The limits of threads of one element and of several: those in use, and those that are tried in their place."""
+THREAD_LIMITS = {
+    "_EVIDENCE": (1.0, 0.5, 2.0),
+    "_LINKED": ((0.5, 1.0), (0.4, 1.0), (0.6, 1.0)),
+    "_LINKED_THREADS": ((0.2, 1.0), (0.0, 1.0), (0.4, 1.0)),
+    "_STAINED": ((0.25, 0.5, 0.75), (0.01,)),
+    "_STAIN_REACHES": ((2.0, 6.0), (1.0, 3.0)),
+    "_MOST": (100, 40),
+}
+"""The same for threads."""
+WITHOUT_STAINS: Mapping[str, Any] = {"_STAINED": (0.01,)}
+THREADED = {
+    "weave": ("weave", {"warp": 14.1, "weft": 11.7, "gap": 1.8}),
+    "twill": ("weave", {"warp": 8.3, "weft": 7.9, "gap": 1.2, "draft": "twill"}),
+    "basket": ("basket", {"stake": 13.9, "strand": 7.1, "gap": 1.3}),
+    "pie": ("pie", {"period": 21.3, "strip": 12.5}),
+    "mat": ("mat", {"width": 26.3, "height": 19.1, "rope": 9.3}),
+}
+"""Models with threads."""
+UNTHREADED = {
+    "brick": ("brick", {"width": 25.1, "height": 11.3, "joint": 2.0}),
+    "hexagon": ("hexagon", {"period": 19.1, "joint": 1.9}),
+    "scales": ("scales", {}),
+    "cans": ("cans", {"period": 22.7}),
+    "squares": ("squares", {"period": 23.1}),
+    "windows": ("windows", {"width": 26.3, "height": 29.9, "columns": 2, "lines": 2}),
+}
+"""Models whose elements have a color each."""
+PLANTED: Mapping[str, Mapping[str, Any]] = {
+    "plain": {"color": 0.25, "intensity": 0.12, "noise": 0.04},
+    "faint": {"color": 0.25, "intensity": 0.12, "noise": 0.12},
+    "cloth": {"color": 0.22, "intensity": 0.11, "noise": 0.01, "material": "cloth"},
+    "stone": {"color": 0.22, "intensity": 0.11, "noise": 0.01, "material": "stone"},
+    "light": {"color": 0.15, "intensity": 0.08, "noise": 0.03, "light": 0.4},
+    "inks": {"color": 0.25, "intensity": 0.1, "noise": 0.02, "inks": 2},
+}
+"""How they depart from regularity."""
+PLANTED_SIDES = (72, 96, 128)
+PLANTED_SEEDS = {True: (931, 932, 933, 934), False: (941, 942, 943, 944)}
+"""Seeds of the draws on which the limits of threads are chosen, and of those reported. Odd ones are upright."""
 WIDTHS = (0.4, 0.8, 1.2, 1.6, 3.2)
 WIDTH_SEED = 77
 """The seed at which the width of detail is chosen. No table reports it."""
-CONTINUOUS = (0.5, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 1.0)
+NOVELTIES = (1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
 PERILS = ("regularity", "integrity", "randomness", "appearance")
 DEFECTS = {
     **{"none": 0.0, "phase-step": 0.3, "off-lattice": 0.4, "two-tone": 0.5, "over-regular": 0.7},
@@ -107,11 +148,6 @@ class Known:
         """Return a draw of the model on this lattice without its mean tile."""
         return image - fold(image, self.lattice, grid=element_map.map_grid(self.lattice)).unfold(self.shape)
 
-    def fresh_residual(self, number: int) -> Image:
-        """Return the residual of a fresh draw."""
-        fresh = self.model.again(self.made, self.shape, np.random.default_rng((77, number)))
-        return self.residual(quantize(fresh.image))
-
     def true_elements(self) -> np.ndarray:
         """Return the number of the model's element, or whole thread, at each pixel; -1 between elements."""
         assert self.made.lattice
@@ -126,8 +162,9 @@ class Known:
         return number
 
 
-def draw_known(choosing: bool, jitter: float = 0.0) -> Iterator[Known]:
+def draw_known(choosing: bool, jitter: float = 0.0, inks: int = 0) -> Iterator[Known]:
     """Yield draws of the textures of two suites, those on which limits are chosen, or the others."""
+    changes = {"jitter": jitter, "inks": inks}
     for suite in map(load_suite, ("core", "report2004")):
         for row in suite.texture:
             parameters, shape = dict(row.parameters), row.sample or suite.sample
@@ -137,7 +174,7 @@ def draw_known(choosing: bool, jitter: float = 0.0) -> Iterator[Known]:
             varies = (parameters.get("color") or parameters.get("intensity")) and not moved
             if (row.dataset in CHOOSING) != choosing or not varies:
                 continue
-            model = build("datasets", row.dataset, parameters | ({"jitter": jitter} if jitter else {}))
+            model = build("datasets", row.dataset, parameters | {k: v for k, v in changes.items() if v})
             for seed in SEEDS[choosing]:
                 made = model.render(shape, np.random.default_rng(seed))
                 if made.lattice and shape[0] * shape[1] >= 8 * made.lattice.area:
@@ -186,59 +223,113 @@ def print_elements() -> None:
                 setattr(element_map, name, changes.get(name, values[0]))
             maps = [element_map.segment(k.made.image, residual, k.lattice) for k, residual, _ in known]
             print_agreement(f"{title}, elements {changes or 'as they are'}", known, maps)
-        for links in THREADS[1:] if tried else THREADS[1:2]:
-            element_colors._LINKED, element_colors._LINKED_ELEMENTS = links
-            print_agreement(f"{title}, threads {links}", known, maps)
-        element_colors._LINKED, element_colors._LINKED_ELEMENTS = THREADS[0]
+        for changes in thread_changes() if tried else [WITHOUT_STAINS]:
+            set_thread_limits(changes)
+            print_agreement(f"{title}, threads {changes}", known, maps)
+        set_thread_limits({})
+
+
+def thread_changes() -> list[Mapping[str, Any]]:
+    """Return the changes of one limit of threads each."""
+    return [{name: value} for name, values in THREAD_LIMITS.items() for value in values[1:]]
+
+
+def set_thread_limits(changes: Mapping[str, Any]) -> None:
+    """Set the limits of threads to those in use but for some changes."""
+    for name, values in THREAD_LIMITS.items():
+        setattr(element_threads, name, changes.get(name, values[0]))
 
 
 def print_agreement(title: str, known: Iterable[tuple[Known, Image, np.ndarray]], maps: Iterable[ElementMap]) -> None:
     """Print the mean agreement of threads."""
     rows = []
     for (k, residual, true), elements in zip(known, maps, strict=True):
-        threads = element_colors.link_threads(elements.mean_colors(residual))
+        threads = link_threads(elements.mean_colors(residual), k.lattice)
         rows.append((k.name, agreement(true, thread_numbers(elements, threads, k.shape))))
     print(f"{title}: {mean_of_textures(rows):.3f}", flush=True)
 
 
-def print_fields() -> None:
-    """Print how often a field is drawn where its steps at borders are farther from those of fresh draws, or not drawn.
+def draw_planted(models: Mapping[str, tuple[str, Mapping[str, Any]]], choosing: bool) -> Iterator[Known]:
+    """Yield draws of small samples of models with threads, or without; the sample holds at least six cells."""
+    for name, (model, parameters) in models.items():
+        for departure in PLANTED.values():
+            for side in PLANTED_SIDES:
+                for seed in PLANTED_SEEDS[choosing]:
+                    built: Any = build(
+                        "datasets", model, {**parameters, **departure, "rotation": (1 - seed % 2) * 14.3}
+                    )
+                    made = built.render((side, side), np.random.default_rng(seed))
+                    if side**2 >= 6 * made.lattice.area:
+                        yield Known(name, built, replace(made, image=quantize(made.image)), made.lattice.reduced())
 
-    The loss is the mean difference of the logarithms, of the choice that is farther.
+
+def print_threads() -> None:
+    """Print how far threads in small samples agree with the model's, and how often some are found where there are none.
+
+    The first number is the mean agreement; the second one the share of samples in which elements without threads have
+    a turn.
     """
-    resample._CONTINUOUS = 0.0
     for choosing in (True, False):
-        cases = [case for k in draw_known(choosing) for case in compare_fields(k)]
-        for limit in CONTINUOUS:
-            gained = np.array([gain if ratio < limit else -gain for ratio, gain in cases])
+        studied = []
+        for models in (THREADED, UNTHREADED):
+            known = list(draw_planted(models, choosing))
+            maps = [element_map.segment(k.made.image, k.residual(k.made.image), k.lattice) for k in known]
+            colors = [m.mean_colors(k.residual(k.made.image)) for k, m in zip(known, maps, strict=True)]
+            studied.append((known, maps, colors))
+        for changes in ({}, *(thread_changes() if choosing else [WITHOUT_STAINS])):
+            set_thread_limits(changes)
+            found = [
+                [link_threads(c, k.lattice) for k, c in zip(known, colors, strict=True)] for known, _, colors in studied
+            ]
+            agreed = [
+                (k.name, agreement(k.true_elements(), thread_numbers(m, threads, k.shape)))
+                for k, m, threads in zip(studied[0][0], studied[0][1], found[0], strict=True)
+            ]
+            false = [
+                (k.name, any(t.turn != (0, 0) for t in threads))
+                for k, threads in zip(studied[1][0], found[1], strict=True)
+            ]
             print(
-                f"choosing: {choosing}, {limit}: wrong {np.mean(gained < 0):.3f}, gain {gained.mean():.3f}", flush=True
+                f"choosing: {choosing}, {changes or 'as they are'}: {mean_of_textures(agreed):.3f}, "
+                f"false {mean_of_textures(false):.3f}",
+                flush=True,
             )
+        set_thread_limits({})
 
 
-def compare_fields(k: Known) -> Iterator[tuple[float, float]]:
-    """Yield the ratio that is compared with the limit, and by how much the steps of a field are closer to the truth."""
-    model = resample.VariationModel.fit(k.made.image, k.lattice)
-    if min(map(len, model.detail.whole)) < element_map.FEWEST:
-        return
-    residual, elements, rng = k.residual(k.made.image), model.detail.elements, np.random.default_rng(1)
-    fresh = [k.fresh_residual(number) for number in range(2)]
-    for colored, ratio in model.compare_steps(residual).items():
-        if not colored and any(thread.turn != (0, 0) for thread in model.colors.threads):
-            continue
-        if colored:
-            fits = [ElementColors.fit(elements, one) for one in fresh]
-            fresh = [one - fit.render(fit.of_sample(k.shape), k.shape) for one, fit in zip(fresh, fits, strict=True)]
-        alone = model.detail.render(model.detail.draw(k.shape, rng), k.shape)
-        if not colored:
-            alone = alone + model.colors.render(model.colors.draw(k.shape, rng), k.shape)
-        joined = model.with_field(residual, colored)
-        assert joined.field is not None
-        field = joined.field.render(joined.field.draw(k.shape, rng), k.shape, slice(None))
-        field = field + joined.detail.render(joined.detail.draw(k.shape, rng), k.shape)
-        true = np.mean([measure_steps(one, elements) for one in fresh])
-        far = [abs(np.log(true / measure_steps(one, elements))) for one in (alone, field)]
-        yield ratio, float(far[0] - far[1])
+def print_novelty() -> None:
+    """Print how often smooth colors, and three inks, are taken for classes, and a draw without classes for strange."""
+    print("draws | in classes | strange at the limits " + ", ".join(map(str, NOVELTIES)))
+    for choosing, inks in itertools.product((True, False), (0, 3)):
+        rows = [
+            (k.name, row)
+            for k in draw_known(choosing, inks=inks)
+            if bool(k.model.inks) == bool(inks)
+            for row in judge_novelty(k)
+        ]
+        classes, *strange = mean_of_textures(rows)
+        title = f"choosing: {choosing}, {'three inks' if inks else 'smooth'}, {len(rows)}"
+        print(f"{title} | {classes:.3f} | {', '.join(f'{share:.3f}' for share in strange)}", flush=True)
+
+
+def judge_novelty(k: Known) -> Iterator[list[float]]:
+    """Yield whether colors are taken for classes, and whether a draw without classes is farther than each limit."""
+    found: list[float] = []
+
+    def record(test: NoveltyTest, picture: Image) -> bool:
+        found.append(test.compare(picture))
+        return True
+
+    passes, group = NoveltyTest.passes, element_colors.group_colors
+    NoveltyTest.passes = record  # type: ignore[method-assign]
+    classes = resample.VariationModel.fit(k.made.image, k.lattice).colors.classes
+    if classes:
+        found.clear()
+        element_colors.group_colors = lambda color: None
+        resample.VariationModel.fit(k.made.image, k.lattice)
+    NoveltyTest.passes, element_colors.group_colors = passes, group  # type: ignore[method-assign]
+    if found:
+        yield [bool(classes), *(found[0] > limit for limit in NOVELTIES)]
 
 
 def draws_of(name: str, seed: int, parameters: dict[str, float]) -> tuple[Texture, Again]:
@@ -308,7 +399,7 @@ def print_widths() -> None:
     print(f"| sigmas | {' | '.join(f'{suite}: {name}' for suite in ('core', 'default') for name in columns)} |")
     chosen = {"methods": "resample", "lattice": "given", "seed": WIDTH_SEED, "replicates": 1}
     for width in WIDTHS:
-        element_detail._ALIKE = width
+        element_copies._ALIKE = width
         means = []
         for suite in ("core", "default"):
             out = Path(tempfile.mkdtemp()) / "run"
@@ -319,7 +410,8 @@ def print_widths() -> None:
 
 STUDIES: Mapping[str, Callable[[], None]] = {
     "elements": print_elements,
-    "fields": print_fields,
+    "threads": print_threads,
+    "novelty": print_novelty,
     "widths": print_widths,
     "defects": print_defects,
     "rare": print_rare,

@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import ClassVar, Final
 
 import numpy as np
+import scipy
 
 from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
@@ -16,10 +17,12 @@ from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .lattice_places.equal_places import CellTorus, require_two_periods
-from .resampling.cell_field import CellField, measure_steps, smooth_coarsely
+from .resampling.element_classes import find_object
 from .resampling.element_colors import ElementColors
-from .resampling.element_detail import ElementDetail
+from .resampling.element_copies import ElementCopies
 from .resampling.element_map import FEWEST, map_grid, segment
+from .resampling.element_outlines import ElementOutlines
+from .resampling.novelty import NoveltyTest
 from .tile_set import TileSet
 
 MOST_VARIATION: Final = 4.0
@@ -28,8 +31,10 @@ _EXPLAINED = 0.05
 """Least share of the residual's variance that the colors of elements explain; with less, elements are whole cells."""
 _BY_CHANCE = 5.0
 """Pixels of noise whose variance one more color, and its gains, explain by chance."""
-_CONTINUOUS = 0.8
-"""Coarse residuals are drawn as one field if they step less than this share of what independent elements would."""
+_TONES = 0.6
+"""Least share of the variance of the coarse residual that the colors of elements explain, for colors to be drawn."""
+_COARSE = 1 / 14
+"""Standard deviation, in s, of the Gaussian that separates the coarse part of a residual from its detail."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
 
@@ -42,16 +47,17 @@ class Resample:
 
     1. The mean tile is subtracted. What is left, the residual, is color and detail.
     2. The cell is cut into elements: regions whose color varies together from cell to cell, or whose border does not
-       stand out. Threads that run through several cells are recognized by their color.
+       stand out. Threads that run through several cells are recognized by the likelihood of their colors.
     3. The residual of a place is the color of its element, times the gain of this place of the cell, and a rest. Colors
        and gains are fitted by least squares. A joint that has the same color everywhere has a gain near 0.
-    4. New colors are a Gaussian random field with the sample's correlations between elements, as far as they exceed
+    4. The outline of each instance is found: which pixels show it, and which the ground or a neighbor (expectation and
+       maximization). A joint that wanders is found where it lies, if its color differs from the elements'.
+    5. New colors are a Gaussian random field with the sample's correlations between elements, as far as they exceed
        chance, moved to the sample's distribution of colors, smoothed. Few elements are smoothed more.
-    5. The rest of each new element is that of a random element of the sample, at equal places. Elements of similar
-       color are more likely. Where elements meet, rests are mixed so that their variance stays.
-    6. Stains, prints and panes run on across the elements that are found. Where the coarse residual of the sample steps
-       at their borders by less than 0.8 of what the draws do, it is drawn as one field: the spot noise of the lattice,
-       with the covariance of the sample. Where only the rest runs on, so is the coarse part of the rest.
+    6. The rest of each new element is that of an instance that the sample shows whole, copied with what surrounds it.
+       Instances of similar color are more likely, and those whose surroundings fit their neighbors (Gibbs sampling).
+       The new colors are laid inside the outlines of the copied instances. Copies are joined along
+       the lines on which they differ least.
 
     The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
     the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
@@ -60,10 +66,19 @@ class Resample:
     In an output that repeats, threads run around the edges. Where they are turned against the edges, most meet others,
     and few colors are left; the note tells how many.
 
+    A print has a few inks: colors that form classes are drawn as classes, which go together with their neighbors' as in
+    the sample, and each element is a whole instance of the sample, color and detail. What it shows of its neighbors
+    takes their new colors. Parts whose classes decide each other are one element.
+
+    Where tones vary inside elements nearly as much as between them, elements are whole instances as well. The method
+    also checks what it draws. Where colors are farther from those of the sample than these are from each other at equal
+    places, elements are whole instances; where these are strange, too, the output is that of ``tile-set``. The note
+    says so.
+
     If the colors of elements explain less than a twentieth of the residual more than chance, elements are whole cells.
-    An element that the sample shows whole fewer than six times joins its neighbor. If this holds for every element,
-    the output is that of ``tile-set``. The note says so. Without a lattice the sample is refused. Another output of the
-    same sample in the same process reuses the model.
+    An element that the sample shows whole fewer than three times joins its neighbor. Where it has none, the output is
+    that of ``tile-set``, which has no extras. The note says so. Without a lattice the sample is refused. Another output
+    of the same sample in the same process reuses the model.
 
     Parameters
     ----------
@@ -84,7 +99,7 @@ class Resample:
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     wraps: ClassVar[bool] = True
-    version: ClassVar[str] = "9"
+    version: ClassVar[str] = "10"
     family: ClassVar[str] = "elements drawn anew"
 
     def __post_init__(self) -> None:
@@ -101,14 +116,11 @@ class Resample:
         lattice, seconds = require_lattice(task, NamedDetector(self.finder), "there are no elements to vary")
         require_two_periods(lattice, task.sample.shape)
         model = VariationModel.of(task.sample, lattice)
-        fewest = min(map(len, model.detail.whole))
-        if fewest < FEWEST:
-            copied = TileSet().synthesize(replace(task, lattice=lattice))
-            shown = f"the sample shows {fewest} whole instances of an element, fewer than {FEWEST}"
-            return replace(copied, detection_seconds=seconds, note=f"copied by tile-set: {shown}")
+        if model.copied:
+            tiles = TileSet().synthesize(replace(task, lattice=lattice))
+            return replace(tiles, detection_seconds=seconds, note=f"copied by tile-set: {model.copied}")
         image = model.draw(task, self.variation)
-        whole = "elements are whole cells: colors of smaller elements explain too little" if model.whole_cells else ""
-        note = "; ".join(filter(None, (whole, model.describe_threads(task))))
+        note = "; ".join(filter(None, (*model.notes, model.describe_threads(task))))
         return Synthesis(image, lattice, extras=model.pictures(), detection_seconds=seconds, note=note)
 
 
@@ -123,21 +135,18 @@ class VariationModel:
     colors
         The colors of elements.
     detail
-        The rest, without the field.
-    whole_cells
-        Whether the elements are whole cells, since no smaller ones were found.
-    field
-        What runs on across the borders of elements; None if nothing does.
-    colored
-        Whether the colors of elements are drawn. If not, the field holds them.
+        The rest; the sample itself if elements are whole instances, with color and detail.
+    notes
+        How elements are drawn, if not in new colors, and why.
+    copied
+        Why the sample should be copied instead; empty if it need not be.
     """
 
     mean: Tile
     colors: ElementColors
-    detail: ElementDetail
-    whole_cells: bool
-    field: CellField | None = None
-    colored: bool = True
+    detail: ElementCopies
+    notes: tuple[str, ...]
+    copied: str = ""
 
     @classmethod
     def of(cls, sample: Image, lattice: Lattice) -> VariationModel:
@@ -147,47 +156,52 @@ class VariationModel:
 
     @classmethod
     def fit(cls, sample: Image, lattice: Lattice) -> VariationModel:
-        """Return the model of a sample with a reduced lattice."""
-        height, width, _ = sample.shape
-        mean = fold(sample, lattice, grid=map_grid(lattice))
-        residual = sample - mean.unfold((height, width))
-        for whole_cells in (False, True):
-            elements = segment(sample, residual, lattice, whole_cells)
-            colors = ElementColors.fit(elements, residual)
-            rest = residual - colors.render(colors.of_sample((height, width)), (height, width))
-            fitted = sum(int(color.known.sum()) for color in colors.colors.values())
-            if rest.var() < (1 - _EXPLAINED - _BY_CHANCE * fitted / (height * width)) * residual.var():
-                break
-        return cls(mean, colors, ElementDetail(elements, rest), whole_cells)._join(residual)
+        """Return the model of a sample with a reduced lattice: the first of three that draws nothing strange.
 
-    def _join(self, residual: Values) -> VariationModel:
-        """Return the model with a field, if the residual, or the detail, runs on across the borders of elements."""
-        if min(map(len, self.detail.whole)) < FEWEST:
-            return self
-        threads = any(thread.turn != (0, 0) for thread in self.colors.threads)  # they are longer than a field's memory
-        steps = self.compare_steps(residual)
-        for colored in (True,) if threads else (False, True):
-            if steps[colored] < _CONTINUOUS:
-                return self.with_field(residual, colored)
-        return self
-
-    def compare_steps(self, residual: Values) -> dict[bool, float]:
-        """Return the steps at borders of elements, over those of independent elements: of residuals and of details.
-
-        The keys are False for the residuals, True for the details.
+        New colors are drawn, unless colors form classes; else elements are whole instances; else the sample is to be
+        copied. What is drawn is compared with the sample (:class:`.novelty.NoveltyTest`).
         """
-        elements, shape, rng = self.detail.elements, residual.shape[:2], np.random.default_rng(0)
-        detail = self.detail.render(self.detail.draw(shape, rng), shape)
-        both = detail + self.colors.render(self.colors.draw(shape, rng), shape)
-        pairs = ((residual, both), (self.detail.rest, detail))
-        ratios = [measure_steps(own, elements) / measure_steps(drawn, elements) for own, drawn in pairs]
-        return dict(zip((False, True), ratios, strict=True))
+        shape, mean = sample.shape[:2], fold(sample, lattice, grid=map_grid(lattice))
+        residual = sample - mean.unfold(shape)
+        copies = cls._fit_elements(sample, mean, residual)
+        fitted = sum(int(color.known.sum()) for color in copies.colors.colors.values())
+        rest = residual - copies.colors.render(copies.colors.of_sample(shape), shape)
+        if rest.var() >= (1 - _EXPLAINED - _BY_CHANCE * fitted / rest[..., 0].size) * residual.var():
+            copies = cls._fit_elements(sample, mean, residual, whole_cells=True)
+        fewest = min(map(len, copies.detail.whole))
+        if fewest < FEWEST:
+            return replace(copies, copied=f"the sample shows {fewest} whole instances of an element")
+        test = NoveltyTest(sample, copies.detail.elements, copies.colors.threads)
+        task = Task(sample, test.shape, lattice, np.random.default_rng(0))
+        why = "their colors form classes"
+        if not copies.colors.classes:
+            drawn = copies.with_drawn_colors(sample)
+            why = "their tones vary inside them"
+            if explain_tones(residual, drawn.detail) >= _TONES:
+                why = "new ones are stranger than those of the sample are to each other"
+                if test.passes(drawn.draw(task, 1.0)):
+                    return drawn
+        if test.passes(copies.draw(task, 1.0)):
+            return replace(copies, notes=(*copies.notes, f"elements are whole instances: {why}"))
+        return replace(copies, copied="what it draws is stranger than the elements of the sample are to each other")
 
-    def with_field(self, residual: Values, colored: bool) -> VariationModel:
-        """Return the model with a field of the residual; with ``colored``, of the detail."""
-        own = self.detail.rest if colored else residual
-        rest = ElementDetail(self.detail.elements, own - smooth_coarsely(own, self.detail.elements))
-        return replace(self, detail=rest, field=CellField.fit(self.detail.elements, own), colored=colored)
+    @classmethod
+    def _fit_elements(cls, sample: Image, mean: Tile, residual: Values, whole_cells: bool = False) -> VariationModel:
+        elements = segment(sample, residual, mean.lattice, whole_cells=whole_cells)
+        colors = ElementColors.fit(elements, residual)
+        while parts := find_object({k: c for k, c in colors.classes.items() if colors.threads[k].turn == (0, 0)}):
+            elements = elements.joined(*parts)
+            colors = ElementColors.fit(elements, residual)
+        outlines = ElementOutlines.fit(sample, sample - residual, colors)
+        copies = ElementCopies(elements, sample.astype(np.float64), outlines, colors.of_sample(sample.shape[:2]))
+        notes = ("elements are whole cells: smaller ones explain too little",) if whole_cells else ()
+        return cls(mean, colors, copies, notes)
+
+    def with_drawn_colors(self, sample: Image) -> VariationModel:
+        """Return the model whose elements take new colors, inside the outlines of copied ones."""
+        shape = sample.shape[:2]
+        rest = sample - self.mean.unfold(shape) - self.detail.outlines.lay(self.colors.of_sample(shape))
+        return replace(self, detail=replace(self.detail, rest=rest, own=None))
 
     def torus(self, task: Task) -> CellTorus | None:
         """Return the cells of the output, if it repeats."""
@@ -196,7 +210,7 @@ class VariationModel:
     def describe_threads(self, task: Task) -> str:
         """Return how many threads differ in an output that repeats, if fewer do than in the sample."""
         torus = self.torus(task)
-        if torus is None or not self.colored:
+        if torus is None:
             return ""
         threads = {t.first: t.torus for t in self.colors.on_torus(torus).threads if t.turn != (0, 0)}
         count = sum(own.columns * own.rows for own in threads.values() if own is not None)
@@ -210,33 +224,39 @@ class VariationModel:
         height, width = task.shape
         torus = self.torus(task)
         colors = self.colors.draw(task.shape, task.rng, torus)
-        own = self.colors.of_sample(self.detail.rest.shape[:2])
-        copied = self.detail.draw(task.shape, task.rng, (own, colors) if self.colored else None, torus)
-        field = None if self.field is None else self.field.draw(task.shape, task.rng, torus)
+        own = self.colors.of_classes(self.detail.rest.shape[:2])
+        whole = self.detail.own is not None
+        exact = [whole and (t.first in self.colors.classes or t.turn != (0, 0)) for t in self.colors.threads]
+        copied = self.detail.draw(task.shape, task.rng, (own, colors), torus, exact)
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
-        strength = variation * np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
+        strength = np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
         image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)
         for top in range(0, height, _ROWS):
             rows = slice(top, min(top + _ROWS, height))
-            part = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
-            if self.colored:
-                part += variation * self.colors.render(colors, task.shape, rows)
-            if self.field is not None and field is not None:
-                part += variation * self.field.render(field, task.shape, rows)
-            part += strength * self.detail.render(copied, task.shape, rows)
-            image[rows] = np.clip(part, 0, 1)
+            mean = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
+            if whole:
+                part = self.detail.render(copied, task.shape, rows, self.detail.colors_of(copied)) - mean
+            else:
+                part = self.detail.render(copied, task.shape, rows, colors, strength)
+            image[rows] = np.clip(mean + variation * part, 0, 1)
             task.progress(rows.stop / height)
         return image
 
     def pictures(self) -> dict[str, Image]:
         """Return the mean tile, the elements and their colors as pictures of the sample's shape."""
-        height, width, _ = self.detail.rest.shape
-        shape = height, width
+        shape = self.detail.rest.shape[:2]
         label, cell = self.detail.elements.instances(shape)
         hue = (0.38 * label + cell @ (0.618, 0.267))[..., np.newaxis] + np.arange(3) / 3
         color = self.colors.lay(self.colors.of_sample(shape), shape) + self.mean.values.mean((0, 1))
         pictures = {"template": self.mean.unfold(shape), "elements": np.abs(2 * (hue % 1) - 1), "attributes": color}
         return {name: np.clip(picture, 0, 1).astype(np.float32) for name, picture in pictures.items()}
+
+
+def explain_tones(residual: Values, detail: ElementCopies) -> float:
+    """Return the share of the variance of a coarse residual that the colors of elements explain."""
+    width = _COARSE * detail.elements.lattice.s
+    left, whole = (scipy.ndimage.gaussian_filter(a, (width, width, 0)).var() for a in (detail.rest, residual))
+    return float(1 - left / max(whole, 1e-12))
 
 
 @lru_cache(maxsize=2)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -15,7 +14,9 @@ from nrbench.imaging.mean_tile import Values, fold
 from nrbench.plugins.forms import Shape
 
 from ..lattice_places.equal_places import CellTorus
-from .element_map import ElementMap, ElementShares, InstanceColors, Lag, Numbers
+from .element_classes import draw_classes, group_colors
+from .element_map import ElementMap, ElementShares, InstanceColors, Numbers
+from .element_threads import ElementThread, link_threads
 
 Table = NDArray[np.float64]
 """``(E, I, J, C)``: the color of each element in a box of cells."""
@@ -26,100 +27,18 @@ _CORE = 0.95
 """Share from which a place is inside its element, where its color is measured."""
 _ROUNDS = 3
 """Fits of colors, with a fit of gains between two of them."""
-_MOST_GAIN = 1.6
-_LINKED = (0.3, 2.0)
-"""Instances of an element whose colors correlate at a lag and its multiples by a + b / sqrt(pairs) are one thread."""
-_LINKED_ELEMENTS = (0.5, 1.0)
-"""The same for different elements at one lag."""
-_MULTIPLES = (1, 2, 3, 4)
+MOST_GAIN = 1.6
+"""Largest gain."""
+_SMOOTH = 0.7
+"""Standard deviation, in places of the cell, of the Gaussian that smooths gains."""
 _REACH = 2
 """Largest lag, in cells, at which colors are correlated."""
 _CHANCE = 2.5
 """Correlations of fewer standard errors count as 0."""
-_FEWEST = 6
-"""With fewer colors than this, new ones are Gaussian."""
 _BASES = 8
 """Orthonormal bases along whose axes colors are moved."""
 _LEVELS = (np.arange(64) + 0.5) / 64
 """The quantiles that are moved."""
-
-
-@dataclass(frozen=True)
-class ElementThread:
-    """What an element is a part of: the instances that have one color.
-
-    Parameters
-    ----------
-    first
-        The element whose colors the thread takes.
-    base
-        Cell of the instance that lies in thread (0, 0).
-    turn
-        Lag in cells after which the thread shows the same element again; (0, 0) if it never does.
-    torus
-        The threads of an output that repeats; None if it does not.
-    """
-
-    first: int
-    base: Lag = (0, 0)
-    turn: Lag = (0, 0)
-    torus: CellTorus | None = None
-
-    def number(self, cell: Numbers) -> Numbers:
-        """Return the two numbers of the thread that the instance of each cell is a part of, ``(..., 2)``."""
-        number: Numbers = cell - np.array(self.base)
-        if self.torus is not None:
-            return self.torus.wrap(number)
-        if self.turn == (0, 0):
-            return number
-        axis = int(np.argmax(np.abs(self.turn)))
-        turns = np.floor_divide(number[..., axis], self.turn[axis])
-        return np.asarray(number - turns[..., np.newaxis] * np.array(self.turn))
-
-
-def link_threads(colors: Sequence[InstanceColors]) -> list[ElementThread]:
-    """Return the thread of each element. Elements whose colors agree at a lag are linked.
-
-    The closest links come first. A thread that has a turn takes no further one. Detail hides a part of a thread's
-    correlation, at all lags alike. Stains fade with the lag, so that an element is compared at its multiples as well.
-    Few pairs agree by chance, so that they have to agree more.
-    """
-    reach = range(-_REACH, _REACH + 1)
-    links = []
-    for a, color in enumerate(colors):
-        for lag in ((i, j) for i in reach for j in reach):
-            if lag > (0, 0) and math.gcd(*lag) == 1:
-                found = [color.correlation(color, (n * lag[0], n * lag[1])) for n in _MULTIPLES]
-                links.append((_excess(found, _LINKED), a, a, lag))
-            if max(map(abs, lag)) <= 1:
-                links += [
-                    (_excess([color.correlation(colors[b], lag)], _LINKED_ELEMENTS), a, b, lag)
-                    for b in range(a + 1, len(colors))
-                ]
-    threads = [ElementThread(k) for k in range(len(colors))]
-    for excess, a, b, lag in sorted(links, reverse=True):
-        if excess < 0:
-            break
-        one, other = threads[a], threads[b]
-        shift = (one.base[0] + lag[0] - other.base[0], one.base[1] + lag[1] - other.base[1])
-        if one.first == other.first:
-            turn = shift if one.turn == (0, 0) else one.turn
-            threads = [replace(t, turn=turn) if t.first == one.first else t for t in threads]
-        elif (0, 0) in (one.turn, other.turn):
-            turn = other.turn if one.turn == (0, 0) else one.turn
-            for k, thread in enumerate(threads):
-                if thread.first == other.first:
-                    base = (thread.base[0] + shift[0], thread.base[1] + shift[1])
-                    threads[k] = ElementThread(one.first, base, turn)
-                elif thread.first == one.first:
-                    threads[k] = replace(thread, turn=turn)
-    return threads
-
-
-def _excess(found: Sequence[tuple[float, int]], limit: tuple[float, float]) -> float:
-    """Return by how much the mean of some correlations of so many pairs each exceeds a limit."""
-    pairs = max(sum(count for _, count in found), 1)
-    return sum(r * count for r, count in found) / pairs - limit[0] - limit[1] / math.sqrt(pairs)
 
 
 @dataclass(frozen=True)
@@ -157,39 +76,34 @@ class ElementColors:
 
         A gain is drawn to 1 as far as noise hides it. Its mean inside elements is 1.
         """
-        shape, grid = residual.shape[:2], elements.label.shape
+        shape, channels = residual.shape[:2], residual.shape[2]
         shares = ElementShares.of(elements, _SOFTNESS)
-        threads = link_threads(elements.mean_colors(residual))
+        regions = elements.mean_colors(residual)
+        threads = link_threads(regions, elements.lattice)
         core = shares.share[0] > _CORE
         row, column, _ = elements.places(shape)
-        label, instance = elements.instances(shape)
-        numbers = np.stack([thread.number(instance) for thread in threads])
-        number = np.take_along_axis(numbers, label[np.newaxis, ..., np.newaxis], 0)[0]
-        low = number.min((0, 1))
-        box = (len(threads), *(number.max((0, 1)) - low + 1).tolist())
-        first = np.array([thread.first for thread in threads])
-        index = np.ravel_multi_index((first[label], *np.moveaxis(number - low, -1, 0)), box).ravel()
-        whole = np.bincount(elements.label[core], minlength=len(threads)) / core.size * elements.lattice.area
-        inside = core[row, column]
-        shown = np.bincount(index, inside.ravel(), int(np.prod(box))).reshape(box) / np.maximum(whole, 1)[:, None, None]
-        gain = np.ones((*grid, residual.shape[2]), np.float32)
+        parts = np.stack([region.shown for region in regions])
+        seen = parts > 0
+        number = np.stack([thread.number(elements.cells(shape)) for thread in threads])[seen]
+        low, first = number.min(0), np.array([thread.first for thread in threads])
+        index = first[np.nonzero(seen)[0]], *(number - low).T
+        box = len(threads), *(number.max(0) - low + 1)
+        shown = np.zeros(box)
+        np.maximum.at(shown, index, parts[seen])
+        gain = np.ones((*core.shape, channels), np.float32)
         for turn in range(_ROUNDS):
-            weight = gain[row, column] * inside[..., np.newaxis]
-            values = _sums(weight * residual, index, box) / np.maximum(_sums(weight * weight, index, box), 1e-9)
+            weight = gain[row, column] * core[row, column, np.newaxis]
+            sums = np.zeros((*box, 2 * channels))
+            np.add.at(sums, index, elements.sum_pixels(np.concatenate([weight * residual, weight**2], -1))[seen])
+            values = sums[..., :channels] / np.maximum(sums[..., channels:], 1e-9)
             colors = {k: InstanceColors(values[k], shown[k]) for k in sorted(set(first.tolist()))}
             model = cls(shares, gain, threads, colors, low)
             if turn == _ROUNDS - 1:
                 break
-            flat = model.lay(model.spread({k: c.values for k, c in colors.items()}, low, shape), shape)
+            flat = model.lay(model.of_sample(shape), shape)
             noise = (residual - flat * gain[row, column]).var((0, 1))
-            product, power = (
-                fold(f.astype(np.float32), elements.lattice, grid=grid) for f in (flat * residual, flat**2)
-            )
-            count = power.counts[..., np.newaxis]
-            prior = noise + 1e-12
-            gain = (product.values * count + prior) / (power.values * count + prior)
-            gain = scipy.ndimage.gaussian_filter(gain, (0.7, 0.7, 0), mode="wrap")
-            gain = np.clip(gain / gain[core].mean(0), 0, _MOST_GAIN).astype(np.float32)
+            gain = fit_gain(residual, flat, elements, 1.0, noise)
+            gain = np.clip(gain / gain[core].mean(0), 0, MOST_GAIN).astype(np.float32)
         return model
 
     def spread(self, colors: Mapping[int, Table], low: Numbers, shape: Shape) -> Table:
@@ -213,54 +127,96 @@ class ElementColors:
             table.append(values[i, j])
         return np.stack(table)
 
-    def lay(self, table: Table, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
-        """Return the color of the elements at each pixel of some rows of a picture, before the gain."""
-        top, bottom, _ = rows.indices(shape[0])
+    def lay(self, table: Table, shape: Shape) -> NDArray[np.float64]:
+        """Return the color of the elements at each pixel of a picture, before the gain."""
         corner = self.shares.elements.cells(shape)[0, 0]
-        laid = np.zeros((bottom - top, shape[1], table.shape[-1]))
-        for at, share, label, cell in self.shares.within(laid.shape[:2], top):
-            i, j = (cell - corner).T
-            laid[at] += share[:, np.newaxis] * table[label, i, j]
+        laid = np.zeros((*shape, table.shape[-1]))
+        for at, share, label, cell in self.shares.within(shape):
+            laid[at] += share[:, np.newaxis] * table[label, *(cell - corner).T]
         return laid
 
-    def render(self, table: Table, shape: Shape, rows: slice = slice(None)) -> NDArray[np.float64]:
-        """Return the colors at each pixel of some rows of a picture, with the gain."""
-        laid = self.lay(table, shape, rows)
-        row, column, _ = self.shares.elements.places(laid.shape[:2], rows.indices(shape[0])[0])
-        return np.asarray(laid * self.gain[row, column])
+    def render(self, table: Table, shape: Shape) -> NDArray[np.float64]:
+        """Return the colors at each pixel of a picture, with the gain."""
+        row, column, _ = self.shares.elements.places(shape)
+        return np.asarray(self.lay(table, shape) * self.gain[row, column])
+
+    @cached_property
+    def classes(self) -> dict[int, Numbers]:
+        """The classes of the threads' colors, where they form classes (:func:`.element_classes.group_colors`)."""
+        found = {name: group_colors(color) for name, color in self.colors.items()}
+        return {name: classes for name, classes in found.items() if classes is not None}
+
+    @cached_property
+    def _means(self) -> dict[int, Table]:
+        """The mean color of each class, ``(K, C)``."""
+        return {
+            name: np.stack([self.colors[name].values[own == k].mean(0) for k in range(own.max() + 1)])
+            for name, own in self.classes.items()
+        }
 
     def of_sample(self, shape: Shape) -> Table:
         """Return the sample's own colors, for :meth:`lay` and :meth:`render`."""
         return self.spread({k: c.values for k, c in self.colors.items()}, self.low, shape)
+
+    def of_classes(self, shape: Shape) -> Table:
+        """Return the sample's own colors; for elements that are in classes, the mean of the class."""
+        means = {name: self._means[name][own] for name, own in self.classes.items()}
+        return self.spread({k: c.values for k, c in self.colors.items()} | means, self.low, shape)
 
     def on_torus(self, torus: CellTorus) -> ElementColors:
         """Return the model for an output that repeats: a thread runs around its edges, and may meet itself."""
         return replace(self, threads=[replace(thread, torus=torus.joined(thread.turn)) for thread in self.threads])
 
     def draw(self, shape: Shape, rng: np.random.Generator, torus: CellTorus | None = None) -> Table:
-        """Return new colors for a picture: a Gaussian field with the sample's correlations, and its distribution."""
-        if torus is not None:
-            return self.on_torus(torus)._draw_numbers(shape, rng, np.zeros(2, np.int64), torus)
-        cells = self.shares.elements.cells(shape)
-        numbers = np.concatenate([thread.number(cells).reshape(-1, 2) for thread in self.threads])
-        low = numbers.min(0)
-        extent = numbers.max(0) - low + 1 + 2 * _REACH
-        return self._draw_numbers(shape, rng, low, CellTorus.of(np.diag(extent)))
+        """Return new colors for a picture: a Gaussian field with the sample's correlations, and its distribution.
 
-    def _draw_numbers(self, shape: Shape, rng: np.random.Generator, low: Numbers, torus: CellTorus) -> Table:
+        Where colors form classes, those are drawn (:func:`.element_classes.draw_classes`), and each has its mean color.
+        """
+        if torus is None:
+            cells = self.shares.elements.cells(shape)
+            numbers = np.stack([thread.number(cells) for thread in self.threads])
+            model, low = self, numbers.min((0, 1, 2))
+            torus = CellTorus.of(np.diag(np.ptp(numbers, (0, 1, 2)) + 1 + 2 * _REACH))
+        else:
+            model, low = self.on_torus(torus), np.zeros(2, np.int64)
         field = draw_field(list(self.colors.values()), torus, rng)
         drawn = {
             name: match_distribution(field[:, :, k], color.values[color.known], rng)
             for k, (name, color) in enumerate(self.colors.items())
         }
-        return self.spread(drawn, low, shape)
+        classes = draw_classes(list(self.classes.values()), torus, rng)
+        drawn |= {name: self._means[name][classes[..., k]] for k, name in enumerate(self.classes)}
+        return model.spread(drawn, low, shape)
 
 
-def _sums(values: NDArray[np.floating[Any]], index: Numbers, box: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the sum of the pixels of each index, ``(*box, C)``."""
-    size = int(np.prod(box))
-    sums = np.stack([np.bincount(index, plane.ravel(), size) for plane in np.moveaxis(values, -1, 0)], -1)
-    return np.asarray(sums, np.float64).reshape(*box, -1)
+def fit_gain(
+    residual: NDArray[np.float64] | Values,
+    flat: NDArray[np.float64],
+    elements: ElementMap,
+    usual: NDArray[np.float64] | float,
+    doubt: NDArray[np.float64] | float,
+) -> NDArray[np.float64]:
+    """Return how much of its color each place of the cell takes, ``(V, U, C)``, by least squares, smoothed.
+
+    Parameters
+    ----------
+    residual
+        ``(H, W, C)``.
+    flat
+        ``(H, W, C)``: the color of the element at each pixel.
+    elements
+        The elements.
+    usual
+        The gain to which noise draws that of a place.
+    doubt
+        Weight of the usual gain: the variance of noise over that of gains.
+    """
+    product, power = (
+        fold(f.astype(np.float32), elements.lattice, grid=elements.label.shape) for f in (flat * residual, flat**2)
+    )
+    count = power.counts[..., np.newaxis]
+    gain = (product.values * count + (doubt + 1e-12) * usual) / (power.values * count + doubt + 1e-12)
+    return np.asarray(scipy.ndimage.gaussian_filter(gain, (_SMOOTH, _SMOOTH, 0), mode="wrap"))
 
 
 def draw_field(colors: Sequence[InstanceColors], torus: CellTorus, rng: np.random.Generator) -> Table:
@@ -312,20 +268,14 @@ def match_distribution(field: Table, sample: NDArray[np.float64], rng: np.random
         return np.zeros_like(field)
     power, axes = np.linalg.eigh(np.atleast_2d(np.cov(sample.T)))
     root = (axes * np.sqrt(np.maximum(power, 0))).T
-    colors = field.reshape(-1, channels) @ root
-    if count < _FEWEST:
-        return np.asarray(colors.reshape(field.shape))
     width = 0.6 * count ** (-1 / 7)
     size = (max(4096, 8 * count), channels)
     target = (sample[rng.integers(count, size=size[0])] - sample.mean(0)) * np.sqrt(count / (count - 1))
     target = (target + width * rng.standard_normal(size) @ root) / np.hypot(1, width)
-    source = rng.standard_normal(size) @ root
-    for turn in range(_BASES):
-        basis = np.linalg.qr(rng.standard_normal((channels, channels)))[0] if turn else axes
-        for axis in basis.T:
-            old, new = np.quantile(source @ axis, _LEVELS), np.quantile(target @ axis, _LEVELS)
-            for points in (source, colors):
-                along = points @ axis
-                moved = np.interp(along, old, new) + np.minimum(along - old[0], 0) + np.maximum(along - old[-1], 0)
-                points += (moved - along)[:, np.newaxis] * axis
-    return np.asarray(colors.reshape(field.shape))
+    points = np.concatenate([rng.standard_normal(size) @ root, field.reshape(-1, channels) @ root])
+    for _ in range(_BASES):
+        for axis in np.linalg.qr(rng.standard_normal((channels, channels)))[0]:
+            along = points @ axis
+            old, new = np.quantile(along[: size[0]], _LEVELS), np.quantile(target @ axis, _LEVELS)
+            points += np.interp(along, old, new - old)[:, np.newaxis] * axis
+    return np.asarray(points[size[0] :].reshape(field.shape))

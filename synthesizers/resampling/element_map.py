@@ -21,7 +21,7 @@ Lag = tuple[int, int]
 Pair = tuple[int, int, Lag]
 """Regions a and b and a lag in cells: b's instance of cell c + lag belongs to a's instance of cell c."""
 
-FEWEST = 6
+FEWEST = 3
 """Whole instances of each element that the sample must show."""
 WHOLE = 0.97
 """Share of an element that the sample shows if it shows the element whole."""
@@ -39,8 +39,6 @@ _SMALL = 0.15
 """Regions smaller than this share of the largest one are ground."""
 _STILL = 0.05
 """The largest region is looked for among those whose color varies at least this share of the largest variance."""
-_FLAT = 1e-6
-"""Root mean squared gradient, in values a pixel, of a cell without any step: it is one region."""
 _SHOWN = 0.5
 """Least share of an element that the sample must show, for its color to count."""
 _LEAST_SHARE = 0.02
@@ -69,24 +67,27 @@ class InstanceColors:
 
     def energy(self) -> float:
         """Return the variance of the color, summed over the channels."""
-        known = self.values[self.known]
-        return float(known.var(0).sum()) if len(known) > 1 else 0.0
+        return float(self.values[self.known].var(0).sum()) if self.known.any() else 0.0
 
     def correlation(self, other: InstanceColors, lag: Lag) -> tuple[float, int]:
         """Return the correlation with the colors of another element ``lag`` cells on, and the number of pairs.
 
         The channels are added; with fewer than four pairs it is 0.
         """
-        both = np.logical_and(*_overlap(self.known, other.known, lag))
-        count = int(both.sum())
-        if count < 4:
-            return 0.0, count
-        a, b = (part[both] - part[both].mean(0) for part in _overlap(self.values, other.values, lag))
-        size = np.sqrt((a * a).sum() * (b * b).sum())
-        return (float((a * b).sum() / size) if size > 1e-12 else 0.0), count
+        both = np.logical_and(*overlap(self.known, other.known, lag))
+        return correlate(*(part[both] for part in overlap(self.values, other.values, lag)))
 
 
-def _overlap(a: NDArray[Any], b: NDArray[Any], lag: Lag) -> tuple[NDArray[Any], NDArray[Any]]:
+def correlate(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, int]:
+    """Return the correlation of pairs of colors, ``(n, C)``, and n; the channels are added; 0 for fewer than four."""
+    if len(a) < 4:
+        return 0.0, len(a)
+    a, b = a - a.mean(0), b - b.mean(0)
+    size = np.sqrt((a * a).sum() * (b * b).sum())
+    return (float((a * b).sum() / size) if size > 1e-12 else 0.0), len(a)
+
+
+def overlap(a: NDArray[Any], b: NDArray[Any], lag: Lag) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the parts of two arrays of cells that lie ``lag`` apart."""
     steps = list(zip(lag, a.shape, strict=False))
     here = tuple(slice(max(0, -d), max(0, n - max(0, d))) for d, n in steps)
@@ -118,9 +119,9 @@ class ElementMap:
         """Number of regions."""
         return int(self.label.max()) + 1
 
-    def places(self, shape: Shape, top: int = 0) -> tuple[Numbers, Numbers, Numbers]:
-        """Return row and column in the grid, ``(H, W)``, and cell, ``(H, W, 2)``, of each pixel below row ``top``."""
-        uv = cell_coordinates(self.lattice.shifted((0.0, -top)), shape)
+    def places(self, shape: Shape, corner: tuple[int, int] = (0, 0)) -> tuple[Numbers, Numbers, Numbers]:
+        """Return row and column in the grid, ``(H, W)``, and cell, ``(H, W, 2)``, of pixels from a corner (x, y) on."""
+        uv = cell_coordinates(self.lattice.shifted((-corner[0], -corner[1])), shape)
         cell = np.floor(uv).astype(np.int64)
         grid = np.array(self.label.shape[::-1])
         at = np.minimum(((uv - cell) * grid).astype(np.int64), grid - 1)
@@ -139,17 +140,21 @@ class ElementMap:
         low, high = np.floor(corners.min(0)).astype(int) - reach, np.ceil(corners.max(0)).astype(int) + reach
         return np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), -1)
 
-    def mean_colors(self, residual: NDArray[np.floating[Any]]) -> list[InstanceColors]:
-        """Return the mean residual colors of each region's instances, on the box of :meth:`cells`."""
-        label, instance = self.instances(residual.shape[:2])
-        cells = self.cells(residual.shape[:2])
+    def sum_pixels(self, values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Return the sums of values ``(H, W, C)`` over instances, ``(E, I, J, C)``, on the box of :meth:`cells`."""
+        label, instance = self.instances(values.shape[:2])
+        cells = self.cells(values.shape[:2])
         box = (self.count, *cells.shape[:2])
         index = np.ravel_multi_index((label, *np.moveaxis(instance - cells[0, 0], -1, 0)), box).ravel()
-        pixels = np.bincount(index, minlength=int(np.prod(box))).astype(float)
-        sums = np.stack([np.bincount(index, plane.ravel(), len(pixels)) for plane in np.moveaxis(residual, -1, 0)], -1)
-        values = (sums / np.maximum(pixels, 1)[:, np.newaxis]).reshape(*box, -1)
+        sums = [np.bincount(index, plane.ravel(), int(np.prod(box))) for plane in np.moveaxis(values, -1, 0)]
+        return np.stack(sums, -1).astype(np.float64).reshape(*box, -1)
+
+    def mean_colors(self, residual: NDArray[np.floating[Any]]) -> list[InstanceColors]:
+        """Return the mean residual colors of each region's instances, on the box of :meth:`cells`."""
+        sums = self.sum_pixels(np.concatenate([residual, np.ones_like(residual[..., :1])], -1))
+        values, pixels = sums[..., :-1] / np.maximum(sums[..., -1:], 1), sums[..., -1]
         whole = np.bincount(self.label.ravel()) / self.label.size * self.lattice.area
-        return [InstanceColors(*pair) for pair in zip(values, pixels.reshape(box) / whole[:, None, None], strict=True)]
+        return [InstanceColors(*pair) for pair in zip(values, pixels / whole[:, None, None], strict=True)]
 
     def joined(self, a: int, b: int, lag: Lag) -> ElementMap:
         """Return the map in which region b, ``lag`` cells on, is a part of region a."""
@@ -224,9 +229,10 @@ def _watersheds(sample: Values, lattice: Lattice) -> tuple[ElementMap, NDArray[n
     uv = np.stack(np.meshgrid((np.arange(u) + 0.5) / u, (np.arange(v) + 0.5) / v), -1)
     relief = np.sqrt(sample_tile(fold(power.astype(np.float32), lattice).values, uv)[..., 0].astype(np.float64))
     relief = scipy.ndimage.gaussian_filter(relief, max(1.0, 0.04 * GRID * lattice.s), mode="wrap")
-    minima = np.argwhere(scipy.ndimage.minimum_filter(relief, 5, mode="wrap") == relief)
-    if relief.max() < _FLAT:  # its minima are rounding errors
-        minima = minima[:1]
+    plateaus, _ = scipy.ndimage.label(scipy.ndimage.minimum_filter(relief, 5, mode="wrap") == relief)
+    minima = np.stack(np.unravel_index(np.unique(plateaus, return_index=True)[1][1:], relief.shape), -1)
+    if not len(minima):  # the relief is flat
+        minima = np.zeros((1, 2), np.int64)
     # Three by three copies of the cell: the copy of a minimum whose basin holds a place tells the cell of its instance.
     markers = np.zeros((3 * v, 3 * u), np.int64)
     for j, i in np.ndindex(3, 3):
@@ -245,12 +251,15 @@ def _renumbered(label: Numbers) -> Numbers:
 def _most_alike(regions: ElementMap, relief: NDArray[np.float64], residual: Values) -> tuple[float, Pair]:
     """Return how alike the two neighbors are that are most alike, and the pair."""
     colors = regions.mean_colors(residual)
+    energy = [color.energy() for color in colors]
     inside = [float(np.quantile(relief[regions.label == k], 0.9)) for k in range(regions.count)]
 
     def likeness(pair: Pair, height: float) -> float:
         a, b, lag = pair
         salience = height / max(inside[a], inside[b], 1e-12)
-        return colors[a].correlation(colors[b], lag)[0] + _DOUBT * max(0.0, _SALIENT - salience)
+        comparable = _GROUND * energy[a] < energy[b] < energy[a] / _GROUND
+        together = colors[a].correlation(colors[b], lag)[0] if comparable else 0.0
+        return together + _DOUBT * max(0.0, _SALIENT - salience)
 
     return max((likeness(pair, height), pair) for pair, height in regions.borders(relief).items())
 
@@ -298,31 +307,25 @@ class ElementShares:
     def of(cls, elements: ElementMap, width: float, ranks: int = 3) -> ElementShares:
         """Return the shares after a Gaussian of ``width`` px, those of the ``ranks`` largest."""
         v, u = elements.label.shape
-        pad = min(v, u, 8)
-        cell = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), -1)
-        inner = slice(v - pad, 2 * v + pad), slice(u - pad, 2 * u + pad)
-        offset = (np.tile(elements.offset, (3, 3, 1)) + np.kron(cell, np.ones((v, u, 1), np.int64)))[inner]
-        label = np.tile(elements.label, (3, 3))[inner]
+        pad = math.ceil(4 * width * GRID)
+        row, column = np.ix_(np.arange(-pad, v + pad), np.arange(-pad, u + pad))
+        label, offset = elements.label[row % v, column % u], elements.offset[row % v, column % u].copy()
+        offset += np.stack(np.broadcast_arrays(column // u, row // v), -1)
         both = np.concatenate([label[..., np.newaxis], offset], -1).reshape(-1, 3)
         instances, number = np.unique(both, axis=0, return_inverse=True)
         number = number.reshape(label.shape)
-        middle = slice(pad, -pad), slice(pad, -pad)
-        blurred = np.stack(
-            [
-                scipy.ndimage.gaussian_filter((number == k).astype(np.float32), width * GRID)[middle]
-                for k in range(len(instances))
-            ]
-        )
+        planes = (np.arange(len(instances))[:, np.newaxis, np.newaxis] == number).astype(np.float32)
+        blurred = scipy.ndimage.gaussian_filter(planes, (0, width * GRID, width * GRID))[:, pad:-pad, pad:-pad]
         order = np.argsort(-blurred, 0, kind="stable")[:ranks]
         share = np.take_along_axis(blurred, order, 0).astype(np.float64)
         share[share < _LEAST_SHARE] = 0
         return cls(elements, instances[order][..., 0], instances[order][..., 1:], share / share.sum(0))
 
     def within(
-        self, shape: Shape, top: int = 0
+        self, shape: Shape, corner: tuple[int, int] = (0, 0)
     ) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.float64], Numbers, Numbers]]:
         """Yield for each rank the pixels where it has a share, and there its share, elements and cells."""
-        row, column, cell = self.elements.places(shape, top)
+        row, column, cell = self.elements.places(shape, corner)
         for label, offset, share in zip(self.label, self.offset, self.share, strict=True):
             at = share[row, column] > 0
             place = row[at], column[at]
