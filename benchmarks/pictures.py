@@ -254,7 +254,8 @@ def draw_structure() -> None:
         for k, (name, lines) in enumerate(texts.items()):
             left = MARGIN + k * (width + GAP)
             wing = (ROOT / name / "__init__.py").exists() or name == "detectors"
-            fill = FILLS["plugins" if wing else "base" if floor is floors[-1] else "core"]
+            single = (ROOT / "nrbench" / f"{name}.py").exists()
+            fill = FILLS["plugins" if wing else "base" if single else "core"]
             box = f'width="{width:.0f}" height="{height}" rx="5" fill="{fill}" stroke="#8090a0"'
             parts.append(f'<rect x="{left:.0f}" y="{top}" {box}/>')
             parts.append(f'<text x="{left + 10:.0f}" y="{top + 20}" class="name">{name}</text>')

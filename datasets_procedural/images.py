@@ -48,7 +48,7 @@ class Images:
     Parameters
     ----------
     path
-        The file: PNG, JPEG or TIFF; 8 bits, 16 bits gray or palette.
+        The file, of any kind that :func:`~nrbench.read_image` reads.
     t1, t2
         Generating vectors (x, y) of the picture's lattice in px; both or neither.
     origin

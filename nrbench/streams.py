@@ -8,6 +8,8 @@ import json
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.imaging.convert import depth_of, to_integers
+
 
 def stream(role: str, *entropy: str | int) -> np.random.Generator:
     """Return the generator of a role and its entropy.
@@ -29,12 +31,12 @@ def stream(role: str, *entropy: str | int) -> np.random.Generator:
 
 
 def pixels_hash(image: NDArray[np.float32]) -> str:
-    """Return a hexadecimal hash of the shape and the 8-bit pixels of an image.
+    """Return a hexadecimal hash of the shape and the pixels of an image, as its file of 8 or 16 bits holds them.
 
     Parameters
     ----------
     image
         ``(H, W, C)`` in [0, 1].
     """
-    pixels = np.ascontiguousarray(np.rint(image * 255).astype(np.uint8))
+    pixels = np.ascontiguousarray(to_integers(image, depth_of(image)))
     return hashlib.blake2b(repr(pixels.shape).encode() + pixels.tobytes(), digest_size=16).hexdigest()

@@ -40,10 +40,10 @@ class Command:
     ----------
     run
         The command line, e.g. ``"tool {sample} {output} --size {width}x{height} --seed {seed}"``. ``{sample}`` and
-        ``{output}`` become paths of PNG files, ``{seed}`` a number below 2^31 that is drawn from the task's random
-        stream. A command that takes the lattice of the sample has ``{lattice}``, which becomes ``x1,y1,x2,y2`` px, or
-        ``{t1x} {t1y} {t2x} {t2y}``; ``{originx} {originy}`` are the origin. With the lattice source ``own``,
-        ``consensus`` detects the lattice, and a sample without one is refused.
+        ``{output}`` become paths of PNG files, with 16 bits a channel if the sample has them, ``{seed}`` a number below
+        2^31 that is drawn from the task's random stream. A command that takes the lattice of the sample has
+        ``{lattice}``, which becomes ``x1,y1,x2,y2`` px, or ``{t1x} {t1y} {t2x} {t2y}``; ``{originx} {originy}`` are the
+        origin. With the lattice source ``own``, ``consensus`` detects the lattice, and a sample without one is refused.
     """
 
     run: str

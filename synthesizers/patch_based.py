@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
-from .canvas.canvas import Box, Canvas, Patch, feather_weights
+from .canvas.canvas import Box, Canvas, ExactPatch, feather_weights
 from .matching.frame_matching import FrameMatcher, frame_mask
 from .patch_laying.raster_order import (
     LARGEST_SHARE,
@@ -141,7 +141,7 @@ class PatchBased:
                 x, y = places[draw_within(-matcher.rate(old, hole, places), limit, task.rng)].tolist()
             return x, y
 
-        def feather(canvas: Canvas, spot: Spot, patch: Patch) -> None:
+        def feather(canvas: Canvas, spot: Spot, patch: ExactPatch) -> None:
             canvas.blend(spot.window, patch, feather_weights(grid.size, self.zone, spot.sides), self.zone + 1)
 
         return cover(task, grid, choose, feather)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
-from .canvas.canvas import Box, Canvas, Patch, cut_closed_seam, edge_mask, find_paths
+from .canvas.canvas import Box, Canvas, ExactPatch, cut_closed_seam, edge_mask, find_paths
 from .matching.frame_matching import FrameMatcher
 from .patch_laying.raster_order import (
     LARGEST_SHARE,
@@ -108,7 +108,7 @@ class Quilting:
         return cover(task, grid, choose, cut_in)
 
 
-def cut_in(canvas: Canvas, spot: Spot, patch: Patch) -> None:
+def cut_in(canvas: Canvas, spot: Spot, patch: ExactPatch) -> None:
     """Lay a patch into a spot, cut along the paths of least squared difference, or along a closed seam of least cost.
 
     A closed seam, an exact minimum cut, is needed where the patch overlaps others on three or four sides.

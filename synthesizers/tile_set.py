@@ -268,7 +268,8 @@ class TileLaying:
         self.sets = {(i, j): self.stock.middles(i, j) for i in (0, 1) for j in (0, 1)}
         self.margin = np.ceil(3 * self.tile.reach).astype(int) + 2
         down, across = int(self.margin[1]), int(self.margin[0])
-        self.canvas = Canvas(task.shape, task.sample.shape[2], np.uint8, (down, across), task.tileable)
+        exact = self.stock.images.exact is not None
+        self.canvas = Canvas(task.shape, task.sample.shape[2], np.uint8, (down, across), task.tileable, exact=exact)
         if method.stitch == "graphcut":
             weights = ElementWeights.of(task.sample, self.lattice)
             self._weights = weights.table, weights.numbers_from(-self.margin)

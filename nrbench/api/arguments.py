@@ -134,13 +134,25 @@ def image_in(image: Imagelike, where: str = "image") -> Image:
     return as_image(image, where)
 
 
+def stored_image(image: Imagelike, where: str = "image") -> Image:
+    """Return an :data:`Imagelike` as its file would hold it: with 8 bits if that is exact, or if it is a texture.
+
+    Others have 16 bits.
+    """
+    from nrbench.imaging.convert import depth_of, quantize
+    from nrbench.plugins.forms import Texture
+
+    pixels = image_in(image, where)
+    return quantize(pixels, depth_of(pixels, 8 if isinstance(image, Texture) else 16))
+
+
 def picture_file(image: Imagelike, folder: Path) -> Path:
     """Return the file of an :data:`Imagelike`, which is written into a folder if it is no file yet."""
     from nrbench.pictures.files import write_image
 
     if isinstance(image, str | os.PathLike):
         return Path(image)
-    write_image(folder / "picture.png", image_in(image))
+    write_image(folder / "picture.png", stored_image(image))
     return folder / "picture.png"
 
 

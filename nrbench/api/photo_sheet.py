@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,8 @@ _PERILS = ("regularity", "integrity", "randomness", "appearance")
 
 def photo_suite(photo: Path, sample: Any, size: Any) -> Suite:
     """Return a suite of one photograph with all methods that are no references and need no parameter."""
-    height, width = map(min, read_image(photo).shape[:2], parse_size(sample))
+    with warnings.catch_warnings(action="ignore"):  # the plan reads it again
+        height, width = map(min, read_image(photo).shape[:2], parse_size(sample))
     row = {"name": "photo", "dataset": plugins.in_role("pictures"), "parameters": {"path": str(photo.absolute())}}
     content = {
         "name": "sheet",

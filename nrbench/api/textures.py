@@ -27,6 +27,7 @@ from nrbench.api.arguments import (
     names_of,
     plugin_in,
     shape_in,
+    stored_image,
 )
 from nrbench.errors import BadInput, require
 from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber
@@ -278,7 +279,8 @@ def synthesize(
         A synthesizer plugin: its name, e.g. ``"rsgf"`` or ``"rsgf:preset=paper"``, its class, or an instance.
     image
         The sample, an :data:`Imagelike`. Methods that find a lattice get the middle of a sample larger than 1024 px, as
-        large as 16 periods or the output.
+        large as 16 periods or the output. The output has 8 or 16 bits a channel, as the sample; arrays of floats that
+        are not exactly those of 8 bits have 16.
     shape
         Size of the output.
 
@@ -321,7 +323,7 @@ def synthesize(
     from nrbench.calling.bent_samples import synthesize_in_geometry
     from nrbench.calling.method_calls import briefly_prepared, checked_synthesis, synthesize_from_part
     from nrbench.calling.tileable import AXES, require_wrapping, synthesize_tileable
-    from nrbench.imaging.convert import match_ndim, quantize
+    from nrbench.imaging.convert import match_ndim
     from nrbench.plugins.forms import Refused, Task
     from nrbench.streams import pixels_hash, stream
 
@@ -330,7 +332,7 @@ def synthesize(
     require(along in ("", *AXES), f"tileable {tileable!r}: give True, or one of {', '.join(AXES)}")
     if along:
         require_wrapping(type(plugin))
-    sample = quantize(image_in(image))
+    sample = stored_image(image)
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     task = Task(sample, shape_in(shape), lattice_in(sample, lattice), rng, progress or (lambda fraction: None))
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
@@ -418,10 +420,10 @@ def score(
     >>> score(brick, tiled, metrics="regularity").values["regularity.preserved"]
     True
     """
-    from nrbench.imaging.convert import match_channels, quantize
+    from nrbench.imaging.convert import match_channels
     from nrbench.plugins.forms import Observation, Texture
 
-    pair = quantize(image_in(sample, "sample")), quantize(image_in(output, "output"))
+    pair = stored_image(sample, "sample"), stored_image(output, "output")
     pair = match_channels(*pair), match_channels(*pair[::-1])
     height, width, _ = pair[1].shape
     if height * width > MOST_SCORED:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.calling.method_calls import synthesize_exactly
 from nrbench.displacement.bent_detection import find_deformation
 from nrbench.displacement.deformation_field import LEAST_AMPLITUDE, Deformation, pixel_places, read_spline
 from nrbench.displacement.free_form import REPEATS, FreeForm
 from nrbench.displacement.random_field import output_field
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.jit import work_clock
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import (
@@ -107,11 +108,11 @@ def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey
     """
     survey = survey or survey_sample(method, task)
     if survey is None:
-        return method.synthesize(task)
+        return synthesize_exactly(method, task)
     geometry: Geometry = getattr(method, "geometry", "as-is")
     seconds, bent, note = 0.0 if task.lattice else survey.seconds, survey.bent, survey.note
     task = replace(task, detected=(task.sample, _detector_of(method), survey.found))
-    made = method.synthesize(task) if bent is None else _synthesize_bent(method, task, bent, geometry)
+    made = synthesize_exactly(method, task) if bent is None else _synthesize_bent(method, task, bent, geometry)
     if bent is not None:
         note += f", and the output is {'straight' if geometry == 'straight' else 'bent'}"
     note = "; ".join(filter(None, (made.note, note)))
@@ -120,6 +121,7 @@ def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey
 
 def _synthesize_bent(method: Synthesizer, task: Task, bent: Deformation, geometry: Geometry) -> Synthesis:
     sample, straight = bent.straighten()
+    sample = quantize(sample, 16) if depth_of(task.sample) == 16 else sample
     height, width = sample.shape[:2]
     if min(np.ptp(straight.to_cell(pixel_places(height, width)), axis=(0, 1))) < _LEAST_PERIODS:
         raise Refused(
@@ -136,7 +138,7 @@ def _synthesize_bent(method: Synthesizer, task: Task, bent: Deformation, geometr
     low, high = np.floor(places.min((0, 1))) - margin, np.ceil(places.max((0, 1))) + margin
     columns, rows = (high - low).astype(int) + 1
     shape = int(rows), int(columns)
-    made = method.synthesize(replace(task, sample=sample, shape=shape, lattice=straight))
+    made = synthesize_exactly(method, replace(task, sample=sample, shape=shape, lattice=straight))
     # The output continues the phase of the straightened sample, whose corner is elsewhere on the plane.
     places = places - low + bent.lattice.wrap(low - bent.corner)
     image = read_spline(made.image, places)

@@ -1,7 +1,7 @@
 """What happens before and after a method is called: it prepares for a sample or a part of it; its output is checked.
 
-A preparation, such as training, is done once, and found again by all cells of the sample. An output is rounded to 8
-bits.
+A preparation, such as training, is done once, and found again by all cells of the sample. An output is rounded to the
+bits of the sample, 8 or 16.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import Image, quantize, shrink
+from nrbench.imaging.convert import Image, depth_of, quantize, shrink
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import NoLatticeFound, Shape, SourceMap, Synthesis, Synthesizer, Task
 from nrbench.plugins.registry import NamedDetector
@@ -98,12 +98,26 @@ _BAND = 1 << 20
 """Number of pixels that are checked at a time: a large output leaves no room for copies."""
 
 
+def synthesize_exactly(method: Synthesizer, task: Task) -> Synthesis:
+    """Return the synthesis of a method. Of a sample of 16 bits, copies are exact: some methods compute in 8 bits."""
+    made = method.synthesize(task)
+    source: Any = getattr(made, "source", None)
+    if depth_of(task.sample) == 8 or np.shape(source) != (*task.shape, 3):
+        return made  # what is wrong with it, the check says
+    places = np.nan_to_num(source)
+    copy = (places[..., 2] > 1 - 1e-6) & (places[..., :2] == np.rint(places[..., :2])).all(-1)
+    x, y = np.clip(places[copy][:, :2].astype(int).T, 0, np.array(task.sample.shape[1::-1])[:, np.newaxis] - 1)
+    image = np.array(made.image, np.float32)
+    image[copy] = task.sample[y, x]
+    return replace(made, image=image)
+
+
 class InvalidOutput(Exception):
     """A method returned something that is no valid :class:`~nrbench.plugins.forms.Synthesis` of its task."""
 
 
 def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
-    """Return what a method returned, checked, with its image rounded to 8 bits.
+    """Return what a method returned, checked, with its image rounded to the bits of the sample.
 
     Raises
     ------
@@ -113,7 +127,7 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
     """
     if not isinstance(synthesis, Synthesis):
         raise InvalidOutput(f"returned {type(synthesis).__name__} instead of a Synthesis")
-    image = _checked_image(synthesis.image, (*shape, sample.shape[2]))
+    image = _checked_image(synthesis.image, (*shape, sample.shape[2]), depth_of(sample))
     source = None if synthesis.source is None else _numbers(synthesis.source, "source map").astype(np.float32)
     if source is not None:
         check_source(source, image, sample)
@@ -163,7 +177,7 @@ def _checked_file(name: str, describe: Callable[[str], str]) -> Callable[[str], 
     return describe
 
 
-def _checked_image(image: Any, shape: tuple[int, int, int]) -> Image:
+def _checked_image(image: Any, shape: tuple[int, int, int], bits: int) -> Image:
     pixels = np.asarray(image)
     if pixels.shape != shape:
         raise InvalidOutput(f"returned an image of the wrong shape: expected {shape}, got {pixels.shape}")
@@ -175,7 +189,7 @@ def _checked_image(image: Any, shape: tuple[int, int, int]) -> Image:
     low, high = float(pixels.min()), float(pixels.max())
     if low < -RANGE_TOLERANCE or high > 1 + RANGE_TOLERANCE:
         raise InvalidOutput(f"returned values from {low:.3g} to {high:.3g}; an image has values in [0, 1]")
-    return quantize(np.asarray(pixels, np.float32))
+    return quantize(np.asarray(pixels, np.float32), bits)
 
 
 def check_source(source: SourceMap, image: Image, sample: Image) -> None:

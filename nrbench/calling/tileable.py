@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench import plugins
+from nrbench.calling.method_calls import synthesize_exactly
 from nrbench.displacement.deformation_field import pixel_places, read_spline
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, largest_box, quantize
+from nrbench.imaging.convert import Image, depth_of, largest_box, quantize
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector, in_role
@@ -66,14 +67,14 @@ def synthesize_tileable(method: Synthesizer, task: Task, along: str = "both") ->
     axes = AXES[along]
     if found.lattice is None:
         shape = _lengthened(None, task.shape, axes)
-        return _cut(method.synthesize(replace(task, shape=shape, tileable=True)), task.shape)
+        return _cut(synthesize_exactly(method, replace(task, shape=shape, tileable=True)), task.shape)
     bent, bending = None, ""
     if getattr(method, "geometry", "as-is") != "as-is":
         bent, bending = find_bend(task.sample, found.lattice, task.lattice is not None)
     sample, lattice = (task.sample, found.lattice) if bent is None else bent.straighten()
-    strained = StrainedSample.of(sample, lattice, task.shape, axes)
+    strained = StrainedSample.of(sample, lattice, task.shape, axes, depth_of(task.sample))
     wrapped = replace(task, sample=strained.image, shape=strained.shape, lattice=strained.lattice, tileable=True)
-    made = _cut(method.synthesize(wrapped), task.shape)
+    made = _cut(synthesize_exactly(method, wrapped), task.shape)
     source = made.source
     if source is not None and (strained.image is not sample or bent is not None):
         source = source.copy()
@@ -142,7 +143,7 @@ class StrainedSample:
     Parameters
     ----------
     image
-        ``(h, w, C)``: the strained sample, rounded to 8 bits; the sample itself if it would hardly move.
+        ``(h, w, C)``: the strained sample, rounded to 8 or 16 bits; the sample itself if it would hardly move.
     lattice
         The lattice that closes, in pixels of ``image``.
     corner
@@ -160,8 +161,8 @@ class StrainedSample:
     shape: Shape
 
     @classmethod
-    def of(cls, sample: Image, lattice: Lattice, shape: Shape, axes: tuple[int, ...]) -> StrainedSample:
-        """Return the sample, strained so that the lattice closes on an output of ``shape`` along some axes.
+    def of(cls, sample: Image, lattice: Lattice, shape: Shape, axes: tuple[int, ...], bits: int = 8) -> StrainedSample:
+        """Return the sample, strained so that the lattice closes on an output of ``shape``, and rounded to ``bits``.
 
         Raises
         ------
@@ -184,7 +185,7 @@ class StrainedSample:
         reach = np.ceil((ends @ np.linalg.inv(back)).max(0)).astype(int)
         places = pixel_places(int(reach[1]), int(reach[0])) @ back
         box = largest_box(np.asarray(((places >= 0) & (places <= (width - 1, height - 1))).all(-1)))
-        image = quantize(read_spline(sample, places[box[0] : box[1], box[2] : box[3]]))
+        image = quantize(read_spline(sample, places[box[0] : box[1], box[2] : box[3]]), bits)
         corner = np.array([box[2], box[0]], np.float64)
         return cls(image, closed.shifted(-corner), corner, back, whole)
 

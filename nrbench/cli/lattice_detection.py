@@ -38,7 +38,7 @@ from nrbench.api.textures import FOLLOWS_BENT, find_bent_lattice, follow_bent_la
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput, require
-from nrbench.imaging.convert import Image
+from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
 from nrbench.jit import load_kernels, work_clock
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
@@ -376,7 +376,7 @@ def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) ->
         LatticeResult(name, None, reason=none.reason).print(options.as_json)
         return
     straight, straight_lattice = followed.deformation.straighten()
-    write_image(output, straight)
+    write_image(output, quantize(straight, depth_of(image)))
     if options.output is not None:
         write_image(options.output, draw_vertices(image, followed.deformation.lattice_points))
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)

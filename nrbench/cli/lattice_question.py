@@ -107,9 +107,11 @@ class LatticeQuestion:
             raise BadInput("--vertices: writes those of one lattice; leave --all out")
         if self.straighten and (self.every or self.pick or self.diagnostics):
             raise BadInput("--straighten: follows one lattice; leave --all, --pick and --diagnostics out")
+        from nrbench.pictures.files import WRITTEN
+
         written = {os.path.realpath(self.image): "is the picture itself, which would be lost; choose another name"}
         for path in filter(None, (self.output, self.diagnostics, self.straighten, self.vertices)):
-            check_output(path, ".csv" if path is self.vertices else ".png")
+            check_output(path, *((".csv",) if path is self.vertices else WRITTEN))
             if os.path.realpath(path) in written:
                 raise BadInput(f"{path}: {written[os.path.realpath(path)]}")
             if path is self.vertices and path.exists() and not self.force:

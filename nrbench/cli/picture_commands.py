@@ -15,7 +15,7 @@ from nrbench.api.arguments import as_lattice, lattice_in, names_of
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.cli.verbs import check_output, choose_one, verb
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.flags import Flag, Json, Switch
 from nrbench.storage import write_text
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.lattice.geometry import Lattice
 
-OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png", kind=Path)]
+OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png|.tif|.webp", kind=Path)]
 All = Annotated[bool, Flag("--all", kind=bool)]
 
 
@@ -51,21 +51,23 @@ def synth_command(
     Parameters
     ----------
     output
-        The output.
+        The output, with the 8 or 16 bits a channel of IMAGE; WebP has 8.
     extras
         Also write the pictures that the method returns beside the output.
     """
     from nrbench import plugins
     from nrbench.api.arguments import plugin_in
     from nrbench.calling.method_calls import is_picture
-    from nrbench.pictures.files import read_image, write_image
+    from nrbench.pictures.files import WRITTEN, read_image, write_image
     from nrbench.plugins.parameters import parse_size
 
-    check_output(output)
+    check_output(output, *WRITTEN)
     if os.path.realpath(output) == os.path.realpath(image):
         raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
     finder = getattr(plugin_in("synthesizers", method, {}), "finder", "")
-    size, sample = parse_size(shape), read_image(image)
+    size = parse_size(shape)
+    require(max(size) < 1 << 14 or output.suffix.lower() != ".webp", f"-o {output}: WebP has at most 16383 px; use PNG")
+    sample = read_image(image)
     given = _given_lattice(sample, lattice)
     with waiting(f"{method.partition(':')[0]}, {shape}") as progress:
         synthesis = call(image=sample, shape=size, lattice=given, progress=progress)

@@ -221,8 +221,9 @@ def sheet_command(call: Callable[..., Any], options: Options, output: Path, as_j
         Print JSON on standard output.
     """
     from nrbench.api.photo_sheet import describe_row
+    from nrbench.pictures.files import WRITTEN
 
-    check_output(output)
+    check_output(output, *WRITTEN)
     with show_steps() as progress:
         table = call(options=options, progress=progress)
     rows = table.astype(object).where(table.notna(), None).to_dict("records")

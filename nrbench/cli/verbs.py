@@ -144,14 +144,14 @@ def choose_one(given: Mapping[str, object]) -> None:
         raise BadInput(f"{' and '.join(names)}: choose one of them")
 
 
-def check_output(path: Path, suffix: str = ".png") -> None:
-    """Raise :class:`~nrbench.errors.BadInput` unless a file of this ending can be written to ``path``.
+def check_output(path: Path, *suffixes: str) -> None:
+    """Raise :class:`~nrbench.errors.BadInput` unless a file of one of these endings can be written to ``path``.
 
     A temporary file is made beside it, because the rights of a directory do not tell whether its file system takes
     files.
     """
-    if path.suffix.lower() != suffix:
-        raise BadInput(f"{path}: outputs are {suffix[1:].upper()}; end the name in {suffix}")
+    if path.suffix.lower() not in suffixes:
+        raise BadInput(f"{path}: outputs are {suffixes[0][1:].upper()}; end the name in {' or '.join(suffixes)}")
     if not path.absolute().parent.is_dir():
         raise BadInput(f"{path}: its directory does not exist; make it first")
     if path.is_dir():

@@ -1,4 +1,4 @@
-"""Convert images of users to float32 ``(H, W, C)``, round them to 8 bits, and crop them."""
+"""Convert images of users to float32 ``(H, W, C)``, round them to 8 or 16 bits, and crop them."""
 
 from __future__ import annotations
 
@@ -91,14 +91,39 @@ def _scale_to_unit(pixels: NDArray[Any], where: str) -> Image:
 
 def to_bytes(image: Image) -> NDArray[np.uint8]:
     """Clip an image to [0, 1] and round it to uint8, as a PNG file stores it."""
+    pixels: NDArray[np.uint8] = to_integers(image)
+    return pixels
+
+
+def to_integers(image: Image, bits: int = 8) -> NDArray[Any]:
+    """Clip an image to [0, 1] and round it to uint8, or to uint16 for 16 bits, as a file stores it."""
     pixels = np.clip(image, 0, 1)
-    pixels *= 255  # in place: a large image leaves no room for a copy at each step
-    return np.rint(pixels, out=pixels).astype(np.uint8)
+    pixels *= 2**bits - 1  # in place: a large image leaves no room for a copy at each step
+    return np.rint(pixels, out=pixels).astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def quantize(image: Image) -> Image:
-    """Round an image of any size to 8 bits: return the float32 image that its PNG file holds."""
-    return np.asarray(to_bytes(image) / np.float32(255), np.float32)
+def quantize(image: Image, bits: int = 8) -> Image:
+    """Round an image of any size to 8 or 16 bits: return the float32 image that its file holds."""
+    return np.asarray(to_integers(image, bits) / np.float32(2**bits - 1), np.float32)
+
+
+def depth_of(image: Image, others: int = 8) -> int:
+    """Return the bits a channel of the file that holds exactly these values: 8, or 16; ``others`` if there is none.
+
+    Images carry no depth. Their values tell it: those of a file are whole numbers over 255, or over 65535.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> heights = np.linspace(0, 1, 10000, dtype=np.float32).reshape(100, 100, 1)
+    >>> depth_of(quantize(heights, 16)), depth_of(quantize(heights)), depth_of(heights)
+    (16, 8, 8)
+    """
+    part = image[:: max(1, len(image) // 16)]  # most images show it in a few rows
+    for bits in (8, 16):
+        if all(np.array_equal(quantize(rows, bits), np.asarray(rows, np.float32)) for rows in (part, image)):
+            return bits
+    return others
 
 
 def match_ndim(image: Image, array: Any) -> NDArray[np.float32]:

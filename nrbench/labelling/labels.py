@@ -22,7 +22,7 @@ from markupsafe import Markup
 from pydantic import Field, TypeAdapter, ValidationError
 
 from nrbench.errors import BadInput
-from nrbench.pictures.files import read_image
+from nrbench.pictures.files import read_image, to_rgb
 from nrbench.plugins.forms import describe_silence
 from nrbench.runs.records import CellRecord, Run
 from nrbench.runs.store import RunDirectory
@@ -350,7 +350,7 @@ def encode_pixels(path: Path) -> bytes:
     """Return a picture as PNG without texts, times and names of programs, which could reveal the method."""
     file = io.BytesIO()
     with path.open("rb") as content, PIL.Image.open(content) as image:
-        PIL.Image.fromarray(np.asarray(image.convert("RGB"))).save(file, "PNG")
+        PIL.Image.fromarray(to_rgb(image)).save(file, "PNG")
     return file.getvalue()
 
 

@@ -1,58 +1,97 @@
-"""Read image files of any common format, and write PNG files."""
+"""Read image files of any common format as sRGB, and write PNG, TIFF and WebP files."""
 
 from __future__ import annotations
 
 import errno
 import io
+import logging
 import os
+import struct
+import sys
 import warnings
+import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import PIL.ExifTags
 import PIL.Image
+import PIL.ImageCms
+import PIL.ImageFile
 import PIL.ImageOps
 import PIL.PngImagePlugin
+import PIL.TiffImagePlugin
+import tifffile
 from numpy.typing import NDArray
 
 from nrbench.errors import BadInput, strip_control
-from nrbench.imaging.convert import MIN_SIDE, Image, as_image, to_bytes
+from nrbench.imaging.convert import MIN_SIDE, Image, as_image, depth_of, to_bytes, to_integers
+from nrbench.pictures.color_spaces import LINEAR, ColorSpace, apply_profile, find_color_space, read_profile
 from nrbench.storage import find_path, write_aside
 
-ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
+for _library in ("PIL", "tifffile"):  # they print the faults of a damaged file, of which we make one error
+    logging.getLogger(_library).addHandler(logging.NullHandler())
+_Opened = PIL.ImageFile.ImageFile | tifffile.TiffPage
+ENDINGS = frozenset(
+    {
+        *(".png", ".jpg", ".jpeg", ".jfif", ".tif", ".tiff", ".bmp", ".webp", ".gif", ".tga", ".jp2"),
+        *(".ppm", ".pgm", ".pbm", ".pnm", ".avif", ".heic", ".heif"),
+    }
+)
 """Endings of picture files."""
+WRITTEN = (".png", ".tif", ".tiff", ".webp")
+"""Endings of the files that are written. None of them loses a pixel; WebP has 8 bits a channel."""
+_WRITTEN = "PNG, TIFF and WebP (.png, .tif, .webp)"
+_COMPANIONS = frozenset({".csv", ".json", ".txt", ".md", ".db", ".ini"})
+"""Endings of files beside pictures, which nobody takes for pictures."""
 _DIRECT = {"L", "LA", "RGB", "RGBA"}
 _VIA = {"1": "L", "P": "RGB", "CMYK": "RGB", "YCbCr": "RGB", "LAB": "RGB", "HSV": "RGB"}
 _VIA_ALPHA = dict.fromkeys(("1", "L", "LA"), "LA")
 """Modes to which pictures with transparency are converted; the others become RGBA."""
-FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000")
+FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000", "AVIF", "HEIF")
 """The formats of Pillow that are read; others start programs, such as Ghostscript for EPS, or are no pictures."""
 MOST_PIXELS = 1 << 26
 """Most pixels of a picture that is read, 8192 x 8192: as floats of three colors they take 0.8 GB."""
 _TURNED = (5, 6, 7, 8)
 """EXIF orientations that exchange height and width."""
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_HEIC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+_OTHERS = {b"v/1\1": "OpenEXR", b"#?RAD": "Radiance HDR", b"\xff\n": "JPEG XL", b"\0\0\0\x0cJXL ": "JPEG XL"}
+_FRAMES = "has several frames; the first one is read"
+_NO_PICTURE = "is no picture that can be read; pass a PNG, JPEG or TIFF file"
+_FLIPPED = {2: (1,), 3: (0, 1), 4: (0,), 6: (1,), 7: (0, 1), 8: (0,)}
+"""The axes that each orientation turns over after that."""
+_HEAD = 1 << 16
+"""Bytes at the beginning of a file in which statements about color and depth are searched for."""
+_LOW = 0.25
+"""A picture that uses less of its scale is named."""
+_SAMPLED = 1 << 13
+"""About the most values of a picture from which this is determined; 1 in 1000 may lie outside at each end."""
 
 
 def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
-    """Read an image file: PNG, JPEG, TIFF or another of :data:`FORMATS`.
+    """Read an image file as sRGB: PNG, JPEG, TIFF or another of :data:`FORMATS`.
 
-    Of several frames the first one is read, with a warning.
+    One warning says if the values are not exactly those of the file, if their meaning is not known, if they use less
+    than a quarter of their scale, and if the file has several frames, of which the first one is read.
 
     Parameters
     ----------
     path
-        Gray, color or palette of up to 16 bits a channel; 16-bit color is rounded to 8 bits. An EXIF rotation is
-        applied; a broken EXIF block is ignored. An alpha channel is left out if it is opaque everywhere.
+        Gray, color or palette of 8 or 16 bits a channel; or float in [0, 1], which is linear light unless a profile
+        says otherwise. What the file says of its colors is converted to sRGB: a profile (ICC), gAMA and cHRM, cICP, the
+        color space of EXIF. An EXIF rotation is applied; a broken EXIF block is ignored. An alpha channel is left out
+        if it is opaque everywhere. HEIC needs the package pillow-heif.
     smallest
         Least number of px a side.
 
     Returns
     -------
     Image
-        One channel for gray files, three for color and palette.
+        One channel for gray files, three for color and palette. The values are those of 8 bits for files of 8 bits,
+        else of 16 bits.
 
     Raises
     ------
@@ -70,39 +109,71 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     >>> read_image(path).shape
     (64, 96, 3)
     """
-    where = f"picture {path}"
-    with _opened(path, where) as picture:
-        several = _has_several_frames(picture)
-        pixels = _pixels(PIL.ImageOps.exif_transpose(picture), where)
-    if several:
-        warnings.warn(f"{where}: has several frames; the first one is read", UserWarning, stacklevel=2)
-    return as_image(pixels, where, smallest)
+    where, notes = f"picture {path}", list[str]()
+    with _opened(path, where) as (picture, file, head):
+        if isinstance(picture, tifffile.TiffPage):
+            pixels, space = _page_pixels(picture, where, notes)
+        else:
+            pixels, space = _pixels(picture, file, head, where, notes)
+    pixels = pixels if pixels.ndim == 3 else pixels[..., np.newaxis]
+    if pixels.dtype.kind == "f":
+        as_image(pixels, where, smallest)  # the range of floats is checked before the conversion
+        if space is None:
+            notes.append("float values without a profile are read as linear light; store other quantities with 16 bits")
+        space = space or LINEAR
+    if space is not None:
+        pixels, remark = space.to_srgb(pixels)
+        notes += [remark] if remark else []
+    image = as_image(pixels, where, smallest)
+    notes += _range_remark(image)
+    if notes:
+        warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=2)
+    return image
+
+
+def _range_remark(image: Image) -> list[str]:
+    """Return a remark if an image uses little of its scale; single bright or dark pixels do not count."""
+    values = image.reshape(-1, image.shape[2])[:: image.size // _SAMPLED | 1]  # an odd step meets all columns
+    low, high = np.quantile(values, (0.001, 0.999)).tolist()
+    if high - low >= _LOW or not np.ptp(values, axis=0).any():
+        return []
+    return [f"uses only {low:.3f} to {high:.3f} of its scale from 0 to 1; stretch its values unless it shall look so"]
 
 
 @contextmanager
-def _opened(path: str | Path, where: str) -> Iterator[PIL.Image.Image]:
-    """Yield an opened picture of one of :data:`FORMATS`; turn every error of Pillow into BadInput.
+def _opened(path: str | Path, where: str) -> Iterator[tuple[_Opened, IO[bytes], bytes]]:
+    """Yield an opened picture of one of :data:`FORMATS`, its file, and its first bytes; turn errors into BadInput.
 
-    Crafted files make Pillow raise errors of many types. The file is opened here because Pillow maps some TIFF files
-    that it opens itself and garbles the rotated ones.
+    A TIFF that Pillow does not know, such as one of floats in color, is a page of tifffile. Crafted files make the
+    libraries raise errors of many types. The file is opened here because Pillow maps some TIFF files that it opens
+    itself and garbles the rotated ones.
     """
     path = find_path(Path(path))
     _check_file(Path(path), where)
     try:
-        with (
-            warnings.catch_warnings(action="ignore"),
-            Path(path).open("rb") as file,
-            PIL.Image.open(file, formats=FORMATS) as picture,
-        ):
-            width, height = picture.size
+        with warnings.catch_warnings(action="ignore"), Path(path).open("rb") as file, ExitStack() as opened:
+            head = file.read(_HEAD)
+            picture: _Opened
+            try:
+                picture = opened.enter_context(PIL.Image.open(file, formats=_formats(head)))
+                width, height = picture.size
+                tags = picture.tag_v2 if isinstance(picture, PIL.TiffImagePlugin.TiffImageFile) else {}
+                if tags.get(284) == 2 and tags.get(258, (8,))[0] > 8:
+                    raise PIL.UnidentifiedImageError("planes of more than 8 bits, which Pillow garbles")
+            except PIL.UnidentifiedImageError:
+                file.seek(0)
+                if head[:4] not in _TIFF:
+                    raise BadInput(f"{where}: {_name_format(head, file)}") from None
+                picture = opened.enter_context(tifffile.TiffFile(file)).pages.first
+                width, height = picture.imagewidth, picture.imagelength
+            if width * height == 0:
+                raise BadInput(f"{where}: {_NO_PICTURE}")
             if width * height > MOST_PIXELS:
                 most = f"at most {MOST_PIXELS} px in all are read"
                 raise BadInput(f"{where}: {width}x{height} px; {most}: crop it, or scale it down")
-            yield picture
+            yield picture, file, head
     except BadInput:
         raise
-    except PIL.UnidentifiedImageError:
-        raise BadInput(f"{where}: is no picture that can be read; pass a PNG, JPEG or TIFF file") from None
     except PIL.Image.DecompressionBombError:
         raise BadInput(f"{where}: has more than {MOST_PIXELS} px; crop it, or scale it down") from None
     except MemoryError:
@@ -112,8 +183,34 @@ def _opened(path: str | Path, where: str) -> Iterator[PIL.Image.Image]:
         raise BadInput(f"{where}: cannot be read ({why}); it may be cut short: save it again as PNG") from None
 
 
+def _formats(head: bytes) -> tuple[str, ...]:
+    """Return the formats to try on a file: those of :data:`FORMATS` that this installation can read."""
+    if head[4:8] != b"ftyp":
+        return FORMATS[:-2]
+    with suppress(ImportError):
+        import pillow_heif  # type: ignore[import-not-found,unused-ignore]
+
+        pillow_heif.register_heif_opener()
+    PIL.Image.init()
+    return tuple(name for name in FORMATS[-2:] if name in PIL.Image.OPEN)
+
+
+def _name_format(head: bytes, file: IO[bytes]) -> str:
+    """Return what a file is that is no picture of the formats to try, and what to do."""
+    if head[4:8] == b"ftyp" and head[8:11] == b"avi":
+        return "is AVIF, which this Pillow cannot read; install Pillow 11.3 or later, or save it as PNG"
+    if head[4:8] == b"ftyp" and head[8:12] in _HEIC:
+        return "is HEIC, which needs the package pillow-heif: pip install 'nrbench[heic]'; or save it as PNG"
+    name = next((name for start, name in _OTHERS.items() if head.startswith(start)), None)
+    with suppress(Exception), PIL.Image.open(file) as other:
+        name = other.format
+    return f"is no picture that can be read, but {name}; save it as PNG" if name else _NO_PICTURE
+
+
 def list_pictures(folder: Path) -> list[Path]:
     """Return the pictures of a folder by the endings of their names, sorted by name; hidden files are left out.
+
+    A warning counts and names the other files, but for texts and tables.
 
     Raises
     ------
@@ -123,6 +220,11 @@ def list_pictures(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise BadInput(f"directory {folder}: there is no such directory; check the path")
     names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file() and not entry.name.startswith("."))
+    skipped = [name for name in names if Path(name).suffix.lower() not in ENDINGS | _COMPANIONS]
+    if skipped:
+        some = ", ".join(map(strip_control, skipped[:5])) + (", ..." if len(skipped) > 5 else "")
+        why = "files skipped, as their names do not end as those of pictures"
+        warnings.warn(f"directory {folder}: {why}: {len(skipped)} ({some})", stacklevel=2)
     return [folder / name for name in names if Path(name).suffix.lower() in ENDINGS]
 
 
@@ -134,9 +236,12 @@ def read_shape(path: str | Path) -> tuple[int, int]:
     BadInput
         If there is no such file, or it is no image.
     """
-    with _opened(path, f"picture {path}") as picture:
-        width, height = picture.size
-        turned = picture.getexif().get(PIL.ExifTags.Base.Orientation, 1) in _TURNED
+    with _opened(path, f"picture {path}") as (picture, *_):
+        if isinstance(picture, tifffile.TiffPage):
+            width, height, turned = picture.imagewidth, picture.imagelength, _orientation(picture) in _TURNED
+        else:
+            width, height = picture.size
+            turned = picture.getexif().get(PIL.ExifTags.Base.Orientation, 1) in _TURNED
     return (width, height) if turned else (height, width)
 
 
@@ -159,27 +264,111 @@ def _has_several_frames(picture: PIL.Image.Image) -> bool:
         return False
 
 
-def _pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
-    if picture.mode.startswith("I"):
-        return _sixteen_bits(np.asarray(picture), picture.info.get("transparency"), where)
+def _pixels(
+    picture: PIL.ImageFile.ImageFile, file: IO[bytes], head: bytes, where: str, notes: list[str]
+) -> tuple[NDArray[Any], ColorSpace | None]:
+    """Return the pixels of a picture, upright, and the color space from which they must be converted; add notes."""
+    if _has_several_frames(picture):
+        notes.append(_FRAMES)
+    deep, twelve = _is_deep(picture, head), "I;12" in str(picture.tile)
+    # Before EXIF is read, for which Pillow decodes a PNG.
+    wide = _read_wide(picture, file) if deep and picture.tile else None
+    space, upright = find_color_space(picture, head), PIL.ImageOps.exif_transpose(picture)
+    if upright.mode.startswith("I"):
+        wide = np.rint(np.asarray(upright) * (65535 / 4095)) if twelve else np.asarray(upright)
+    if wide is not None:
+        wide = _sixteen_bits(wide, picture.info.get("transparency"), where)
+        if space is None or not space.profile:
+            return wide, space
+        upright, deep = PIL.Image.fromarray(np.rint(wide / 257).astype(np.uint8)), True
+    managed = apply_profile(upright, space.profile) if space is not None and space.profile else None
+    if upright.mode == "CMYK" and managed is None:
+        notes.append("is CMYK without a profile that fits; its colors are estimated")
+    if deep:
+        notes.append("has more than 8 bits a channel, which are rounded to 8")
+    return _plain_pixels(managed or upright, where), None if managed else space
+
+
+def _is_deep(picture: PIL.ImageFile.ImageFile, head: bytes) -> bool:
+    """Return whether a file has more than 8 bits a channel, of which Pillow reads 8."""
+    if picture.format in ("PNG", "TIFF"):
+        return picture.mode[0] not in "IF" and any(mark in str(picture.tile) for mark in (";16B", ";16L", ";16N"))
+    if picture.format == "PPM":
+        args: Any = picture.tile[0].args
+        return picture.mode == "RGB" and not isinstance(args, str) and args[1] > 255
+    at = head.find(b"av1C") if picture.format == "AVIF" else -1
+    return int(picture.info.get("bit_depth", 8)) > 8 or (at >= 0 and bool(head[at + 6] & 0x40))
+
+
+def _read_wide(picture: PIL.ImageFile.ImageFile, file: IO[bytes]) -> NDArray[np.uint16] | None:
+    """Return color, or gray with alpha, of 16 bits, upright; None if the pixels have another layout.
+
+    Pillow keeps the upper of two bytes. If it is given the wrong order of the bytes, it keeps the lower one.
+    """
+    plain, modes = picture.format == "PNG", list[str]()
+    given: Any = picture.tile[0].args
+    mode = given if plain else given[0]
+    if mode == "LA;16B":
+        modes = ["RGBA"]  # four bytes
+    elif mode[:-1] in ("RGB;16", "RGBX;16", "RGBA;16"):
+        modes = [mode[:-1] + order for order in ("BL" if mode[-1] == "B" or sys.byteorder == "big" else "LB")]
+    planes = []
+    for each in modes:
+        file.seek(0)
+        with PIL.Image.open(file, formats=[str(picture.format)]) as again:
+            tiles: Any = again.tile
+            again.tile = [tile._replace(args=each if plain else (each, *tile.args[1:])) for tile in tiles]
+            planes.append(np.asarray(PIL.ImageOps.exif_transpose(again)))
+    if len(planes) == 2:
+        return np.asarray(planes[0] * np.uint16(256) + planes[1])
+    return np.ascontiguousarray(planes[0]).view(">u2").astype(np.uint16) if planes else None
+
+
+def _page_pixels(page: tifffile.TiffPage, where: str, notes: list[str]) -> tuple[NDArray[Any], ColorSpace | None]:
+    """Return the pixels of a page of tifffile, upright, and its color space; add notes."""
+    if len(page.parent.pages) > 1:
+        notes.append(_FRAMES)
+    if page.photometric not in (1, 2) or not 0 < page.size <= 4 * MOST_PIXELS:
+        raise BadInput(f"{where}: has pixels of another kind than gray or RGB; save it as PNG")
+    pixels = page.asarray()
+    pixels = np.moveaxis(pixels, 0, -1) if page.planarconfig == 2 and pixels.ndim == 3 else pixels
+    turn = _orientation(page)
+    pixels = np.flip(pixels.swapaxes(0, 1) if turn in _TURNED else pixels, _FLIPPED.get(turn, ()))
+    return pixels, read_profile(page.iccprofile) if page.iccprofile else None
+
+
+def _orientation(page: tifffile.TiffPage) -> int:
+    return int(page.tags.valueof("Orientation", 1))
+
+
+def _plain_pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
+    if picture.mode == "F":
+        return np.asarray(picture)
     if picture.has_transparency_data:
         picture = picture.convert(_VIA_ALPHA.get(picture.mode, "RGBA"))
     elif picture.mode in _VIA:
         picture = picture.convert(_VIA[picture.mode])
     if picture.mode not in _DIRECT:
-        found = "float pixels" if picture.mode == "F" else f"pixels of mode {picture.mode}"
-        raise BadInput(f"{where}: has {found}; save it with 8 or 16 bits a channel")
+        raise BadInput(f"{where}: has pixels of mode {picture.mode}; save it with 8 or 16 bits a channel")
     return np.asarray(picture)
 
 
-def _sixteen_bits(pixels: NDArray[Any], transparent: int | None, where: str) -> NDArray[np.uint16]:
-    """Return gray values of more than 8 bits, which some formats store in 32 bits; with alpha if one is transparent."""
+def _sixteen_bits(pixels: NDArray[Any], transparent: Any, where: str) -> NDArray[np.uint16]:
+    """Return values of more than 8 bits, which some formats store in 32 bits; with alpha if a color is transparent."""
     if pixels.min() < 0 or pixels.max() > 65535:
         raise BadInput(f"{where}: has gray values outside 0 to 65535; save it with 8 or 16 bits a channel")
     values = pixels.astype(np.uint16)
     if transparent is None:
         return values
-    return np.stack([values, np.where(values == transparent, 0, 65535).astype(np.uint16)], -1)
+    values = values.reshape(*values.shape[:2], -1)
+    return np.dstack([values, np.where((values == transparent).all(-1), 0, 65535).astype(np.uint16)])
+
+
+def to_rgb(picture: PIL.Image.Image) -> NDArray[np.uint8]:
+    """Return a picture of a run as color of 8 bits, ``(H, W, 3)``; Pillow clips gray of 16 bits."""
+    if picture.mode.startswith("I"):
+        picture = PIL.Image.fromarray(np.rint(np.asarray(picture) / 257).astype(np.uint8))
+    return np.asarray(picture.convert("RGB"))
 
 
 def to_pil(image: Image) -> PIL.Image.Image:
@@ -196,14 +385,18 @@ def encode_png(image: Image) -> bytes:
 
 
 def write_image(path: str | Path, image: Image) -> Path:
-    """Write a PNG file of 8 bits a channel, marked as sRGB, in one step: no reader sees an incomplete file.
+    """Write a PNG, TIFF or WebP file, marked as sRGB, in one step: no reader sees an incomplete file.
+
+    The file has 16 bits a channel if the image has the values of such a file, as :func:`read_image` returns them;
+    others are rounded to 8 bits.
 
     Parameters
     ----------
     path
-        The path; its name must end in ``.png``. An existing file is replaced.
+        The path; its name must end in ``.png``, ``.tif``, ``.tiff`` or ``.webp``. An existing file is replaced. All
+        pixels are kept, but that WebP has only 8 bits; then there is a warning.
     image
-        float32 ``(H, W, C)`` in [0, 1]; rounded to 8 bits; values outside are clipped.
+        float32 ``(H, W, C)`` in [0, 1]; values outside are clipped.
 
     Returns
     -------
@@ -225,15 +418,56 @@ def write_image(path: str | Path, image: Image) -> Path:
     >>> read_image(path).shape
     (64, 96, 3)
     """
-    target = Path(path)
-    if target.suffix.lower() != ".png":
-        raise BadInput(f"picture {path}: only PNG is written, which keeps every pixel; end its name in .png")
-    picture, chunks = to_pil(image), PIL.PngImagePlugin.PngInfo()
-    chunks.add(b"sRGB", b"\x00")
+    target, deep = Path(path), depth_of(image) == 16
+    kind = target.suffix.lower()
+    if kind not in WRITTEN:
+        raise BadInput(f"picture {path}: is not written, because only {_WRITTEN} keep every pixel; end its name so")
+    if kind == ".webp" and deep:
+        warnings.warn(
+            f"picture {path}: WebP has 8 bits a channel; .png and .tif keep the 16 of the image", stacklevel=2
+        )
+    write = {".png": _write_deep_png if deep else _write_png, ".webp": _write_webp}.get(kind, _write_tiff)
     try:
         if not target.parent.is_dir():
             raise NotADirectoryError(errno.ENOENT, "No such file or directory")
-        write_aside(target, lambda file: picture.save(file, "PNG", compress_level=1, pnginfo=chunks))
+        write_aside(target, lambda file: write(file, image))
     except OSError as error:
         raise BadInput(f"picture {path}: cannot be written ({error.strerror}); check its folder") from None
     return target
+
+
+def _write_png(file: IO[bytes], image: Image) -> None:
+    chunks = PIL.PngImagePlugin.PngInfo()
+    chunks.add(b"sRGB", b"\x00")
+    to_pil(image).save(file, "PNG", compress_level=1, pnginfo=chunks)
+
+
+def _write_deep_png(file: IO[bytes], image: Image) -> None:
+    """Write a PNG of 16 bits a channel. Pillow writes such files in gray alone."""
+    height, width, channels = image.shape
+    rows = to_integers(image, 16).astype(">u2").reshape(height, -1).view(np.uint8)
+    lines = np.full((height, 1 + rows.shape[1]), 2, np.uint8)  # 2: differences from the line above
+    lines[:, 1:] = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint8))
+    file.write(b"\x89PNG\r\n\x1a\n")
+    header = struct.pack(">IIBBBBB", width, height, 16, 2 if channels == 3 else 0, 0, 0, 0)
+    for name, data in (
+        (b"IHDR", header),
+        (b"sRGB", b"\x00"),
+        (b"IDAT", zlib.compress(lines.tobytes(), 1)),
+        (b"IEND", b""),
+    ):
+        PIL.PngImagePlugin.putchunk(file, name, data)
+
+
+def _write_webp(file: IO[bytes], image: Image) -> None:
+    to_pil(image).save(file, "WEBP", lossless=True, exact=True)
+
+
+def _write_tiff(file: IO[bytes], image: Image) -> None:
+    """Write a TIFF; one in color has the profile of sRGB, without which the meaning of its values would be open."""
+    pixels, color = to_integers(image, depth_of(image)), image.shape[2] == 3
+    profile = PIL.ImageCms.ImageCmsProfile(PIL.ImageCms.createProfile("sRGB")).tobytes() if color else None
+    photometric = "rgb" if color else "minisblack"
+    tifffile.imwrite(
+        file, pixels if color else pixels[..., 0], photometric=photometric, compression="zlib", iccprofile=profile
+    )

@@ -347,7 +347,7 @@ class Task:
     Parameters
     ----------
     sample
-        The sample of the texture, rounded to 8 bits.
+        The sample of the texture, rounded to 8 bits, or to the 16 of a picture file.
     shape
         Height and width of the output in px.
     lattice

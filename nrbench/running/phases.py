@@ -13,6 +13,7 @@ import json
 import os
 import tempfile
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -26,7 +27,7 @@ from nrbench import plugins
 from nrbench.calling.bent_samples import SampleSurvey, survey_sample, synthesize_in_geometry
 from nrbench.calling.method_calls import InvalidOutput, checked_synthesis, is_picture, prepare_method
 from nrbench.errors import BadInput, describe_error, storage_fault
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import MIN_SIDE, Image, quantize
 from nrbench.jit import find_cache, work_clock
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.vertices import Vertex
@@ -197,14 +198,20 @@ def render(folder: Path, send: Send) -> None:
     send(cast("Message", {"status": "ok", "message": "", "texture": known}))
 
 
+def _read_stored(path: Path, smallest: int = MIN_SIDE) -> Image:
+    """Read a picture of the run. What is to say about the file that it comes from, the plan has said."""
+    with warnings.catch_warnings(action="ignore"):
+        return read_image(path, smallest)
+
+
 def read_texture(folder: Path, known: Mapping[str, Any]) -> tuple[Texture, Image | None]:
     """Return the texture that :func:`render` wrote and described, and the region beside it."""
     where, plain = CellFolder(folder), {name: known[name] for name in PLAIN}
     plain["region"] = tuple(known["region"]) if known["region"] else None
     plain["vertices"] = tuple(map(Vertex._make, known.get("vertices", ())))
     lattice = Lattice.from_dict(known["lattice"]) if known["lattice"] else None
-    texture = Texture(read_image(where.sample), lattice, tuple(map(Lattice.from_dict, known["lattices"])), **plain)
-    return texture, read_image(where.again) if where.again.is_file() else None
+    texture = Texture(_read_stored(where.sample), lattice, tuple(map(Lattice.from_dict, known["lattices"])), **plain)
+    return texture, _read_stored(where.again) if where.again.is_file() else None
 
 
 def detect(folder: Path, send: Send) -> None:
@@ -212,7 +219,7 @@ def detect(folder: Path, send: Send) -> None:
     where = CellFolder(folder)
     cell = read_json(where.cell_file) or {}
     detector = plugins.build("detectors", cell["detector"], cell["parameters"])
-    detection = timed_detection(detector, freeze(read_image(where.sample)))
+    detection = timed_detection(detector, freeze(_read_stored(where.sample)))
     send(cast("Message", {"status": "ok", "message": detection.reason, **dataclasses.asdict(detection)}))
 
 
@@ -252,7 +259,7 @@ def synthesize_cell(folder: Path, send: Send) -> None:
 
 
 def _task(where: CellFolder, cell: Cell) -> Task:
-    sample = freeze(read_image(where.sample))
+    sample = freeze(_read_stored(where.sample))
     rng = stream("synthesis", cell.seed, pixels_hash(sample), cell.replicate)
     again, recompose = _reference_draws(where, cell) if cell.reference else (None, None)
     return Task(sample, cell.shape, cell.lattice_given, rng, again=again, recompose=recompose)
@@ -269,7 +276,7 @@ def _reference_draws(where: CellFolder, cell: Cell) -> tuple[Again | None, Again
         return _frozen_draws(cell.recipe.again(texture)), recompose and _frozen_draws(recompose)
     if not where.again.is_file():
         return None, None
-    region = freeze(read_image(where.again))
+    region = freeze(_read_stored(where.again))
 
     def draw(shape: Shape, k: int) -> Texture | None:
         fits = k == 0 and region.shape[0] >= shape[0] and region.shape[1] >= shape[1]
@@ -412,7 +419,7 @@ def observe(where: CellFolder, cell: Cell, keep: bool = False) -> Observation:
         Whether a texture that a model draws is kept for the next cell of the same sample. Its dataset and all metrics
         must then be nrbench's, because others might change it.
     """
-    sample, result = freeze(read_image(where.sample)), where.result() or Result()
+    sample, result = freeze(_read_stored(where.sample)), where.result() or Result()
     cut = where.cut_files(result)
     if cut and cut != [where.output.name]:  # the output is compared by its pixels
         raise InvalidOutput(f"{cut[0]} has changed since the method returned it; --retry-failed runs the cell again")
@@ -448,7 +455,7 @@ def read_output(where: CellFolder, result: Result) -> Image:
     InvalidOutput
         When its pixels are not those that the method returned.
     """
-    output = read_image(where.output, smallest=1)
+    output = _read_stored(where.output, smallest=1)
     if "output_hash" in result and pixels_hash(output) != result["output_hash"]:
         raise InvalidOutput("output.png has changed since the method returned it; --retry-failed runs the cell again")
     return output

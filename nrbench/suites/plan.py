@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
-from nrbench.imaging.convert import Image, as_image, quantize, to_bytes
+from nrbench.imaging.convert import Image, as_image, depth_of, quantize, to_integers
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape, Texture
 from nrbench.plugins.parameters import PRESET, list_parameters, match_pattern, parse_spec, take_label
@@ -248,7 +248,7 @@ class PlannedSample:
     log
         What the dataset printed if drawing failed, else empty.
     kept
-        The 8-bit pixels of the sample and of the region that does not touch it, where drawing again might give others:
+        The pixels of the sample and of the region that does not touch it, where drawing again might give others:
         of pictures, and of third-party plugins.
     """
 
@@ -256,14 +256,16 @@ class PlannedSample:
     shape: Shape
     size: Shape | None
     log: str
-    kept: tuple[NDArray[np.uint8] | None, NDArray[np.uint8] | None]
+    kept: tuple[NDArray[Any] | None, NDArray[Any] | None]
 
     @classmethod
     def of(cls, sample: Sample) -> PlannedSample:
         """Return a sample without what can be drawn again."""
         image = sample.texture.image if sample.texture else None
         redrawn = sample.recipe.procedural and plugins.lookup("datasets", sample.recipe.dataset).built_in
-        pixels = [None if redrawn or each is None else to_bytes(each) for each in (image, sample.region)]
+        pixels = [
+            None if redrawn or each is None else to_integers(each, depth_of(each)) for each in (image, sample.region)
+        ]
         size = image.shape[:2] if image is not None else None
         return cls(sample.recipe, sample.shape, size, sample.log, (pixels[0], pixels[1]))
 
@@ -453,7 +455,7 @@ def draw_texture(recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
     Returns
     -------
     texture
-        The texture, its image rounded to 8 bits.
+        The texture, its image rounded to 8 bits, but for a picture that has 16.
     again
         Of a photograph: a region of the outputs' shape that does not touch the sample, or None.
 
@@ -463,9 +465,9 @@ def draw_texture(recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
         When the dataset returns no valid texture.
     """
     texture = _checked(recipe, recipe.render())
-    texture = dataclasses.replace(texture, image=quantize(texture.image))
+    texture = dataclasses.replace(texture, image=quantize(texture.image, depth_of(texture.image)))
     region = None if recipe.procedural else recipe.again(texture)(shape, 0)
-    return texture, None if region is None else quantize(region.image)
+    return texture, None if region is None else quantize(region.image, depth_of(region.image))
 
 
 def _checked(recipe: Recipe, texture: object) -> Texture:

@@ -16,6 +16,7 @@ import PIL.Image
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from nrbench.pictures.files import to_rgb
 from nrbench.storage import read_arrays, write_bytes
 
 SMALLEST, LARGEST = 192, 384
@@ -205,7 +206,7 @@ _LEVELS = 3
 def read_pixels(path: Path) -> NDArray[np.uint8]:
     """Return the pixels of a PNG file of a cell, ``(H, W, 3)``."""
     with path.open("rb") as file, PIL.Image.open(file, formats=("PNG",)) as image:
-        return np.asarray(image.convert("RGB"))
+        return to_rgb(image)
 
 
 def find_marks(layer: NDArray[np.uint8], output: NDArray[np.uint8]) -> NDArray[np.bool_]:

@@ -25,6 +25,8 @@ Source = NDArray[np.float32]
 """``float32 (h, w, 3)``: the nearest pixel (x, y) of the sample and its weight, 1 where a pixel is copied."""
 Patch = tuple[Pixels, Source]
 """The pixels of a patch and its source map."""
+ExactPatch = Patch | tuple[Pixels, Source, Image]
+"""A patch, also with its exact pixels, for a canvas that has them."""
 
 
 class Canvas:
@@ -46,6 +48,8 @@ class Canvas:
         must not be larger than the output.
     seam_type
         Type of the costs of seams.
+    exact
+        Whether a canvas of ``uint8`` also has exact pixels, which are the output: for samples of 16 bits.
 
     Attributes
     ----------
@@ -53,6 +57,8 @@ class Canvas:
         ``(H, W, C)``: the pixels, with the margin.
     source
         ``float32 (H, W, 3)``: the source map.
+    exact
+        ``float32 (H, W, C)``, or None: the exact pixels.
     known
         ``bool (H, W)``: where there are pixels.
     seams
@@ -75,11 +81,13 @@ class Canvas:
         margin: Shape = (0, 0),
         wrap: bool = False,
         seam_type: DTypeLike = np.float32,
+        exact: bool = False,
     ) -> None:
         self.shape, self.wrap, self.margin = shape, wrap, (0, 0) if wrap else margin
         size = shape[0] + 2 * self.margin[0], shape[1] + 2 * self.margin[1]
         self.image: Pixels = np.zeros((*size, channels), dtype)
         self.source: Source = np.zeros((*size, 3), np.float32)
+        self.exact: Image | None = np.zeros((*size, channels), np.float32) if exact else None
         self.known: Mask = np.zeros(size, np.bool_)
         self.seams: NDArray[Any] = np.zeros((2, *size), seam_type)
 
@@ -94,20 +102,25 @@ class Canvas:
             return (np.arange(y0, y1) % height)[:, np.newaxis], np.arange(x0, x1)[np.newaxis] % width
         return slice(y0 + down, y1 + down), slice(x0 + across, x1 + across)
 
-    def place(self, window: Window, patch: Patch, mask: Mask | None = None) -> None:
+    def place(self, window: Window, patch: ExactPatch, mask: Mask | None = None) -> None:
         """Show a patch in a window, where a mask ``bool (h, w)`` is True. None: everywhere."""
-        pixels = self.pixels(window)
+        pixels, layers = (
+            self.pixels(window),
+            [each for each in (self.image, self.source, self.exact) if each is not None],
+        )
         if mask is None:
-            self.image[pixels], self.source[pixels], self.known[pixels] = *patch, True
+            for canvas, new in zip(layers, patch, strict=True):
+                canvas[pixels] = new
+            self.known[pixels] = True
             return
-        for canvas, new in zip((self.image, self.source), patch, strict=True):
+        for canvas, new in zip(layers, patch, strict=True):
             old = canvas[pixels]
             np.copyto(_whole_pixels(old), _whole_pixels(new), where=mask)
             if old.base is not canvas:  # a copy across an edge
                 canvas[pixels] = old
         self.known[pixels] |= mask
 
-    def blend(self, window: Window, patch: Patch, weights: NDArray[np.float64], full: float = 1.0) -> None:
+    def blend(self, window: Window, patch: ExactPatch, weights: NDArray[np.float64], full: float = 1.0) -> None:
         """Blend a patch into a window of a canvas of ``uint8``. Halves of a gray level are rounded up.
 
         Parameters
@@ -126,14 +139,17 @@ class Canvas:
         """
         pixels = self.pixels(window)
         under = self.image[pixels], self.source[pixels], self.known[pixels]
-        blend_pixels(*under, *patch, weights, full)
+        blend_pixels(*under, *patch[:2], weights, full)
+        if self.exact is not None:
+            share = np.float32(1 / full) * weights[..., np.newaxis].astype(np.float32)
+            self.exact[pixels] += share * (patch[2] - self.exact[pixels])  # type: ignore[misc]
         if under[0].base is not self.image:  # copies across an edge
             self.image[pixels], self.source[pixels], self.known[pixels] = under
 
     def output(self) -> tuple[Image, Source]:
         """Return the output, ``float32`` in [0, 1], and its source map."""
         pixels = self.pixels((0, self.shape[0], 0, self.shape[1]))
-        image = self.image[pixels]
+        image = self.image[pixels] if self.exact is None else self.exact[pixels]
         if image.dtype == np.uint8:
             image = image / np.float32(255)
         return np.ascontiguousarray(image), np.ascontiguousarray(self.source[pixels])
@@ -144,12 +160,13 @@ def _whole_pixels(array: NDArray[Any]) -> NDArray[Any]:
     return array.view(np.dtype((np.void, array.itemsize * array.shape[-1])))[..., 0]
 
 
-def copy_patch(values: Pixels, place: tuple[int, int], shape: Shape) -> Patch:
-    """Return a view of the patch at a place (x, y) of a sample ``(H, W, C)``, and its source map."""
+def copy_patch(values: Pixels, place: tuple[int, int], shape: Shape, exact: Image | None = None) -> ExactPatch:
+    """Return a view of the patch at a place (x, y) of a sample ``(H, W, C)``, its source map, and its exact pixels."""
     (x, y), (height, width) = place, shape
     source = np.ones((height, width, 3), np.float32)
     source[..., 0], source[..., 1] = x + np.arange(width), y + np.arange(height)[:, np.newaxis]
-    return values[y : y + height, x : x + width], source
+    patch = values[y : y + height, x : x + width], source
+    return patch if exact is None else (*patch, exact[y : y + height, x : x + width])
 
 
 def feather_weights(size: int, zone: int, sides: Sides) -> NDArray[np.float64]:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.errors import require
-from nrbench.imaging.convert import to_bytes
+from nrbench.imaging.convert import depth_of, to_bytes
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
-from ..canvas.canvas import Box, Canvas, Patch, Sides, Window, copy_patch
+from ..canvas.canvas import Box, Canvas, ExactPatch, Sides, Window, copy_patch
 
 Place = tuple[int, int]
 """(x, y) of a patch's first pixel in the sample."""
@@ -177,7 +177,7 @@ def cover(
     task: Task,
     grid: RasterGrid,
     choose: Callable[[NDArray[np.float32], Box], Place],
-    join: Callable[[Canvas, Spot, Patch], None],
+    join: Callable[[Canvas, Spot, ExactPatch], None],
 ) -> Synthesis:
     """Cover all spots of a grid in their order, and return the synthesis.
 
@@ -195,14 +195,15 @@ def cover(
         comparisons are exact.
     """
     sample, size = to_bytes(task.sample), grid.size
-    canvas = Canvas(grid.shape, sample.shape[2], np.uint8, (size, size), grid.wrap)
+    exact = task.sample if depth_of(task.sample) == 16 else None
+    canvas = Canvas(grid.shape, sample.shape[2], np.uint8, (size, size), grid.wrap, exact=exact is not None)
     rows, columns = sample.shape[0] - size + 1, sample.shape[1] - size + 1
     for number, spot in enumerate(grid.spots()):
         if number == 0:
             y, x = divmod(int(task.rng.integers(rows * columns)), columns)
         else:
             x, y = choose(canvas.image[canvas.pixels(spot.window)].astype(np.float32), spot.hole)
-        join(canvas, spot, copy_patch(sample, (x, y), (size, size)))
+        join(canvas, spot, copy_patch(sample, (x, y), (size, size), exact))
         if spot.window[2] == 0:
             task.progress(spot.window[0] / task.shape[0])
     task.progress(1.0)

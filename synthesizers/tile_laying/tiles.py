@@ -12,12 +12,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import Image, to_bytes
+from nrbench.imaging.convert import Image, depth_of, to_bytes
 from nrbench.imaging.mean_tile import fold
 from nrbench.imaging.wallpaper_group import find_wallpaper_group
 from nrbench.lattice.geometry import Lattice, Points
 
-from ..canvas.canvas import Mask, Patch, Pixels, Source
+from ..canvas.canvas import ExactPatch, Mask, Pixels, Source
 from ..lattice_places.equal_places import pixel_grid
 from ..sample_reading.patches import Patches, point_source
 from .tile_kernels import Overlap, absolute_differences, best_move, gather, nearest_places
@@ -378,12 +378,15 @@ class ShiftedImages:
         n; 1 if tiles are placed at whole pixels.
     copies
         The k - 1 copies, see :func:`symmetric_copies`.
+    exact
+        The values in [0, 1] before they were rounded, if the sample has 16 bits.
     """
 
     values: NDArray[np.uint8]
     shape: tuple[int, int, int]
     parts: int
     copies: Sequence[Isometry] = ()
+    exact: Image | None = None
 
     @classmethod
     def of(cls, sample: Image, parts: int, copies: Sequence[Isometry] = ()) -> ShiftedImages:
@@ -395,7 +398,8 @@ class ShiftedImages:
         for matrix, offset in copies:
             rows += [patches.read_with_source((pixels + fraction) @ matrix + offset)[0] for fraction in fractions]
         values = np.stack([to_bytes(row) for row in rows]).reshape(len(rows), -1)
-        return cls(values, (height, width, channels), parts, copies)
+        exact = np.stack(rows).astype(np.float32) if depth_of(sample) == 16 else None
+        return cls(values, (height, width, channels), parts, copies, exact)
 
     @cached_property
     def record(self) -> tuple[NDArray[np.uint8], int, int, int, int]:
@@ -492,7 +496,7 @@ class TileStock:
         shown = ((at >= 0) & (at <= np.array(self.images.shape[1::-1]) - 1)).all((1, 2))
         return places._replace(row=places.row + (copy + 1) * self.images.parts**2).take(shown)
 
-    def cut(self, drawn: TilePlaces) -> Patch:
+    def cut(self, drawn: TilePlaces) -> ExactPatch:
         """Return the patch of one tile over its box, and its source map."""
         (x, y), row, parts = drawn.pixel[0], int(drawn.row[0]), self.images.parts
         (left, top), (right, bottom) = self.tile.box.tolist()
@@ -500,13 +504,14 @@ class TileStock:
         copy, part = divmod(row, parts**2)
         fy, fx = part // parts / parts, part % parts / parts
         pixels = self.images.values[row].reshape(self.images.shape)[rows, columns]
+        exact = () if self.images.exact is None else (self.images.exact[row].reshape(self.images.shape)[rows, columns],)
         if copy:
             matrix, offset = self.images.copies[copy - 1]
             points = (self._steps[..., :2] + np.array([x + fx, y + fy])) @ matrix + offset
-            return pixels, point_source(points, self.images.shape)
+            return pixels, point_source(points, self.images.shape), *exact
         source = self._steps + np.array((x + (fx >= 0.5), y + (fy >= 0.5), 0), np.float32)
         source[..., 2] = max(fx, 1 - fx) * max(fy, 1 - fy)
-        return pixels, source
+        return pixels, source, *exact
 
     @cached_property
     def _steps(self) -> Source:

@@ -88,7 +88,7 @@ def test_the_clicked_anchor_is_carried_through(
         )
         broken[name] = plugins.build("metrics", "integrity").score(observation).values["broken_share"]
     assert "the lattice has no origin" in capsys.readouterr().err
-    expected = synthesize("tile-set", wall.image, (160, 160), numbers, anchor="given").image
+    expected = synthesize("tile-set", wall, (160, 160), numbers, anchor="given").image
     np.testing.assert_array_equal(read_image("clicked.png"), quantize(expected))
     assert max(broken.values()) < 0.05
     assert (read_image("clicked.png") != read_image("vectors.png")).any()

@@ -36,12 +36,11 @@ FLOORS = (
     ("nrbench.plugins",),
     ("nrbench.spectra",),
     ("nrbench.pictures",),
-    ("nrbench.imaging",),
+    ("nrbench.imaging", "nrbench.streams"),
     ("nrbench.lattice",),
     (
         "nrbench.errors",
         "nrbench.flags",
-        "nrbench.streams",
         "nrbench.storage",
         "nrbench.jit",
         "nrbench.source_tree",

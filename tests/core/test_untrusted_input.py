@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import PIL.Image
+import PIL.ImageCms
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -74,7 +75,10 @@ def pictures() -> list[bytes]:
     tiffs = [encoded("TIFF", compression=one) for one in ("raw", "tiff_lzw", "tiff_deflate", "packbits", "jpeg")]
     pngs = [encoded("PNG", mode) for mode in ("RGB", "L", "P", "RGBA", "LA", "1", "I;16")]
     jpegs = [encoded("JPEG", exif=exif.tobytes()), encoded("JPEG", "L", progressive=True), encoded("JPEG", "CMYK")]
-    others = [encoded(form) for form in ("WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000")]
+    others = [encoded(form) for form in ("WEBP", "BMP", "GIF", "PPM", "TGA", "JPEG2000", "AVIF")]
+    others.append(
+        encoded("PNG", icc_profile=PIL.ImageCms.ImageCmsProfile(PIL.ImageCms.createProfile("sRGB")).tobytes())
+    )
     return [*pngs, *jpegs, *tiffs, encoded("TIFF", "I;16"), *others]
 
 
@@ -100,7 +104,7 @@ def mutated(draw: st.DrawFn, originals: st.SearchStrategy[bytes]) -> bytes:
 
 
 @fuzz
-@given(mutated(st.sampled_from(range(22)).map(lambda i: pictures()[i % len(pictures())])))
+@given(mutated(st.sampled_from(range(24)).map(lambda i: pictures()[i % len(pictures())])))
 def test_damaged_pictures(content: bytes) -> None:
     """A picture whose bytes were changed is read as an image in [0, 1], or is bad input."""
     with files(picture_png=content) as folder:

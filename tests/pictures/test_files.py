@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import warnings
 from pathlib import Path
 from typing import BinaryIO
@@ -9,11 +10,11 @@ from typing import BinaryIO
 import numpy as np
 import PIL.Image
 import pytest
-import skimage.io
+import tifffile
 
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import quantize
-from nrbench.pictures.files import read_image, write_image
+from nrbench.imaging.convert import depth_of, quantize
+from nrbench.pictures.files import list_pictures, read_image, write_image
 
 RAMP = np.arange(16 * 12, dtype=np.uint8).reshape(12, 16)
 
@@ -59,7 +60,7 @@ def test_interrupted_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytes
     assert not read_image(path).any()
 
 
-@pytest.mark.parametrize(("name", "hint"), [("out.jpg", "PNG"), ("none/out.png", "check its folder")])
+@pytest.mark.parametrize(("name", "hint"), [("out.jpg", "PNG, TIFF and WebP"), ("none/out.png", "check its folder")])
 def test_write_refusals(tmp_path: Path, name: str, hint: str) -> None:
     """Another ending and a missing folder are refused with what to do."""
     with pytest.raises(BadInput, match=hint):
@@ -137,18 +138,97 @@ def test_transparent_color(tmp_path: Path, mode: str) -> None:
     np.testing.assert_array_equal(read_image(_saved(tmp_path, picture, "free.png", transparency=free)), without)
 
 
-def test_sixteen_bits_of_color(tmp_path: Path) -> None:
-    """A TIFF of 16 bits a channel, in color and with opaque alpha, is rounded to 8 bits."""
-    color = np.random.default_rng(0).integers(0, 65536, (12, 16, 3)).astype(np.uint16)
-    opaque = np.dstack([color, np.full((12, 16), 65535, np.uint16)])
-    for pixels in (color, opaque):
-        skimage.io.imsave(tmp_path / "a.tif", pixels)
-        np.testing.assert_allclose(read_image(tmp_path / "a.tif"), color / 65535, atol=1 / 255)
+WIDE = {
+    "plain.tif": {},
+    "big-endian.tif": {"byteorder": ">"},
+    "deflated.tif": {"compression": "zlib", "predictor": True},
+    "tiled.tif": {"tile": (16, 16)},
+    "planes.tif": {"planarconfig": "separate"},
+    "packed-planes.tif": {"planarconfig": "separate", "compression": "zlib"},
+    "opaque.tif": {"extrasamples": ["unassalpha"]},
+    "turned.tif": {"extratags": [(274, 3, 1, 6, True)]},
+    "color.png": None,
+}
+
+
+@pytest.mark.parametrize("name", WIDE)
+def test_sixteen_bits_of_color(tmp_path: Path, name: str) -> None:
+    """Color of 16 bits a channel is read exactly: PNG, and TIFF of any layout, also with opaque alpha."""
+    color = np.random.default_rng(0).integers(0, 65536, (20, 36, 3)).astype(np.uint16)
+    due, options = np.asarray(color / np.float32(65535), np.float32), WIDE[name]
+    if options is None:
+        write_image(tmp_path / name, due)
+    else:
+        stored = np.dstack([color, np.full((20, 36), 65535, np.uint16)]) if "extrasamples" in options else color
+        stored = np.moveaxis(stored, -1, 0) if "planarconfig" in options else stored
+        tifffile.imwrite(tmp_path / name, stored, photometric="rgb", **options)
+    due = np.rot90(due, -1) if name == "turned.tif" else due
+    np.testing.assert_array_equal(read_image(tmp_path / name), due)
+
+
+@pytest.mark.parametrize("ending", ["png", "tif", "webp"])
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_what_is_read_is_written(tmp_path: Path, ending: str, bits: int, channels: int) -> None:
+    """The values of a file of 8 or 16 bits survive PNG and TIFF; WebP has 8 bits, and a warning says what it loses."""
+    image = quantize(np.random.default_rng(0).random((16, 24, channels), np.float32), bits)
+    assert depth_of(image) == bits
+    path = tmp_path / f"a.{ending}"
+    if (ending, bits) == ("webp", 16):
+        with pytest.warns(UserWarning, match="WebP has 8 bits a channel"):
+            write_image(path, image)
+        image = quantize(image)
+    else:
+        write_image(path, image)
+    with warnings.catch_warnings(action="error"):
+        again = read_image(path)
+    np.testing.assert_array_equal(again, np.repeat(image, 3, 2) if (ending, channels) == ("webp", 1) else image)
+
+
+def test_values_of_no_file_are_written_with_8_bits(tmp_path: Path) -> None:
+    """Values that neither 8 nor 16 bits hold exactly, such as those of a drawing, are rounded to 8 bits."""
+    image = np.random.default_rng(0).random((16, 24, 3), np.float32)
+    np.testing.assert_array_equal(read_image(write_image(tmp_path / "a.png", image)), quantize(image))
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_gray_tiff_with_alpha_stays_gray(tmp_path: Path, bits: int) -> None:
+    """A TIFF of gray with opaque alpha has one channel; a transparent pixel is refused."""
+    pixels = np.dstack([RAMP.astype(f"u{bits // 8}") * (1 if bits == 8 else 257), np.full((12, 16), 2**bits - 1)])
+    options = {"photometric": "minisblack", "extrasamples": ["unassalpha"], "planarconfig": "contig"}
+    tifffile.imwrite(tmp_path / "a.tif", pixels.astype(f"u{bits // 8}"), **options)
+    np.testing.assert_allclose(read_image(tmp_path / "a.tif"), RAMP[..., np.newaxis] / 255, atol=1e-6)
+    pixels[3, 4, 1] = 0
+    tifffile.imwrite(tmp_path / "a.tif", pixels.astype(f"u{bits // 8}"), **options)
+    assert "1 transparent pixels, the first at (4, 3)" in _refusal(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("depth", [8, 12, 16])
+def test_little_of_the_scale_is_named(tmp_path: Path, depth: int) -> None:
+    """A picture that uses under a quarter of its scale brings a warning with its range, also if one pixel is white."""
+    values = np.random.default_rng(0).random((64, 64)) * (2**12 if depth == 12 else 2**depth / 5)
+    pixels = (values + 100).astype(np.uint8 if depth == 8 else np.uint16)
+    pixels[5, 5] = np.iinfo(pixels.dtype).max
+    low, high = (f"{each / np.iinfo(pixels.dtype).max:.2f}" for each in np.quantile(pixels, (0.001, 0.999)))
+    with pytest.warns(UserWarning, match=rf"a\.png: uses only {low}\d to {high}\d of its scale") as caught:
+        read_image(_saved(tmp_path, PIL.Image.fromarray(pixels), "a.png"))
+    assert len(caught) == 1
+    with warnings.catch_warnings(action="error"):
+        read_image(
+            _saved(
+                tmp_path,
+                PIL.Image.fromarray(RAMP.astype(pixels.dtype) * pixels.dtype.type(1 if depth == 8 else 257)),
+                "b.png",
+            )
+        )
 
 
 NOT_READ = {
     "text.png": (b"hello, I am no picture", "no picture that can be read"),
     "page.png": (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 32 32\n%%EndComments\nshowpage\n", "is no picture"),
+    "wall.heic": (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(32), "is HEIC|cannot be read"),
+    "wall.exr": (b"v/1\x01" + bytes(32), "OpenEXR"),
+    "wall.jxl": (b"\xff\n" + bytes(32), "JPEG XL"),
     "empty.png": (b"", "0 bytes"),
     "folder": (None, "is a directory"),
     "missing.png": (None, "no such file"),
@@ -163,17 +243,22 @@ def test_files_that_are_no_picture(tmp_path: Path, name: str) -> None:
         (tmp_path / name).write_bytes(content)
     elif name == "folder":
         (tmp_path / name).mkdir()
-    assert hint in _refusal(tmp_path / name)
+    message = _refusal(tmp_path / name)
+    assert any(each in message for each in hint.split("|"))
 
 
-def test_pictures_that_are_cut_short_small_or_of_floats(tmp_path: Path) -> None:
-    """A PNG that ends half-way, a picture of 4 px a side and one of float pixels are refused, each with a remedy."""
+def test_pictures_that_are_cut_short_small_or_out_of_range(tmp_path: Path) -> None:
+    """A PNG that ends half-way, a picture of 4 px a side, and floats outside [0, 1] are refused, each with a remedy."""
     noise = np.random.default_rng(0).integers(0, 256, (64, 64), np.uint8)
     path = _saved(tmp_path, PIL.Image.fromarray(noise))
     path.write_bytes(path.read_bytes()[:2000])
     assert "save it again" in _refusal(path)
     assert "at least 8 px" in _refusal(_saved(tmp_path, PIL.Image.new("L", (4, 4)), "small.png"))
-    assert "8 or 16 bits" in _refusal(_saved(tmp_path, PIL.Image.new("F", (10, 10)), "floats.tiff"))
+    for pixels in (noise / 63, np.stack([noise / 100] * 3, -1), np.where(noise > 9, np.nan, noise / 255)):
+        tifffile.imwrite(
+            tmp_path / "floats.tif", pixels.astype(np.float32), photometric="rgb" if pixels.ndim == 3 else 1
+        )
+        assert "[0, 1]" in (message := _refusal(tmp_path / "floats.tif")) or "NaN" in message
 
 
 @pytest.mark.parametrize("kind", ["gif", "tiff"])
@@ -186,3 +271,53 @@ def test_the_first_of_several_frames_is_read_with_a_warning(tmp_path: Path, kind
         first = read_image(tmp_path / f"two.{kind}")
     with warnings.catch_warnings(action="error"):
         assert np.array_equal(first, read_image(tmp_path / f"one.{kind}"))
+
+
+def test_a_folder_names_what_it_skips(tmp_path: Path) -> None:
+    """The pictures of a folder have any ending of a format that is read; other files are counted and named once."""
+    for name in ("a.PNG", "b.heic", "c.avif", "d.jp2", "e.gif", "f.tga", "truth.csv", ".hidden.psd", "Thumbs.db"):
+        (tmp_path / name).touch()
+    with warnings.catch_warnings(action="error"):
+        assert [path.name for path in list_pictures(tmp_path)] == [
+            "a.PNG",
+            "b.heic",
+            "c.avif",
+            "d.jp2",
+            "e.gif",
+            "f.tga",
+        ]
+    for name in ("g.psd", "h.exr"):
+        (tmp_path / name).touch()
+    with pytest.warns(UserWarning, match=r"files skipped, .*: 2 \(g\.psd, h\.exr\)$") as caught:
+        assert len(list_pictures(tmp_path)) == 6
+    assert len(caught) == 1
+
+
+def test_heic(tmp_path: Path) -> None:
+    """With pillow-heif a HEIC is read, and its profile counts."""
+    pillow_heif = pytest.importorskip("pillow_heif")
+    picture = PIL.Image.new("RGB", (64, 48), (200, 120, 80))
+    picture.paste((20, 40, 60), (0, 0, 32, 48))
+    pillow_heif.register_heif_opener()
+    image = read_image(_saved(tmp_path, picture, "a.heic", quality=-1, chroma=444))
+    np.testing.assert_allclose(image, np.asarray(picture) / 255, atol=4 / 255)
+    wide = (np.asarray(picture) * np.uint16(257)).tobytes()
+    pillow_heif.from_bytes("RGB;16", picture.size, wide).save(tmp_path / "b.heic", quality=-1, chroma=444)
+    with pytest.warns(UserWarning, match="more than 8 bits a channel"):
+        np.testing.assert_allclose(read_image(tmp_path / "b.heic"), image, atol=4 / 255)
+
+
+def test_twelve_bits_fill_the_scale(tmp_path: Path) -> None:
+    """A TIFF that packs 12 bits a pixel has its white at 4095; color of 16 bits in a PPM is rounded, with a warning."""
+    values = np.linspace(0, 4095, 12 * 16).astype(np.uint16).reshape(12, 16)
+    bits = np.unpackbits(values.astype(">u2").view(np.uint8).reshape(12, 16, 2), axis=2)[..., 4:]
+    rows = np.packbits(bits.reshape(12, -1), axis=1)
+    tags = {256: 16, 257: 12, 258: 12, 259: 1, 262: 1, 273: 8, 277: 1, 278: 12, 279: rows.size}
+    table = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in sorted(tags.items()))
+    content = b"II*\0" + struct.pack("<I", 8 + rows.size) + rows.tobytes() + struct.pack("<H", len(tags)) + table
+    (tmp_path / "a.tif").write_bytes(content + bytes(4))
+    np.testing.assert_allclose(read_image(tmp_path / "a.tif")[..., 0], values / 4095, atol=1e-5)
+    color = np.random.default_rng(0).integers(0, 65536, (12, 16, 3)).astype(">u2")
+    (tmp_path / "a.ppm").write_bytes(b"P6\n16 12\n65535\n" + color.tobytes())
+    with pytest.warns(UserWarning, match="more than 8 bits a channel"):
+        np.testing.assert_allclose(read_image(tmp_path / "a.ppm"), color / 65535, atol=1 / 255)
