@@ -72,7 +72,8 @@ class LatticeResult:
     comparison. ``failed`` marks a detector that raised an error. ``deformation`` is that of a bent image, of which
     ``lattice`` is the mean lattice, and ``detection`` what the detector found in the straightened image, whose own
     lattice is ``straightened`` if it was written. ``detector`` is empty if a lattice was given that was followed.
-    ``symmetry`` is that of the image, or of the straightened one, if it was looked for.
+    ``symmetry`` is that of the image, or of the straightened one, if it was looked for. ``superposed`` are the lattices
+    of an image that has several.
     """
 
     detector: str
@@ -85,6 +86,7 @@ class LatticeResult:
     deformation: Deformation | None = None
     straightened: Lattice | None = None
     symmetry: FoundGroup | None = None
+    superposed: tuple[Lattice, ...] = ()
 
     @classmethod
     def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> LatticeResult:
@@ -155,7 +157,8 @@ class LatticeResult:
     def as_dict(self) -> dict[str, Any]:
         """Return the lattice for JSON, with the alternatives and the probabilities of a detector; or the reason."""
         if self.lattice is None:
-            return {"lattice": None, "reason": self.reason}
+            several = {"lattices": [known_vectors(each, False) for each in self.superposed]} if self.superposed else {}
+            return {"lattice": None, "reason": self.reason, **several}
         found: dict[str, Any] = dict(known_vectors(self.lattice, self.has_origin))
         if self.detector:
             found |= {"detector": self.detector, "confidence": self.detection and self.detection.confidence}
@@ -277,9 +280,10 @@ def _show_detection(image: Image, options: LatticeQuestion) -> None:
         result = LatticeResult.of_detection(name, detection)
         title = f"{spec}: {result.vectors}, confidence {detection.confidence:.3f}"
     except NoLatticeFound as none:
-        result, detection = LatticeResult(name, None, reason=none.reason), none.best
+        result = LatticeResult(name, None, reason=none.reason, superposed=none.lattices)
+        detection = none.best
         title = f"{spec}: no lattice: {none.reason}"
-    if result.lattice is None and options.detector is None:
+    if result.lattice is None and not result.superposed and options.detector is None:
         with waiting(f"{name} looks for a bent lattice"):
             bent = find_bent_lattice(image)
         if bent is not None:
