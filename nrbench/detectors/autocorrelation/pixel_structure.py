@@ -100,7 +100,7 @@ def _sum_steps(image: Image) -> NDArray[np.float64]:
 
 def _sum_by_place(steps: list[NDArray[np.float64]], side: int) -> list[NDArray[np.float64]]:
     """Return the steps along each axis, summed over all that have the same place modulo ``side``."""
-    return [np.bincount(np.arange(len(sums)) % side, sums, side) + 1e-9 for sums in steps]
+    return [np.asarray(np.bincount(np.arange(len(sums)) % side, sums, side) + 1e-9) for sums in steps]
 
 
 def _enlarge_smoothly(image: Image, side: int, starts: list[int]) -> Image:
@@ -187,6 +187,6 @@ def _find_likeness(lines: NDArray[np.floating[Any]], reach: float) -> float:
     """Return the highest correlation of values of lines ``(n, C)`` with themselves at lags up to a share of n."""
     lags = np.arange(4, int(reach * len(lines)))
     squares = np.concatenate([[0.0], np.cumsum((lines**2).sum(1))])
-    products = sum(np.correlate(plane, plane, "full")[len(lines) - 1 :] for plane in lines.T)
+    products = np.sum([np.correlate(plane, plane, "full")[len(lines) - 1 :] for plane in lines.T], 0)
     both = squares[len(lines) - lags] + squares[-1] - squares[lags]
     return float((2 * products[lags] / (both + 1e-12)).max(initial=0.0))
