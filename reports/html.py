@@ -149,7 +149,11 @@ class HtmlReport(ComparisonOptions):
         }
         embed = pictures.embeds()
         content |= {"address": cache(lambda picture: pictures.address(picture, embed)), "embedded": embed}
-        filters = {"score_shade": gallery.score_shade, "strip_control": strip_control, "as_image": _as_image}
+        filters: dict[str, Any] = {
+            "score_shade": gallery.score_shade,
+            "strip_control": strip_control,
+            "as_image": _as_image,
+        }
         page = render_page("report.html", content, filters)
         pictures.sweep()
         return page
