@@ -22,7 +22,7 @@ from nrbench.plugins.parameters import LARGEST_SIDE, nearest, parse_size, parse_
 if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.lattice.geometry import Lattice, Vector
-    from nrbench.plugins.forms import Detection, Shape
+    from nrbench.plugins.forms import Shape
     from nrbench.runs.records import Run
     from nrbench.suites.suite import Suite
 
@@ -98,7 +98,7 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
 
 
 def lattice_in(image: Imagelike, lattice: Latticelike) -> Lattice | None:
-    """Return a lattice as :func:`as_lattice`, or find it in the image if a detector is named.
+    """Return a lattice as :func:`as_lattice`, or find it in the image, which may be bent, if a detector is named.
 
     Raises
     ------
@@ -112,8 +112,9 @@ def lattice_in(image: Imagelike, lattice: Latticelike) -> Lattice | None:
     known = plugins.names("detectors")
     if (name := parse_spec(lattice)[0]) not in known:
         raise BadInput(f"lattice {lattice!r}: give x1,y1,x2,y2 in px, or a detector{nearest(name, known)}")
-    detection: Detection = plugin_in("detectors", lattice, {}).detect(image_in(image))
-    return detection.lattice
+    from nrbench.displacement.bent_detection import recognize
+
+    return recognize(image_in(image), plugin_in("detectors", lattice, {}))[0].lattice
 
 
 def image_in(image: Imagelike, where: str = "image") -> Image:

@@ -114,7 +114,7 @@ def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
 
     try:
         with waiting("consensus checks the lattice"):
-            found = textures.detect_lattice(sample).lattice
+            found = textures.detect_lattice(sample, "consensus").lattice
     except NoLatticeFound:
         return
     change = relate(used, found)
