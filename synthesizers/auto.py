@@ -47,7 +47,7 @@ class Auto:
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
         It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``;
-        ``"auto"``: bent if the sample waves, straight if it is in perspective, round or distorted by a lens.
+        ``"waves"``: bent if the sample waves, straight if it is in perspective, round or distorted by a lens.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself.
 
@@ -60,7 +60,7 @@ class Auto:
     threshold: float = 0.1
     regular: Literal["rsgf", "tile-set", "tile-set:preset=paper"] = "rsgf"
     other: Literal["rsgf", "ann-pixel"] = "rsgf"
-    geometry: Geometry = "auto"
+    geometry: Geometry = "waves"
 
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False

@@ -128,7 +128,7 @@ def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey
         return synthesize_exactly(method, task)
     geometry: Geometry = getattr(method, "geometry", "as-is")
     seconds, bent, note = 0.0 if task.lattice else survey.seconds, survey.bent, survey.note
-    if geometry == "auto":
+    if geometry == "waves":
         geometry = "straight" if bent is not None and bent.is_global else "bent"
     task = replace(task, detected=(task.sample, _detector_of(method), survey.found))
     made = synthesize_exactly(method, task) if bent is None else _synthesize_bent(method, task, bent, geometry)

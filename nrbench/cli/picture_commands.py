@@ -109,12 +109,13 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
 
 def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
     """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
+    from nrbench import plugins
     from nrbench.lattice.relation import relate
     from nrbench.plugins.forms import NoLatticeFound
 
     try:
         with waiting("consensus checks the lattice"):
-            found = textures.detect_lattice(sample, "consensus").lattice
+            found = textures.detect_lattice(sample, plugins.in_role("detector")).lattice
     except NoLatticeFound:
         return
     change = relate(used, found)

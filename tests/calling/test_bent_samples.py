@@ -183,7 +183,7 @@ def test_what_the_camera_bends_is_told_from_what_waves(name: str, kind: str) -> 
     assert ("in perspective" in note) is (kind == "perspective")
     task = Task(texture.image, (60, 70), None, np.random.default_rng(1))
     made = synthesize_in_geometry(
-        replace(BendingTiling(), geometry="auto"), task, SampleSurvey(FoundLattice(found.lattice), found, note, 0.0)
+        replace(BendingTiling(), geometry="waves"), task, SampleSurvey(FoundLattice(found.lattice), found, note, 0.0)
     )
     assert made.note.endswith("the output is straight")
 
