@@ -76,14 +76,14 @@ def survey_sample(method: Synthesizer, task: Task) -> SampleSurvey | None:
     return recognize_sample(method, task)
 
 
-def recognize_sample(method: Synthesizer, task: Task) -> SampleSurvey:
+def recognize_sample(method: Synthesizer | None, task: Task) -> SampleSurvey:
     """Find the lattice of a sample, and whether it is bent.
 
     If no lattice is given, the detector of the method finds one, or that of the role ``detector`` if it names none.
     Where the detector finds none, a bent lattice is looked for, as :func:`~.bent_detection.recognize` does.
     """
     start = work_clock()
-    found = find_lattice(task, _detector_of(method))
+    found = find_lattice(task, detector_of(method))
     followed = find_bent_lattice(task.sample) if found.lattice is None else None
     if followed is None:
         bent, note = find_bend(task.sample, found.lattice, task.lattice is not None)
@@ -94,7 +94,8 @@ def recognize_sample(method: Synthesizer, task: Task) -> SampleSurvey:
     return SampleSurvey(found, bent, note, seconds)
 
 
-def _detector_of(method: Synthesizer) -> NamedDetector:
+def detector_of(method: Synthesizer | None) -> NamedDetector:
+    """Return the detector of a method, or that of the role ``detector``."""
     return NamedDetector(getattr(method, "finder", "") or in_role("detector"))
 
 
@@ -130,7 +131,7 @@ def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey
     seconds, bent, note = 0.0 if task.lattice else survey.seconds, survey.bent, survey.note
     if geometry == "waves":
         geometry = "straight" if bent is not None and bent.is_global else "bent"
-    task = replace(task, detected=(task.sample, _detector_of(method), survey.found))
+    task = replace(task, detected=(task.sample, detector_of(method), survey.found))
     made = synthesize_exactly(method, task) if bent is None else _synthesize_bent(method, task, bent, geometry)
     if bent is not None:
         note += f", and the output is {'straight' if geometry == 'straight' else 'bent'}"
@@ -157,7 +158,8 @@ def _synthesize_bent(method: Synthesizer, task: Task, bent: Deformation, geometr
     low, high = np.floor(places.min((0, 1))) - margin, np.ceil(places.max((0, 1))) + margin
     columns, rows = (high - low).astype(int) + 1
     shape = int(rows), int(columns)
-    made = synthesize_exactly(method, replace(task, sample=sample, shape=shape, lattice=straight))
+    known = None if task.known is None else bent.straighten_mask(task.known)
+    made = synthesize_exactly(method, replace(task, sample=sample, shape=shape, lattice=straight, known=known))
     # The output continues the phase of the straightened sample, whose corner is elsewhere on the plane.
     places = places - low + bent.lattice.wrap(low - bent.corner)
     image = read_spline(made.image, places)

@@ -14,9 +14,10 @@ import numpy as np
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import MIN_SIDE, Image, shrink
+from nrbench.imaging.masks import Mask
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.relation import lattice_error, relate
-from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
+from nrbench.plugins.forms import Detection, Detector, NoLatticeFound, detect_known
 from nrbench.plugins.registry import NamedDetector, bent_finders
 
 from .deformation_field import LEAST_AMPLITUDE, Deformation
@@ -78,7 +79,7 @@ class Followed(NamedTuple):
     detection: Detection | None
 
 
-def recognize(image: Image, detector: Detector) -> tuple[Detection, Followed | None]:
+def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tuple[Detection, Followed | None]:
     """Return the lattice of an image, and how it was followed where the detector finds none because the image is bent.
 
     Parameters
@@ -87,6 +88,8 @@ def recognize(image: Image, detector: Detector) -> tuple[Detection, Followed | N
         ``(H, W, C)``.
     detector
         Looks at the image as it is.
+    known
+        The pixels that count; None: all.
 
     Returns
     -------
@@ -101,7 +104,7 @@ def recognize(image: Image, detector: Detector) -> tuple[Detection, Followed | N
         If the detector finds none, and there is no bent lattice either, or the image is larger than 1024 px.
     """
     try:
-        return detector.detect(image), None
+        return detect_known(detector, image, known), None
     except NoLatticeFound as none:
         followed = find_bent_lattice(image)
         if followed is None or followed.detection is None:
