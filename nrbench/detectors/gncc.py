@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.detectors.autocorrelation.holes import join_holes
 from nrbench.detectors.autocorrelation.peak_kernels import highest_ridge
 from nrbench.detectors.autocorrelation.peaks import (
     UNIT,
@@ -24,6 +25,7 @@ from nrbench.detectors.autocorrelation.vector_pair_kernels import best_pair
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
+from nrbench.imaging.masks import Mask
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
@@ -113,6 +115,7 @@ class Gncc:
     false_alarms: float = 0.01
 
     version: ClassVar[str] = "1"
+    masks: ClassVar[bool] = True
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "alpha": 1.12,
@@ -141,8 +144,11 @@ class Gncc:
         _check(self.peaks is None or self.peaks >= 2, f"peaks is {self.peaks}; give at least 2, or none for all")
         check_test(self, _check)
 
-    def detect(self, image: Image) -> Detection:
+    def detect(self, image: Image, known: Mask | None = None) -> Detection:
         """Return the lattice of ``image``; its origin is (0, 0), for the method finds no phase.
+
+        Pixels that ``known`` ``(H, W)`` has False do not count, see ``consensus``. The test against chance sees them
+        filled.
 
         Diagnostics: ``correlation`` (right half, with the candidates and the pair), ``goodness``, ``multiples`` (their
         number); with ``"surrogate"`` also ``relief``, ``tested_goodness`` (of the pair, without stripes),
@@ -155,7 +161,8 @@ class Gncc:
             pair is no better than chance or is a grating.
         """
         require_texture(image)
-        gamma = half_autocorrelation(image)
+        image, known = join_holes(self, image, known)
+        gamma = half_autocorrelation(image, known)
         best = self._search(gamma)
         if best is None:
             raise NoLatticeFound("no two peaks of the autocorrelation could generate a lattice that the image holds")
