@@ -263,7 +263,7 @@ class Survey:
 
     def _detect(self, name: str, masked: MaskedImage) -> SurveyedPicture:
         try:
-            detection = detect_among(self._detector, masked)
+            detection = detect_among(self._detector, masked, bent=True)
         except NoLatticeFound as none:
             if none.best is None:
                 return SurveyedPicture(name, reason=none.reason)

@@ -23,7 +23,7 @@ import click
 import numpy as np
 
 from nrbench import plugins
-from nrbench.api.arguments import as_lattice, detect_among, masked_in
+from nrbench.api.arguments import as_lattice, masked_in
 from nrbench.api.picture_folders import (
     SHOWN,
     Survey,
@@ -34,9 +34,10 @@ from nrbench.api.picture_folders import (
     rank_candidates,
     vector_texts,
 )
-from nrbench.api.textures import FOLLOWS_BENT, find_bent_lattice, follow_bent_lattice
+from nrbench.api.textures import FOLLOWS_BENT, follow_bent_lattice
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
+from nrbench.displacement.bent_detection import recognize
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.masks import MaskedImage
@@ -266,28 +267,22 @@ def _print_numbers(lattice: Lattice) -> None:
 
 
 def _show_detection(masked: MaskedImage, options: LatticeQuestion) -> None:
-    """Print and draw the lattice that one detector finds.
-
-    If the default detector finds none, the mean lattice of a bent image is looked for.
-    """
+    """Print and draw the lattice that one detector finds; the default detector also that of a bent image."""
     image, spec = masked.image, options.spec
     name, parameters = parse_spec(spec)
     detector = plugins.build("detectors", name, parameters)
     detection: Detection | None
     try:
         with waiting(f"{name} looks for the lattice"):
-            detection = found = detect_among(detector, masked)
-        result = LatticeResult.of_detection(name, found)
-        title = f"{spec}: {result.vectors}, confidence {found.confidence:.3f}"
+            plugins.require_abilities("detectors", detector, masks=masked.known is not None)
+            usual = options.detector is None
+            found, bent = recognize(image, detector, masked.known) if usual else (detect_known(detector, *masked), None)
+        result = LatticeResult.of_followed(name, bent) if bent else LatticeResult.of_detection(name, found)
+        detection = found
+        title = f"{spec}: {result.vectors}, confidence {found.confidence:.3f}{', straightened' if bent else ''}"
     except NoLatticeFound as none:
         result, detection = LatticeResult(name, None, reason=none.reason), none.best
         title = f"{spec}: no lattice: {none.reason}"
-    if result.lattice is None and options.detector is None:
-        with waiting(f"{name} looks for a bent lattice"):
-            bent = find_bent_lattice(image)
-        if bent is not None:
-            result, detection = LatticeResult.of_followed(name, bent), bent.detection
-            title = f"{spec}, of the straightened image: {result.vectors}"
     result = result.with_symmetry(image, options)
     if options.diagnostics is not None:
         _draw_diagnostics(detection.diagnostics if detection else {}, title, options.diagnostics)
