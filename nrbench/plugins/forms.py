@@ -62,6 +62,8 @@ class Texture:
     vertices
         Where the points of the lattice lie in a photograph, as a person set them; empty if nobody did. Those of a model
         follow from ``lattice`` and ``displacement``.
+    known
+        ``bool (H, W)``: which pixels of a photograph count, see :class:`Task`; None: all.
 
     Examples
     --------
@@ -84,6 +86,7 @@ class Texture:
     region: Region | None = None
     draw_seed: int | None = None
     vertices: tuple[Vertex, ...] = ()
+    known: Mask | None = field(default=None, repr=False)
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""
@@ -630,6 +633,8 @@ class Observation:
         cells ran at the same time.
     detected
         The answer of the detector that the lattice comes from; None if it comes from no detector.
+    known
+        As in :class:`Task`: which pixels of the sample count; None: all.
 
     Examples
     --------
@@ -652,6 +657,7 @@ class Observation:
     rng: np.random.Generator = field(default_factory=np.random.default_rng)
     cost: Mapping[str, float] = field(default_factory=dict)
     detected: FoundLattice | None = None
+    known: Mask | None = field(default=None, repr=False)
     _shared: dict[Callable[[Observation], Any], Any] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )

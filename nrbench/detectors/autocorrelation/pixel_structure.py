@@ -14,6 +14,7 @@ from nrbench.detectors.autocorrelation.peaks import find_prominent_peaks, subpix
 from nrbench.detectors.autocorrelation.surrogates import require_texture
 from nrbench.imaging.convert import Image, crop_middle
 from nrbench.imaging.correlation import half_autocorrelation
+from nrbench.imaging.masks import Mask
 from nrbench.plugins.forms import Detection, NoLatticeFound
 
 LEAST_SHARE = 0.2
@@ -45,7 +46,7 @@ lattice is that of the pixels. In photographs and texture models it is 0.32 or m
 GRID = "only the grid of an enlarged picture of {} px a pixel repeats"
 
 
-def detect_content(detect: Callable[[Image], Detection], image: Image) -> Detection:
+def detect_content(detect: Callable[..., Detection], image: Image, known: Mask | None = None) -> Detection:
     """Return the lattice that a detector finds in the content of an image, not in the structure of its pixels.
 
     Offsets of rows and columns are removed (:func:`remove_lines`). A picture that was enlarged by copies of its pixels
@@ -57,6 +58,8 @@ def detect_content(detect: Callable[[Image], Detection], image: Image) -> Detect
         The detector; it gets an image of the same size, of any range.
     image
         ``(H, W, C)``.
+    known
+        The pixels that count, which the detector gets, too; None: all. With a mask the image stays as it is.
 
     Raises
     ------
@@ -64,6 +67,8 @@ def detect_content(detect: Callable[[Image], Detection], image: Image) -> Detect
         If the image is constant, if the detector finds none, or if it finds the grid of an enlarged picture.
     """
     require_texture(image)
+    if known is not None:
+        return detect(image, known)
     steps = [_sum_steps(image), _sum_steps(image.swapaxes(0, 1))]
     sides = range(2, min(LARGEST_PIXEL, min(image.shape[:2]) // 8) + 1)
     shares = [max(1 - sums.max() / sums.sum() for sums in _sum_by_place(steps, side)) for side in sides]
@@ -74,9 +79,16 @@ def detect_content(detect: Callable[[Image], Detection], image: Image) -> Detect
         found = _detect_enlarged(detect, image, pixel, [int(sums.argmax()) + 1 for sums in _sum_by_place(steps, pixel)])
     pixel = round(found.lattice.t1[0])
     is_grid = pixel in sides and np.abs(found.lattice.matrix - pixel * np.eye(2)).max() < 0.05
-    if is_grid and shares[pixel - 2] < MOST_INSIDE_CODED:
+    if is_grid and shares[pixel - 2] < MOST_INSIDE_CODED and not _repeats(image, pixel):
         raise NoLatticeFound(GRID.format(pixel), found)
     return found
+
+
+def _repeats(image: Image, period: int) -> bool:
+    """Return whether colors repeat at a multiple of a period, px, a third of the image apart; those of a grid do not."""
+    lag = max(image.shape[1] // 3 // period, 1) * period
+    first, second = (part - part.mean((0, 1)) for part in (image[:, lag:], image[:, :-lag]))
+    return bool(np.vdot(first, second) > REPEATED * np.vdot(first, first))
 
 
 def _detect_enlarged(detect: Callable[[Image], Detection], image: Image, pixel: int, starts: list[int]) -> Detection:
