@@ -85,7 +85,7 @@ def detect_content(detect: Callable[..., Detection], image: Image, known: Mask |
 
 
 def _repeats(image: Image, period: int) -> bool:
-    """Return whether colors repeat at a multiple of a period, px, a third of the image apart; those of a grid do not."""
+    """Return whether colors a third of the image apart repeat by a period, px; those of a grid do not."""
     lag = max(image.shape[1] // 3 // period, 1) * period
     first, second = (part - part.mean((0, 1)) for part in (image[:, lag:], image[:, :-lag]))
     return bool(np.vdot(first, second) > REPEATED * np.vdot(first, first))
