@@ -416,8 +416,7 @@ def fill(
     from nrbench.streams import pixels_hash, stream
 
     plugin = plugin_in("synthesizers", method, parameters)
-    lack = plugins.describe_lack("synthesizers", type(plugin), "fills")
-    require(not lack, lack)
+    plugins.require_abilities("synthesizers", plugin, fills=True)
     sample, known = stored_masked(image, mask)
     require(known is not None, "there is no hole to fill: make its pixels transparent, or black in the mask")
     rng, given = stream("synthesis", seed, pixels_hash(sample), 0), lattice_in(MaskedImage(sample, known), lattice)
