@@ -361,7 +361,7 @@ def synthesize(
 def fill(
     image: Imagelike,
     mask: Masklike = None,
-    method: Pluginlike = "rsgf",
+    method: Pluginlike | None = None,
     lattice: Latticelike = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
@@ -376,7 +376,7 @@ def fill(
     mask
         A :data:`Masklike` of the size of the image: white is kept, black is filled. None: the transparent pixels are.
     method
-        A synthesizer plugin that can fill holes.
+        A synthesizer plugin that can fill holes; if None, the first that can: ``rsgf``.
     lattice
         The lattice of the image; if None, the method finds it in the pixels that are kept. Where it is bent, it is
         followed. Without a lattice, patches come from anywhere.
@@ -415,6 +415,8 @@ def fill(
     from nrbench.plugins.forms import Task
     from nrbench.streams import pixels_hash, stream
 
+    if method is None:
+        method = next(one.cls for one in plugins.inventory("synthesizers") if getattr(one.cls, "fills", False))
     plugin = plugin_in("synthesizers", method, parameters)
     plugins.require_abilities("synthesizers", plugin, fills=True)
     sample, known = stored_masked(image, mask)

@@ -84,7 +84,7 @@ def synth_command(
     if fill is not None:
         for name, value in (("--size", shape), ("--mask", mask), ("--tileable", tileable)):
             require(not value, f"{name}: has no effect with --fill, which returns a picture of the size of IMAGE")
-        _fill(image, fill, method or "rsgf", lattice, seed, output)
+        _fill(image, fill, method, lattice, seed, output)
         return
     if method is None or shape is None:
         raise click.UsageError(f"Missing option '{'-m' if method is None else '--size'}'.")
@@ -109,14 +109,14 @@ def synth_command(
         _warn_of_another_lattice(sample, method.partition(":")[0], synthesis.lattice)
 
 
-def _fill(image: Path, mask: Path, method: str, lattice: str | None, seed: int, output: Path) -> None:
+def _fill(image: Path, mask: Path, method: str | None, lattice: str | None, seed: int, output: Path) -> None:
     """Write a picture with its holes filled."""
     from nrbench.api.arguments import masked_in
     from nrbench.pictures.files import write_image
 
     sample = masked_in(image, None if os.path.realpath(mask) == os.path.realpath(image) else mask)
     given = _given_lattice(sample, lattice)
-    with waiting(f"{method.partition(':')[0]} fills the holes") as progress:
+    with waiting("holes are filled") as progress:
         filled = textures.fill(sample, None, method, given, seed, progress)
     write_image(output, filled.image)
     click.echo(f"{output} ({filled.note})", err=True)

@@ -27,8 +27,8 @@ _REACH = 1.5
 _LEAST = 12
 """px: least side of a patch, if the picture holds such patches; else patches are halved, down to a pixel."""
 _PARTS: Final = (1.0, 0.5, 0.3)
-"""Sides of the patches of each pass that improves seams, as parts of the first. Of small patches, more have the right color
-to continue the elements that the border of a hole cuts."""
+"""Sides of the patches of each pass that improves seams, as parts of the first. Of small ones, more have the color that
+continues an element which the border of a hole cuts."""
 _TRIES = 30
 """Patches that a pass tries in each window: those that agree best with what is known around the hole."""
 _MOST_PLACES, _MOST_PIXELS = 2000, 400
@@ -48,7 +48,7 @@ class HoleFiller:
     lies around a pixel at the border of what is known, takes one of the places that the lattice makes equal to its own,
     from those that agree best with what the picture shows there, and is joined along the least visible seam. Further
     passes lay smaller patches over the windows of the hole, as far as they make the seams less visible, also that along
-    the border of the hole. Known pixels never change, and all others are copies of known ones.
+    the border of the hole. All pixels are copies of known ones.
 
     Parameters
     ----------
@@ -64,6 +64,9 @@ class HoleFiller:
         Largest distance of a patch from an equal place, px along x and along y.
     block
         Side of a patch in px where there is no lattice.
+    keep
+        Whether known pixels never change. False: half a patch around a hole may change, too, so that seams can run
+        around the elements that its border cuts.
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class HoleFiller:
         rng: np.random.Generator,
         tolerance: float = 1.0,
         block: int = 40,
+        keep: bool = True,
     ) -> None:
         self.image, self.known, self.lattice, self.rng = image, known, lattice, rng
         self.shape = image.shape[0], image.shape[1]
@@ -84,7 +88,9 @@ class HoleFiller:
             across, down = _REACH * np.abs(lattice.reduced().matrix).sum(0)
         self.size = max(_LEAST, round(down)), max(_LEAST, round(across))
         # Only what is near the hole tells which patch continues it.
-        self._near = known & (scipy.ndimage.distance_transform_edt(known) <= max(min(self.size) / 4, 2))
+        distance = scipy.ndimage.distance_transform_edt(known)
+        self._near = known & (distance <= max(min(self.size) / 4, 2))
+        self._kept = known if keep else distance > max(self.size) / 2
         steps = np.arange(-int(tolerance), int(tolerance) + 1)
         self._moves = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) if lattice else np.zeros((1, 2), np.int64)
 
@@ -140,7 +146,7 @@ class HoleFiller:
         for row in range(0, self.shape[0], max(size[0] // 2, 1)):
             for column in range(0, self.shape[1], max(size[1] // 2, 1)):
                 window = self._window_around(row, column, size)
-                if not self.known[window[0] : window[1], window[2] : window[3]].all():
+                if not self._kept[window[0] : window[1], window[2] : window[3]].all():
                     yield window
 
     def _improve(self, window: Window, part: float) -> None:
@@ -190,7 +196,7 @@ class HoleFiller:
         old, known, given = self.canvas.image[pixels], self.canvas.known[pixels].copy(), self.known[pixels]
         inner = x0 > 0, y0 > 0, x1 < self.shape[1], y1 < self.shape[0]
         fixed_new = ~known & shown
-        fixed_old = (given | ~shown | edge_mask(shape, inner)) & ~fixed_new
+        fixed_old = (self._kept[pixels] | ~shown | edge_mask(shape, inner)) & ~fixed_new
         new = np.ascontiguousarray(patch[0])
         costs = link_costs(np.where(known[..., np.newaxis], old, new), new, True)
         # Beyond the border of a hole nothing is known that a patch could be compared with: its near side counts twice.
@@ -204,7 +210,7 @@ class HoleFiller:
         self.canvas.seams[:, *pixels] = seams
 
 
-def fill_task(task: Task, finder: str = "", block: int = 40) -> Synthesis:
+def fill_task(task: Task, finder: str = "", block: int = 40, keep: bool = True) -> Synthesis:
     """Return the sample of a task with its holes filled: on its lattice, or with patches from anywhere if it has none.
 
     Parameters
@@ -213,13 +219,13 @@ def fill_task(task: Task, finder: str = "", block: int = 40) -> Synthesis:
         Its ``known`` leaves pixels out. The shape of the output does not count.
     finder
         Detector that finds the lattice if none is given; that of the role ``detector`` if empty.
-    block
+    block, keep
         See :class:`HoleFiller`.
     """
     assert task.known is not None
     found = find_lattice(task, NamedDetector(finder or in_role("detector")))
     tolerance = 0.0 if found.lattice is None else min(3.0, TOLERANCE * found.lattice.s)
-    filler = HoleFiller(task.sample, task.known, found.lattice, task.rng, tolerance, block)
+    filler = HoleFiller(task.sample, task.known, found.lattice, task.rng, tolerance, block, keep)
     image, source = filler.fill(task.progress)
     note = f"{100 * (1 - task.known.mean()):.2g} % of the picture filled"
     note += "" if found.lattice else f" with patches from anywhere: no lattice found ({found.reason})"
@@ -238,7 +244,7 @@ def leaves_out(method: Method) -> Method:
     def synthesize_filled(self: Any, task: Task) -> Synthesis:
         if task.known is None:
             return synthesize(self, task)
-        filled = fill_task(task, getattr(self, "finder", ""))
+        filled = fill_task(task, getattr(self, "finder", ""), keep=False)
         found = FoundLattice(filled.lattice, reason="" if filled.lattice else filled.note)
         detected = filled.image, NamedDetector(getattr(self, "finder", "") or in_role("detector")), found
         made = synthesize(self, replace(task, sample=filled.image, known=None, detected=detected))
