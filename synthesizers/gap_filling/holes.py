@@ -65,7 +65,7 @@ class HoleFiller:
     block
         Side of a patch in px where there is no lattice.
     keep
-        Whether known pixels never change. False: half a patch around a hole may change, too, so that seams can run
+        Whether known pixels never change. False: a third of a patch around a hole may change, too, so that seams can run
         around the elements that its border cuts.
     """
 
@@ -90,7 +90,7 @@ class HoleFiller:
         # Only what is near the hole tells which patch continues it.
         distance = scipy.ndimage.distance_transform_edt(known)
         self._near = known & (distance <= max(min(self.size) / 4, 2))
-        self._kept = known if keep else distance > max(self.size) / 2
+        self._kept = known if keep else distance > max(self.size) / 3
         steps = np.arange(-int(tolerance), int(tolerance) + 1)
         self._moves = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) if lattice else np.zeros((1, 2), np.int64)
 
