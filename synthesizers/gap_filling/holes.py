@@ -65,8 +65,8 @@ class HoleFiller:
     block
         Side of a patch in px where there is no lattice.
     keep
-        Whether known pixels never change. False: a third of a patch around a hole may change, too, so that seams can run
-        around the elements that its border cuts.
+        Whether known pixels never change. False: those up to a third of a patch from a hole may change, so that seams
+        can run around the elements that its border cuts.
     """
 
     def __init__(
