@@ -14,6 +14,7 @@ import PIL.Image
 import PIL.ImageDraw
 import PIL.ImageFont
 import skimage
+from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.wallpaper_group import FoundGroup, Symmetry
@@ -177,6 +178,26 @@ def _draw_line(canvas: Image, start: Iterable[float], end: Iterable[float]) -> N
     inside = (rows >= 0) & (rows < canvas.shape[0]) & (columns >= 0) & (columns < canvas.shape[1])
     rows, columns, weight = rows[inside], columns[inside], weight[inside, np.newaxis].astype(np.float32)
     canvas[rows, columns] = canvas[rows, columns] * (1 - weight) + np.array(COLOR, np.float32) * weight
+
+
+def draw_seams(image: Image, *profiles: NDArray[np.float32] | None) -> Image:
+    """Return the image in color, rolled by half, with the seams drawn that its edges make.
+
+    Parameters
+    ----------
+    image
+        Any :data:`~nrbench.imaging.convert.Image`.
+    profiles
+        Of the right edge and of the lower edge: numbers along it. The seam is drawn where they exceed 1, or whole where
+        none does; None: not at all.
+    """
+    half = (image.shape[0] // 2, image.shape[1] // 2)
+    canvas = np.roll(np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image, half, (0, 1))
+    for part, middle, before, profile in zip((canvas.swapaxes(0, 1), canvas), half[::-1], half, profiles, strict=True):
+        if profile is not None:
+            drawn = np.roll(profile > min(1.0, float(profile.max()) / 2), before)
+            part[middle - 1 : middle + 1, drawn] = COLOR
+    return canvas
 
 
 def zoom_panels(image: Image, lattices: Sequence[Lattice], side: int = PANEL) -> list[Image]:
