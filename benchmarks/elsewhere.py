@@ -24,6 +24,7 @@ from validation import print_table, show, subjects
 import nrbench
 from nrbench.calling.tileable import nearest_closing_shape
 from nrbench.imaging.convert import Image, quantize
+from nrbench.lattice.geometry import Lattice, Points
 
 Rng = np.random.Generator
 METHODS = ("tile-set", "quilting", "patch-based", "resample", "tiling", "rsgf")
@@ -181,6 +182,37 @@ def study_edges(options: argparse.Namespace) -> None:
     for fault, row in table.iterrows():
         every = np.mean([one["breaks"] for one in rows if one["fault"] == fault])
         tell(fault, *(show(value) for value in row), show(every))
+
+
+def plant(image: Image, lattice: Lattice, fault: str, rng: Rng) -> tuple[Image, Points]:
+    """Return a picture with one fault of a cell or a row, and the middle (x, y) of the fault."""
+    basis = lattice.canonical()
+    height, width = image.shape[:2]
+    y, x = np.mgrid[:height, :width]
+    points = lattice.points((height, width))
+    inner = points[(abs(points / (width, height) - 0.5) < 0.3).all(1)]
+    middle = inner[rng.integers(len(inner))]
+    away = np.stack([x, y], -1) - middle
+    u, v = np.moveaxis(away @ np.linalg.inv(basis.matrix), -1, 0)
+    distance = np.hypot(*np.moveaxis(away, -1, 0)) / basis.s
+    spoiled = image.copy()
+    if fault == "missing":
+        inside = np.maximum(abs(u), abs(v)) < 0.5
+        spoiled[inside] = np.median(image[np.maximum(abs(u), abs(v)) < 1.5], 0)
+    elif fault == "stain":
+        spoiled *= 1 - 0.35 * np.clip(4 * (0.45 - distance), 0, 1)[..., np.newaxis].astype(np.float32)
+    elif fault == "hole":
+        spoiled[distance < 0.35] = 0.05
+    elif fault == "broken":
+        spoiled[(abs(u) < 0.12) & (abs(v) < 0.5)] = image.min((0, 1))
+    else:
+        course = np.abs(y - middle[1]) < 0.5 * max(abs(basis.matrix[:, 1]))
+        moved = np.roll(image, round(0.3 * basis.s), 1)
+        spoiled[course] = moved[course]
+    return spoiled, middle
+
+
+PLANTED = ("missing", "stain", "hole", "broken", "shifted row")
 
 
 STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {"edges": study_edges}
