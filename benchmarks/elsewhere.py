@@ -6,6 +6,8 @@ the figures of ``report``, other textures and other seeds, are the report.
 ``edges``
     ``nrbench score --tileable``: false alarms on textures drawn on a torus and on outputs of methods that repeat, and
     the share of faults that are found when they are planted at the right edge of these pictures.
+``defects``
+    ``nrbench lattice --defects``: fresh draws of all models with their lattices, clean or with one planted fault.
 """
 
 from __future__ import annotations
@@ -19,11 +21,12 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 from scipy.spatial import cKDTree
-from validation import print_table, show, subjects
+from validation import models, print_table, show, subjects
 
 import nrbench
 from nrbench.calling.tileable import nearest_closing_shape
 from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice, Points
 
 Rng = np.random.Generator
@@ -196,6 +199,8 @@ def plant(image: Image, lattice: Lattice, fault: str, rng: Rng) -> tuple[Image, 
     u, v = np.moveaxis(away @ np.linalg.inv(basis.matrix), -1, 0)
     distance = np.hypot(*np.moveaxis(away, -1, 0)) / basis.s
     spoiled = image.copy()
+    if fault == "none":
+        return image, middle
     if fault == "missing":
         inside = np.maximum(abs(u), abs(v)) < 0.5
         spoiled[inside] = np.median(image[np.maximum(abs(u), abs(v)) < 1.5], 0)
@@ -206,16 +211,40 @@ def plant(image: Image, lattice: Lattice, fault: str, rng: Rng) -> tuple[Image, 
     elif fault == "broken":
         spoiled[(abs(u) < 0.12) & (abs(v) < 0.5)] = image.min((0, 1))
     else:
-        course = np.abs(y - middle[1]) < 0.5 * max(abs(basis.matrix[:, 1]))
-        moved = np.roll(image, round(0.3 * basis.s), 1)
-        spoiled[course] = moved[course]
+        along = 0.3 * basis.s * basis.matrix[0] / np.hypot(*basis.matrix[0])
+        course = abs(v) < 0.5
+        spoiled[course] = interpolate(image, np.stack([x, y], -1)[course] + along)
     return spoiled, middle
 
 
-PLANTED = ("missing", "stain", "hole", "broken", "shifted row")
+PLANTED = ("none", "missing", "stain", "hole", "broken", "shifted row")
 
 
-STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {"edges": study_edges}
+def study_defects(options: argparse.Namespace) -> None:
+    """Print the share of pictures in which a planted fault is found, and in which anything else is called a defect."""
+    rows, first = [], 700 if options.half == "setting" else 900
+    every = [*subjects("core", []), *models([])]
+    for subject in (one for one in every if one.again and one.texture.lattice):
+        for number in range(first, first + options.count):
+            texture = subject.again((224, 256), number)
+            for fault in PLANTED:
+                rng = np.random.default_rng([number, PLANTED.index(fault)])
+                image, middle = plant(quantize(texture.image), texture.lattice, fault, rng)
+                try:
+                    found = nrbench.find_defects(image, texture.lattice)
+                except nrbench.NoLatticeFound:
+                    continue
+                boxes = [(np.min(each.outline, 0), np.max(each.outline, 0)) for each in found]
+                hits = [fault != "none" and bool(((a <= middle) & (middle <= b)).all()) for a, b in boxes]
+                rows.append({"texture": subject.name, "fault": fault, "found": any(hits), "other": not all(hits)})
+    table = pd.DataFrame(rows)
+    tell = print_table("fault", "pictures", "found", "anything else", "not found in")
+    for fault, own in table.groupby("fault", sort=False):
+        missed = ", ".join(own[~own.found].texture.unique()) if fault != "none" else "-"
+        tell(fault, len(own), show(own.found.mean()), f"{own.other.mean():.3f}", missed)
+
+
+STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {"edges": study_edges, "defects": study_defects}
 
 
 def main() -> None:

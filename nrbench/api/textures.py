@@ -40,6 +40,7 @@ from nrbench.plugins.parameters import parse_spec
 # The help of a command imports no array library.
 if TYPE_CHECKING:
     from nrbench.displacement.bent_detection import Followed
+    from nrbench.displacement.defects import Defect
     from nrbench.displacement.deformation_field import Deformation
     from nrbench.imaging.convert import Image
     from nrbench.imaging.wallpaper_group import FoundGroup
@@ -269,6 +270,58 @@ def find_bent_lattice(image: Image, parameters: Mapping[str, Any] | None = None)
     except NoLatticeFound:
         return None
     return followed if followed.deformation.bent else None
+
+
+def find_defects(image: Imagelike, lattice: Latticelike = None) -> tuple[Defect, ...]:
+    """Find where a picture leaves its own lattice and look; an empty tuple says that nothing stands out.
+
+    A bent picture is straightened first; the places are those in the picture itself.
+
+    Parameters
+    ----------
+    image
+        An :data:`Imagelike`.
+    lattice
+        Its lattice, or the detector that finds it, for a picture that is not bent; None: the default detector, if its
+        confidence is at least 0.5.
+
+    Returns
+    -------
+    tuple
+        The defects, the worst one first: place, kind, and size in s or in standard deviations from cell to cell.
+
+    Raises
+    ------
+    NoLatticeFound
+        If no lattice is found, or the picture shows fewer than twelve whole cells.
+    BadInput
+        For a bad image, lattice or detector.
+
+    Examples
+    --------
+    >>> from nrbench import find_defects, texture
+    >>> wall = texture("brick", shape=(160, 160), seed=1, color=0.1)
+    >>> len(find_defects(wall, wall.lattice))
+    0
+    >>> wall.image[70:80, 80:90] = 0
+    >>> len(find_defects(wall, wall.lattice))
+    1
+    """
+    from nrbench.displacement.defects import find_straight_defects
+    from nrbench.plugins.forms import NoLatticeFound
+
+    picture = image_in(image)
+    given = lattice_in(picture, lattice)
+    if given is not None:
+        return find_straight_defects(picture, given)
+    followed = follow_bent_lattice(picture) if max(picture.shape[:2]) <= LARGEST_FOLLOWED else None
+    found = (followed and followed.detection) or detect_lattice(picture)
+    if found.confidence < LEAST_CONFIDENCE:
+        raise NoLatticeFound(f"one of the confidence {found.confidence:.2f}, too low to call anything a defect")
+    if followed is None or not followed.deformation.bent:
+        return find_straight_defects(picture, found.lattice)
+    known = followed.deformation
+    return find_straight_defects(*known.straighten(), lambda points: known.locate(points + known.corner))
 
 
 def synthesize(

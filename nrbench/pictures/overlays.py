@@ -172,6 +172,17 @@ def draw_vertices(image: Image, vertices: Sequence[Vertex]) -> Image:
     return canvas
 
 
+def draw_outlines(image: Image, outlines: Sequence[Sequence[tuple[float, float]]]) -> Image:
+    """Return the image in color with closed outlines, each given by its corners (x, y) px, and their numbers from 1."""
+    picture = to_pil(np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image)
+    pen = PIL.ImageDraw.Draw(picture)
+    color = tuple(round(255 * part) for part in COLOR)
+    for number, corners in enumerate(outlines, 1):
+        pen.polygon(list(corners), outline=color, width=2)
+        pen.text(min(corners), str(number), fill=color, font=_load_font(_SIZE), anchor="rb", stroke_width=1)
+    return np.asarray(picture, np.float32) / np.float32(255)
+
+
 def _draw_line(canvas: Image, start: Iterable[float], end: Iterable[float]) -> None:
     x0, y0, x1, y1 = np.rint([*start, *end]).astype(int)
     rows, columns, weight = skimage.draw.line_aa(y0, x0, y1, x1)  # type: ignore[no-untyped-call]
