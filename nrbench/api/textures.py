@@ -58,8 +58,6 @@ OtherPicture = Annotated[Imagelike | None, Flag(ARGUMENT, kind=Path)]
 """A :data:`Picture` that may be left out."""
 LEAST_CONFIDENCE = 0.5
 """A lattice of a lower confidence is more probably wrong than right."""
-LARGEST_FOLLOWED = 1024
-"""px; a larger image is followed only by :func:`track_lattice` and ``--straighten``, because it takes long."""
 FOLLOWS_BENT = "symmetry: the detector follows bent lattices; choose another, or straighten the image first"
 
 
@@ -113,7 +111,8 @@ def detect_lattice(
     image
         An :data:`Imagelike`.
     detector
-        A detector plugin: its name, its class, or an instance; if None, ``consensus``.
+        A detector plugin: its name, its class, or an instance. If None, ``consensus``; where it finds none, the mean
+        lattice of a bent image of up to 1024 px is looked for.
     mask
         A :data:`Masklike` of the size of the image: which pixels count. Transparent pixels do not count either.
     **parameters
@@ -122,7 +121,8 @@ def detect_lattice(
     Returns
     -------
     Detection
-        The lattice, its confidence, the alternatives and the diagnostics.
+        The lattice, its confidence, the alternatives and the diagnostics. Of a bent image, ``vertices`` says where the
+        points of the lattice lie.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def detect_lattice(
     >>> found.lattice.is_equivalent(brick.lattice, tolerance=0.5)
     True
     """
-    return detect_among(detector_in(detector, parameters), masked_in(image, mask))
+    return detect_among(detector_in(detector, parameters), masked_in(image, mask), bent=detector is None)
 
 
 def detect_symmetry(
@@ -177,19 +177,15 @@ def detect_symmetry(
     >>> detect_symmetry(brick, brick.lattice).group
     'cmm'
     """
+    from nrbench.displacement.bent_detection import recognize
     from nrbench.imaging.wallpaper_group import find_wallpaper_group
-    from nrbench.plugins.forms import NoLatticeFound
 
     image = image_in(image)
     if (known := lattice_in(image, lattice)) is None:
-        try:
-            detection = detect_lattice(image, detector, **parameters)
-            require(not detection.vertices, FOLLOWS_BENT)
-            known = detection.lattice
-        except NoLatticeFound:
-            if detector is not None or (bent := find_bent_lattice(image, parameters)) is None:
-                raise
-            image, known = bent.deformation.straighten()
+        found = detector_in(detector, parameters)
+        detection, bent = recognize(image, found) if detector is None else (found.detect(image), None)
+        require(bent is not None or not detection.vertices, FOLLOWS_BENT)
+        image, known = (image, detection.lattice) if bent is None else bent.deformation.straighten()
     return find_wallpaper_group(image, known)
 
 
@@ -256,26 +252,11 @@ def follow_bent_lattice(
     return find_deformation(image, lattice, detector_in(detector, parameters or {}), only_promising)
 
 
-def find_bent_lattice(image: Image, parameters: Mapping[str, Any] | None = None) -> Followed | None:
-    """Return the lattice of a bent image in which the default detector finds none; None if there is none.
-
-    Little time is spent on images without a lattice, and none on large ones (:data:`LARGEST_FOLLOWED`).
-    """
-    from nrbench.plugins.forms import NoLatticeFound
-
-    if max(image.shape[:2]) > LARGEST_FOLLOWED:
-        return None
-    try:
-        followed = follow_bent_lattice(image, parameters=parameters, only_promising=True)
-    except NoLatticeFound:
-        return None
-    return followed if followed.deformation.bent else None
-
-
 def find_defects(image: Imagelike, lattice: Latticelike = None) -> tuple[Defect, ...]:
     """Find where a picture leaves its own lattice and look; an empty tuple says that nothing stands out.
 
-    A bent picture is straightened first; the places are those in the picture itself.
+    Drifts of the lattice are followed, and a picture in which it is found only where it is straightened is straightened
+    first; the places are those in the picture itself.
 
     Parameters
     ----------
@@ -307,6 +288,7 @@ def find_defects(image: Imagelike, lattice: Latticelike = None) -> tuple[Defect,
     >>> len(find_defects(wall, wall.lattice))
     1
     """
+    from nrbench.displacement.bent_detection import recognize
     from nrbench.displacement.defects import find_straight_defects
     from nrbench.plugins.forms import NoLatticeFound
 
@@ -314,11 +296,10 @@ def find_defects(image: Imagelike, lattice: Latticelike = None) -> tuple[Defect,
     given = lattice_in(picture, lattice)
     if given is not None:
         return find_straight_defects(picture, given)
-    followed = follow_bent_lattice(picture) if max(picture.shape[:2]) <= LARGEST_FOLLOWED else None
-    found = (followed and followed.detection) or detect_lattice(picture)
+    found, followed = recognize(picture, detector_in(None, {}))
     if found.confidence < LEAST_CONFIDENCE:
         raise NoLatticeFound(f"one of the confidence {found.confidence:.2f}, too low to call anything a defect")
-    if followed is None or not followed.deformation.bent:
+    if followed is None:
         return find_straight_defects(picture, found.lattice)
     known = followed.deformation
     return find_straight_defects(*known.straighten(), lambda points: known.locate(points + known.corner))
