@@ -23,7 +23,7 @@ from .api.textures import texture as texture
 from .api.textures import track_lattice as track_lattice
 from .authoring.conformance import check_plugin as check_plugin
 from .authoring.packages import new_plugin as new_plugin
-from .displacement.defects import Defect as Defect
+from .displacement.defects import PictureDefect as PictureDefect
 from .displacement.deformation_field import Deformation as Deformation
 from .errors import BadInput as BadInput
 from .imaging.convert import Image as Image

@@ -40,7 +40,7 @@ from nrbench.plugins.parameters import parse_spec
 # The help of a command imports no array library.
 if TYPE_CHECKING:
     from nrbench.displacement.bent_detection import Followed
-    from nrbench.displacement.defects import Defect
+    from nrbench.displacement.defects import PictureDefect
     from nrbench.displacement.deformation_field import Deformation
     from nrbench.imaging.convert import Image
     from nrbench.imaging.wallpaper_group import FoundGroup
@@ -252,7 +252,7 @@ def follow_bent_lattice(
     return find_deformation(image, lattice, detector_in(detector, parameters or {}), only_promising)
 
 
-def find_defects(image: Imagelike, lattice: Latticelike = None) -> tuple[Defect, ...]:
+def find_defects(image: Imagelike, lattice: Latticelike = None) -> tuple[PictureDefect, ...]:
     """Find where a picture leaves its own lattice and look; an empty tuple says that nothing stands out.
 
     Drifts of the lattice are followed, and a picture in which it is found only where it is straightened is straightened

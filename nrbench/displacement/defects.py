@@ -39,7 +39,7 @@ _LEAST_LINE, _NEAR_LINES = 8, 13
 
 
 @dataclass(frozen=True)
-class Defect:
+class PictureDefect:
     """A part of a picture that stands out.
 
     Parameters
@@ -199,7 +199,7 @@ def _rate(values: NDArray[Any], least: float) -> tuple[NDArray[np.float64], NDAr
 
 def find_straight_defects(
     image: Image, lattice: Lattice, locate: Callable[[Points], Points] = np.asarray
-) -> tuple[Defect, ...]:
+) -> tuple[PictureDefect, ...]:
     """Return the defects of a straight picture, the worst one first.
 
     Parameters
@@ -230,5 +230,5 @@ def find_straight_defects(
         cells = np.vstack([weights @ first / weights.sum() + 0.5, low + _CORNERS * (high + 1 - low)])
         middle, *outline = ((float(x), float(y)) for x, y in locate(windows.lattice.from_cell(cells)))
         kind: Literal["out of place", "other look"] = "out of place" if moved else "other look"
-        found.append(Defect(*middle, kind, float(moved or sizes[worst]), tuple(outline)))
+        found.append(PictureDefect(*middle, kind, float(moved or sizes[worst]), tuple(outline)))
     return tuple(found)

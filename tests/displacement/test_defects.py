@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from commands import call
 
-from nrbench import Defect, Lattice, NoLatticeFound, find_defects, texture
+from nrbench import PictureDefect, Lattice, NoLatticeFound, find_defects, texture
 from nrbench.imaging.convert import Image, quantize
 from nrbench.pictures.files import read_image, write_image
 
@@ -30,7 +30,7 @@ def wall(seed: int = 0, deviation: float = 0.05) -> Image:
     return quantize(np.where(joint[..., None], 0.75, color + rng.normal(0, 0.02, (*SIDES, 1))).clip(0, 1).astype("f4"))
 
 
-def find_one(image: Image) -> Defect:
+def find_one(image: Image) -> PictureDefect:
     """Return the only defect."""
     found = find_defects(image, LATTICE)
     assert len(found) == 1, found
