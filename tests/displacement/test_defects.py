@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from commands import call
 
-from nrbench import PictureDefect, Lattice, NoLatticeFound, find_defects, texture
+from nrbench import Lattice, NoLatticeFound, PictureDefect, find_defects, texture
 from nrbench.imaging.convert import Image, quantize
 from nrbench.pictures.files import read_image, write_image
 
