@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
+import scipy.spatial
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -26,8 +27,8 @@ _SAMPLES = (8, 24)
 """Least and largest number of samples of a cell along a vector."""
 _MIDDLE, _HIGH, _MARGIN = 0.7, 0.9, 2.0
 """Quantiles from which the tail of departures is extrapolated, and the margin over it."""
-_LEAST_AWAY = 0.1
-"""s; a smaller displacement is not called out of place."""
+_LEAST_AWAY = 0.15
+"""s; a smaller displacement is not called out of place: photographed walls wander by 0.1 s."""
 _EXPLAINED = 0.5
 """Share of its squared departures that is left of a window which is displaced, where it belongs."""
 _SEEN = 0.01
@@ -51,7 +52,7 @@ class PictureDefect:
     size
         Displacement in s, or departure in standard deviations from cell to cell.
     outline
-        Corners (x, y) px of the windows that stand out.
+        Corners (x, y) px of the convex outline of the windows that stand out.
     """
 
     x: float
@@ -226,8 +227,9 @@ def find_straight_defects(
         worst = part[worth[part].argmax()]
         moved = lines[worst] or (away[worst] if away[worst] > _LEAST_AWAY else 0.0)
         first, weights = windows.first[windows.valid][part], worth[part] - 1
-        low, high = first.min(0), first.max(0)
-        cells = np.vstack([weights @ first / weights.sum() + 0.5, low + _CORNERS * (high + 1 - low)])
+        corners = (first[:, np.newaxis] + _CORNERS).reshape(-1, 2)
+        hull = corners[scipy.spatial.ConvexHull(corners).vertices]
+        cells = np.vstack([weights @ first / weights.sum() + 0.5, hull])
         middle, *outline = ((float(x), float(y)) for x, y in locate(windows.lattice.from_cell(cells)))
         kind: Literal["out of place", "other look"] = "out of place" if moved else "other look"
         found.append(PictureDefect(*middle, kind, float(moved or sizes[worst]), tuple(outline)))

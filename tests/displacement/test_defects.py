@@ -99,6 +99,6 @@ def test_the_command_draws_and_lists_defects(tmp_path: Path, capsys: pytest.Capt
     assert changed[80:125, 100:160].any() and not changed[:60].any()
     assert call("lattice hole.png --defects out.png --lattice 24,0,12,12 --json") == 0
     (one,) = json.loads(capsys.readouterr().out)["defects"]
-    assert one["kind"] == "other look" and len(one["outline"]) == 4
+    assert one["kind"] == "other look" and len(one["outline"]) >= 4
     assert call("lattice hole.png --defects out.png --symmetry") == 2
     assert call("lattice hole.png --defects hole.png") == 2
