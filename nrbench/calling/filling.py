@@ -100,7 +100,7 @@ def _fill_bent(method: Any, task: Task, bent: Deformation) -> Synthesis:
     image, source = task.sample.copy(), np.ones((*task.shape, 3), np.float32)
     image[hole] = read_spline(made.image, at)
     points = near[:, :2] + (at - np.rint(at)) + low
-    source[hole] = trace_points(to_picture(points), task.sample.shape, near[:, 2])
+    source[hole] = trace_points(bent.locate(points), task.sample.shape, near[:, 2])
     return replace(made, image=image, source=source, lattice=bent.lattice)
 
 
