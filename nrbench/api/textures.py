@@ -34,7 +34,7 @@ from nrbench.api.arguments import (
     stored_masked,
 )
 from nrbench.errors import BadInput, require
-from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber
+from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber, Switch
 from nrbench.plugins.parameters import parse_spec
 
 # The help of a command imports no array library.
@@ -255,6 +255,7 @@ def synthesize(
     progress: Callable[[float], None] | None = None,
     tileable: Tileable = False,
     mask: Masklike = None,
+    flatten_light: Switch = False,
     **parameters: Any,
 ) -> Synthesis:
     """Synthesize a larger texture from a sample.
@@ -288,6 +289,11 @@ def synthesize(
         A picture of the size of the sample, in which white counts, and black is left out.
 
         Or an array, True where a pixel counts. Transparent pixels do not count. The output holds nothing of the others.
+    flatten_light
+        Divide uneven light out of the sample first: shadows, dark corners, slopes.
+
+        ``extras["flattened"]`` is the sample in even light, from which the output is made, and to which ``source``
+        points. Without it, a warning names light that varies much. It needs a lattice.
     **parameters
         The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -302,7 +308,8 @@ def synthesize(
         When the method cannot be applied to the sample, or if a tileable output would need a larger strain.
     BadInput
         For a bad image, mask, lattice, method or parameter, or if the method cannot make tileable outputs, or cannot
-        leave out pixels; the message names those that can.
+        leave out pixels; the message names those that can. Also if light is to be divided out of a sample without a
+        lattice.
 
     Examples
     --------
@@ -314,6 +321,8 @@ def synthesize(
     import numpy as np
 
     from nrbench.calling.bent_samples import synthesize_in_geometry
+    from nrbench.calling.lighting import flatten_light as flatten
+    from nrbench.calling.lighting import warn_of_light
     from nrbench.calling.method_calls import briefly_prepared, checked_synthesis, synthesize_from_part
     from nrbench.calling.tileable import AXES, synthesize_tileable
     from nrbench.imaging.convert import match_ndim
@@ -332,8 +341,14 @@ def synthesize(
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
     make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
+    task, lit = flatten(plugin, task) if flatten_light else (task, "")
     with briefly_prepared(plugin, task, seed) as ready:
-        synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape)
+        synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), task.sample, task.shape)
+    if flatten_light:
+        note = "; ".join(filter(None, (synthesis.note, lit)))
+        synthesis = dataclasses.replace(synthesis, note=note, extras={**synthesis.extras, "flattened": task.sample})
+    elif synthesis.lattice is not None:
+        warn_of_light(sample, synthesis.lattice, known)
     like = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))
 
