@@ -76,6 +76,7 @@ def synth_command(
     from nrbench import plugins
     from nrbench.api.arguments import masked_in, plugin_in
     from nrbench.calling.method_calls import is_picture
+    from nrbench.imaging.convert import depth_of, quantize
     from nrbench.pictures.files import WRITTEN, write_image
     from nrbench.plugins.parameters import parse_size
 
@@ -102,7 +103,8 @@ def synth_command(
     if pictures and not extras:
         click.echo(f"not written: {', '.join([*pictures, *synthesis.files])}; --extras writes them", err=True)
     for title, array in pictures.items() if extras else ():
-        click.echo(f"{write_image(output.with_name(f'{output.stem}-{title}.png'), array)} ({title})", err=True)
+        picture = quantize(array, depth_of(synthesis.image))
+        click.echo(f"{write_image(output.with_name(f'{output.stem}-{title}.png'), picture)} ({title})", err=True)
     for name, describe in synthesis.files.items() if extras else ():
         write_text(output.with_name(f"{output.stem}-{name}"), describe(f"{output.stem}-"))
         click.echo(f"{output.with_name(f'{output.stem}-{name}')} ({name})", err=True)
