@@ -56,12 +56,14 @@ def estimate_light(image: Image, lattice: Lattice, known: Mask | None = None) ->
     for _ in range(_ROUNDS):
         rest = seen - fold(np.asarray(seen - light, np.float32), lattice, known).unfold(shape)
         rest = (rest if known is None else fill_unknown(rest, known))[..., 0]
-        small = skimage.transform.resize(rest, grid, order=1, anti_aliasing=True)
+        small = skimage.transform.resize(rest, grid, order=1, anti_aliasing=True)  # type: ignore[no-untyped-call]
         slow = (terms @ np.linalg.lstsq(terms, small.ravel(), rcond=None)[0]).reshape(small.shape)
-        scatter = float(np.std(small - slow - denoise_tv_chambolle(small - slow, weight=1.0)))
+        left = small - slow
+        scatter = float(np.std(left - denoise_tv_chambolle(left, weight=1.0)))  # type: ignore[no-untyped-call]
         if scatter > 0:
-            slow += denoise_tv_chambolle(small - slow, weight=_WEIGHT * scatter, eps=1e-5, max_num_iter=400)
-        light = skimage.transform.resize(slow, shape, order=1)[..., np.newaxis]
+            strength = {"weight": _WEIGHT * scatter, "eps": 1e-5, "max_num_iter": 400}
+            slow += denoise_tv_chambolle(left, **strength)  # type: ignore[no-untyped-call]
+        light = skimage.transform.resize(slow, shape, order=1)[..., np.newaxis]  # type: ignore[no-untyped-call]
     return np.asarray(light[..., 0] - np.median(light))
 
 
