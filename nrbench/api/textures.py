@@ -525,6 +525,7 @@ def score(
     lattice: Latticelike = None,
     metrics: Metrics = (),
     progress: Callable[[int, int, str], None] | None = None,
+    mask: Masklike = None,
     tileable: Repeats = False,
 ) -> Scores:
     """Score any tool's output against its sample, or whether one picture repeats.
@@ -545,6 +546,10 @@ def score(
         Their names, as a list or joined by commas; empty for all.
     progress
         Called after each metric with the number of metrics done, of all, and the name of the last one.
+    mask
+        A picture of the size of the sample, in which white counts, and black is left out.
+
+        Or an array, True where a pixel counts. Transparent pixels of the sample do not count either.
     tileable
         Judge whether one picture, SAMPLE, repeats without a seam along x and y.
 
@@ -570,24 +575,27 @@ def score(
     True
     """
     from nrbench.imaging.convert import match_channels
+    from nrbench.imaging.masks import MaskedImage
     from nrbench.plugins.forms import Observation, Texture
 
     require(tileable == (output is None), "score: pass a sample and an output, or tileable and one picture")
     if tileable:
         require(not names_of(metrics), "score: tileable computes no metrics; leave them out")
         return score_edges(sample, lattice)
-    pair = stored_image(sample, "sample"), stored_image(output, "output")
+    image, known = stored_masked(sample, mask, "sample")
+    pair = image, stored_image(output, "output")
     pair = match_channels(*pair), match_channels(*pair[::-1])
     height, width, _ = pair[1].shape
     if height * width > MOST_SCORED:
         raise BadInput(f"output: {width}x{height} px; at most {MOST_SCORED} px in all are scored: crop it")
     if pair[0].shape[2] != pair[1].shape[2]:
         raise BadInput(f"output: has {pair[1].shape[2]} channels, the sample {pair[0].shape[2]}; convert one of them")
-    given = lattice_in(pair[0], lattice)
+    given = lattice_in(MaskedImage(pair[0], known), lattice)
     if given is None and isinstance(sample, Texture):
         given = sample.lattice
     truth = Texture(pair[0], given, (given,) if given else ())
-    return score_observation_by(Observation(*pair, truth=truth, lattice_given=given), names_of(metrics), progress)
+    seen = Observation(*pair, truth=truth, lattice_given=given, known=known)
+    return score_observation_by(seen, names_of(metrics), progress)
 
 
 def score_edges(picture: Picture, lattice: Latticelike = None) -> Scores:

@@ -180,6 +180,7 @@ def score_command(
     sample: Path,
     output: Path | None,
     lattice: str | None,
+    mask: Path | None,
     metrics: str | None,
     tileable: bool,
     every: All = False,
@@ -202,6 +203,7 @@ def score_command(
     as_json
         Print JSON on standard output; of all metrics by default.
     """
+    from nrbench.api.arguments import masked_in
     from nrbench.pictures.files import read_image
 
     if tileable:
@@ -210,12 +212,14 @@ def score_command(
     if output is None or seam:
         raise BadInput("score: pass SAMPLE and OUTPUT, without -o; or --tileable and one picture")
     choose_one({"--metrics": metrics, "--all": every})
-    pictures = read_image(sample), read_image(output)
+    pictures = masked_in(sample, mask), read_image(output)
     given = _given_lattice(pictures[0], lattice)
     brief = not (metrics or every or as_json)
     names = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES)) if brief else names_of(metrics or "")
     with live_progress(patience=True) as progress:
-        scores = call(sample=pictures[0], output=pictures[1], lattice=given, metrics=names, progress=progress)
+        scores = call(
+            sample=pictures[0], output=pictures[1], lattice=given, mask=None, metrics=names, progress=progress
+        )
     if as_json:
         print(json.dumps({**scores.values, "reasons": dict(scores.reasons)}, indent=1))
         return
