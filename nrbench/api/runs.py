@@ -662,12 +662,14 @@ def sheet(
     size: SampleSize = "384x384",
     lattice: Latticelike = None,
     seed: Number = 0,
+    flatten_light: Switch = False,
     progress: OnStep | None = None,
     options: Options | None = None,
 ) -> pd.DataFrame:
     """Show what all methods make of a photograph on one sheet, the best first.
 
-    The lattice is detected once and given to all methods that use one.
+    The lattice is detected once and given to all methods that use one. A photograph in perspective, of a round surface
+    or through a distorting lens is straightened first: methods and judge get it straight.
 
     Parameters
     ----------
@@ -689,6 +691,8 @@ def sheet(
         The lattice of PHOTO, or the detector that finds it, once for all methods.  [default: consensus]
     seed
         Equal seeds give equal outputs.
+    flatten_light
+        Divide uneven light out of PHOTO first: methods and judge get it in even light.
     progress, options
         As for :func:`~nrbench.run`.
 
@@ -713,12 +717,13 @@ def sheet(
     """
     import pandas as pd
 
-    from nrbench.api.photo_sheet import draw_sheet, photo_suite, rate_outputs
+    from nrbench.api.photo_sheet import draw_sheet, photo_suite, prepare_photo, rate_outputs
     from nrbench.pictures.files import write_image
     from nrbench.running.runner import execute
 
     with tempfile.TemporaryDirectory() as folder:
-        suite = photo_suite(picture_file(photo, Path(folder)), sample, size)
+        file, lattice = prepare_photo(picture_file(photo, Path(folder)), lattice, flatten_light, Path(folder))
+        suite = photo_suite(file, sample, size)
         sources = plugins.in_role("detector") if lattice is None else lattice
         cells, root = plan_cells(suite, methods, (), sources, Path(folder) / "run", seed=seed)
         rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)
