@@ -16,6 +16,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import CellTorus, require_two_periods
 from .resampling.element_classes import find_object
 from .resampling.element_colors import ElementColors
@@ -39,6 +40,7 @@ _ROWS = 256
 """Rows of the output that are composed at once."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Resample:
     """Draws new elements: bricks, threads and tiles with new colors, whose detail is copied from the sample's.

@@ -359,6 +359,7 @@ class NamedDetector:
 ABILITIES: Final = {
     "wraps": "--tileable: {} cannot make an output that repeats without a seam",
     "masks": "{} cannot leave out transparent or masked pixels",
+    "fills": "--fill: {} cannot fill holes",
 }
 """What a plugin lacks whose class variable of this name is not True."""
 
