@@ -10,7 +10,7 @@ from typing import Any
 from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
-from nrbench.pictures.files import read_image
+from nrbench.pictures.files import read_image, read_mask, read_masked
 from nrbench.pictures.overlays import contact_sheet, draw_lattice
 from nrbench.plugins.forms import describe_silence
 from nrbench.plugins.parameters import parse_size, size_text
@@ -27,11 +27,12 @@ of the smaller differences change their sign, and hardly any larger one (docs/ph
 _PERILS = ("regularity", "integrity", "randomness", "appearance")
 
 
-def photo_suite(photo: Path, sample: Any, size: Any) -> Suite:
+def photo_suite(photo: Path, sample: Any, size: Any, mask: Path | None = None) -> Suite:
     """Return a suite of one photograph with all methods that are no references and need no parameter."""
     with warnings.catch_warnings(action="ignore"):  # the plan reads it again
-        height, width = map(min, read_image(photo).shape[:2], parse_size(sample))
-    row = {"name": "photo", "dataset": plugins.in_role("pictures"), "parameters": {"path": str(photo.absolute())}}
+        height, width = map(min, read_masked(photo).image.shape[:2], parse_size(sample))
+    files = {"path": str(photo.absolute())} | ({} if mask is None else {"mask": str(mask.absolute())})
+    row = {"name": "photo", "dataset": plugins.in_role("pictures"), "parameters": files}
     content = {
         "name": "sheet",
         "sample": f"{width}x{height}",
@@ -127,7 +128,9 @@ def describe_row(row: Mapping[str, Any]) -> str:
 def draw_sheet(made: Sequence[tuple[CellRecord, Mapping[str, Any]]]) -> Image:
     """Return the sample with its lattice, and the outputs, each below its caption."""
     records = [one for one, _ in made]
-    sample = read_image(records[0].folder / "sample.png")
+    sample, known = read_image(records[0].folder / "sample.png"), records[0].folder / "known.png"
+    if known.is_file():
+        sample[~read_mask(known, sample.shape[:2])] = 1
     lattice = next((one.cell.lattice_given for one in records if one.cell.lattice_given), None)
     first = sample if lattice is None else draw_lattice(sample, lattice)
     found = "no lattice" if lattice is None else "lattice " + ",".join(f"{x:.2f}" for x in (*lattice.t1, *lattice.t2))

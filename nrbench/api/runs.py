@@ -17,6 +17,7 @@ from nrbench.api.arguments import (
     Folder,
     Latticelike,
     LatticeSources,
+    Masklike,
     Methods,
     OutputFolder,
     Picture,
@@ -662,6 +663,7 @@ def sheet(
     size: SampleSize = "384x384",
     lattice: Latticelike = None,
     seed: Number = 0,
+    mask: Masklike = None,
     progress: OnStep | None = None,
     options: Options | None = None,
 ) -> pd.DataFrame:
@@ -689,6 +691,10 @@ def sheet(
         The lattice of PHOTO, or the detector that finds it, once for all methods.  [default: consensus]
     seed
         Equal seeds give equal outputs.
+    mask
+        A picture of the size of PHOTO, in which white counts, and black is left out.
+
+        Or an array, bool or in [0, 1]. Transparent pixels of PHOTO do not count either.
     progress, options
         As for :func:`~nrbench.run`.
 
@@ -718,7 +724,8 @@ def sheet(
     from nrbench.running.runner import execute
 
     with tempfile.TemporaryDirectory() as folder:
-        suite = photo_suite(picture_file(photo, Path(folder)), sample, size)
+        left = None if mask is None else picture_file(mask, Path(folder), "mask.png")
+        suite = photo_suite(picture_file(photo, Path(folder)), sample, size, left)
         sources = plugins.in_role("detector") if lattice is None else lattice
         cells, root = plan_cells(suite, methods, (), sources, Path(folder) / "run", seed=seed)
         rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)

@@ -333,7 +333,7 @@ def synthesize(
         raise Refused("the sample is constant; there is nothing to synthesize from")
     make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
     with briefly_prepared(plugin, task, seed) as ready:
-        synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape)
+        synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape, known)
     like = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))
 

@@ -10,8 +10,8 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.holes import join_holes
 from nrbench.detectors.autocorrelation.lattice_evidence import LatticeEvidence, highest_added
+from nrbench.detectors.autocorrelation.repeating_holes import join_holes
 from nrbench.detectors.autocorrelation.surrogates import require_texture
 from nrbench.detectors.candidate_search.candidates import (
     SHARE,
@@ -133,7 +133,7 @@ class Consensus:
         """Return the lattice of ``image``. Its origin is (0, 0) because the detector does not find the phase.
 
         Pixels that ``known`` ``(H, W)`` has False do not count. If they themselves repeat, as the holes of a fence do,
-        they are a channel of the image (:func:`~nrbench.detectors.autocorrelation.holes.join_holes`).
+        they are a channel of the image (:func:`~nrbench.detectors.autocorrelation.repeating_holes.join_holes`).
 
         The confidence is the probability that the lattice is exact, as measured on texture models and on textures that
         the models lack (``benchmarks/consensus_calibration.py``).

@@ -10,10 +10,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.holes import join_holes
 from nrbench.detectors.autocorrelation.lattice_evidence import LatticeEvidence, highest_added
 from nrbench.detectors.autocorrelation.peak_kernels import region_radii
 from nrbench.detectors.autocorrelation.peaks import UNIT, find_prominent_peaks, fit_multiples, fit_pair, subpixel
+from nrbench.detectors.autocorrelation.repeating_holes import join_holes
 from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
 from nrbench.detectors.autocorrelation.vector_pair_kernels import count_hits
 from nrbench.errors import checker

@@ -9,7 +9,6 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.holes import join_holes
 from nrbench.detectors.autocorrelation.peak_kernels import highest_ridge
 from nrbench.detectors.autocorrelation.peaks import (
     UNIT,
@@ -20,6 +19,7 @@ from nrbench.detectors.autocorrelation.peaks import (
     quantize_correlation,
     subpixel,
 )
+from nrbench.detectors.autocorrelation.repeating_holes import join_holes
 from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
 from nrbench.detectors.autocorrelation.vector_pair_kernels import best_pair
 from nrbench.errors import checker
