@@ -34,7 +34,7 @@ from nrbench.api.picture_folders import (
     rank_candidates,
     vector_texts,
 )
-from nrbench.api.textures import FOLLOWS_BENT, follow_bent_lattice
+from nrbench.api.textures import FOLLOWS_BENT, find_defects, follow_bent_lattice
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.displacement.bent_detection import recognize
@@ -49,6 +49,7 @@ from nrbench.pictures.files import encode_png, write_image
 from nrbench.pictures.overlays import (
     COLOR,
     contact_sheet,
+    draw_outlines,
     draw_overlay,
     draw_vertices,
     stack,
@@ -74,7 +75,8 @@ class LatticeResult:
     comparison. ``failed`` marks a detector that raised an error. ``deformation`` is that of a bent image, of which
     ``lattice`` is the mean lattice, and ``detection`` what the detector found in the straightened image, whose own
     lattice is ``straightened`` if it was written. ``detector`` is empty if a lattice was given that was followed.
-    ``symmetry`` is that of the image, or of the straightened one, if it was looked for.
+    ``symmetry`` is that of the image, or of the straightened one, if it was looked for. ``superposed`` are the lattices
+    of an image that has several.
     """
 
     detector: str
@@ -87,6 +89,7 @@ class LatticeResult:
     deformation: Deformation | None = None
     straightened: Lattice | None = None
     symmetry: FoundGroup | None = None
+    superposed: tuple[Lattice, ...] = ()
 
     @classmethod
     def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> LatticeResult:
@@ -157,7 +160,8 @@ class LatticeResult:
     def as_dict(self) -> dict[str, Any]:
         """Return the lattice for JSON, with the alternatives and the probabilities of a detector; or the reason."""
         if self.lattice is None:
-            return {"lattice": None, "reason": self.reason}
+            several = {"lattices": [known_vectors(each, False) for each in self.superposed]} if self.superposed else {}
+            return {"lattice": None, "reason": self.reason, **several}
         found: dict[str, Any] = dict(known_vectors(self.lattice, self.has_origin))
         if self.detector:
             found |= {"detector": self.detector, "confidence": self.detection and self.detection.confidence}
@@ -212,7 +216,9 @@ def answer_question(options: LatticeQuestion) -> int:
     image = masked.image
     if options.every:
         return _compare_detectors(masked, options)
-    if options.straighten:
+    if options.defects:
+        _show_defects(image, options, options.defects)
+    elif options.straighten:
         _straighten_picture(image, options, options.straighten)
     elif options.pick or options.lattice is not None:
         _show_given(image, options)
@@ -281,7 +287,8 @@ def _show_detection(masked: MaskedImage, options: LatticeQuestion) -> None:
         detection = found
         title = f"{spec}: {result.vectors}, confidence {found.confidence:.3f}{', straightened' if bent else ''}"
     except NoLatticeFound as none:
-        result, detection = LatticeResult(name, None, reason=none.reason), none.best
+        result = LatticeResult(name, None, reason=none.reason, superposed=none.lattices)
+        detection = none.best
         title = f"{spec}: no lattice: {none.reason}"
     result = result.with_symmetry(image, options)
     if options.diagnostics is not None:
@@ -383,6 +390,24 @@ def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) ->
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
     LatticeResult.of_followed("" if options.lattice else name, followed, straight_lattice).finish(image, options)
+
+
+def _show_defects(image: Image, options: LatticeQuestion, output: Path) -> None:
+    """Print the defects of an image, or that there are none, and draw them."""
+    try:
+        with waiting("each cell is compared with all others"):
+            defects = find_defects(image, options.lattice or options.detector)
+    except NoLatticeFound as none:
+        click.echo(f"{output}: not written, there is no lattice to leave", err=True)
+        LatticeResult("", None, reason=none.reason).print(options.as_json)
+        return
+    write_image(output, draw_outlines(image, [each.outline for each in defects]))
+    if options.as_json:
+        print(json.dumps({"defects": [each.as_dict() for each in defects]}, indent=1))
+    elif not defects:
+        print("no defects: no cell stands out from the others")
+    for number, each in enumerate(() if options.as_json else defects, 1):
+        print(f"{number}: {each}")
 
 
 PANEL = (5.6, 4.8)

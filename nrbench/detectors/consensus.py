@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.lattice_evidence import LatticeEvidence, highest_added
-from nrbench.detectors.autocorrelation.repeating_holes import join_holes
-from nrbench.detectors.autocorrelation.surrogates import require_texture
+from nrbench.detectors.autocorrelation.pixel_structure import detect_content
+from nrbench.detectors.autocorrelation.repeated_holes import join_holes
 from nrbench.detectors.candidate_search.candidates import (
     SHARE,
     TOLERANCE,
@@ -35,12 +35,13 @@ from nrbench.detectors.candidate_search.sublattice_search import (
     propose_lattices,
     ridge_height,
 )
+from nrbench.detectors.candidate_search.superposed_lattices import find_superposed_lattices
 from nrbench.detectors.frdft import Frdft
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.masks import Mask
-from nrbench.lattice.geometry import Lattice, Points, reduce_basis
+from nrbench.lattice.geometry import Lattice, Points, Vector, reduce_basis
 from nrbench.lattice.relation import relate
 from nrbench.plugins.forms import Alternative, Detection, NoLatticeFound, Probabilities, Surface
 
@@ -87,7 +88,9 @@ class Consensus:
     4. The remaining lattices, their coarser and finer neighbors, and the proposals of the other detectors are the
        candidates. A conditional logit computes from six traits of each candidate how probable it is that it is exact
        (:mod:`nrbench.detectors.candidate_search.candidates`). The most probable one is returned.
-    5. If this lattice is not certain, the image is shrunk to half, a quarter ... of its size, as far as that leaves
+    5. If the strongest waves of the image belong to two to four lattices, such as the screens of printed inks, none of
+       them is returned: the error names all (:mod:`nrbench.detectors.candidate_search.superposed_lattices`).
+    6. If this lattice is not certain, the image is shrunk to half, a quarter ... of its size, as far as that leaves
        14 px a period, and the same is done again: fine grain that does not repeat hides the lattice of large elements.
        The most certain of these lattices is returned.
 
@@ -121,7 +124,7 @@ class Consensus:
     sigmas: float = 10.0
     min_explained: float = 0.02
 
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
     masks: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -133,7 +136,7 @@ class Consensus:
         """Return the lattice of ``image``. Its origin is (0, 0) because the detector does not find the phase.
 
         Pixels that ``known`` ``(H, W)`` has False do not count. If they themselves repeat, as the holes of a fence do,
-        they are a channel of the image (:func:`~nrbench.detectors.autocorrelation.repeating_holes.join_holes`).
+        they are a channel of the image (:func:`~nrbench.detectors.autocorrelation.repeated_holes.join_holes`).
 
         The confidence is the probability that the lattice is exact, as measured on texture models and on textures that
         the models lack (``benchmarks/consensus_calibration.py``).
@@ -147,10 +150,16 @@ class Consensus:
         ------
         NoLatticeFound
             If the image is constant, has no stable lattice, or is striped. Unless ``reject`` is ``"none"``, also if the
-            best lattice may have occurred by chance.
+            best lattice may have occurred by chance, or if several lattices are superposed, which its ``lattices`` are.
         """
-        require_texture(image)
-        image, known = join_holes(self, image, known)
+        return detect_content(self._detect, *join_holes(self, image, known))
+
+    def _detect(self, image: Image, known: Mask | None = None) -> Detection:
+        """Return the lattice of an image that is not constant, of any range."""
+        superposed = [] if self.reject == "none" or known is not None else find_superposed_lattices(image)
+        if superposed:
+            vectors = "; ".join(f"t1 = {_round(each.t1)}, t2 = {_round(each.t2)} px" for each in superposed)
+            raise NoLatticeFound(f"several lattices are superposed: {vectors}", None, superposed)
         chosen, highest = None, (False, -1.0)
         for level in rate_levels(image, known):
             best = level.candidates[0]
@@ -179,6 +188,10 @@ class Consensus:
                 f"the best lattice ({sigmas:.1f} standard deviations) may be chance (below {self.sigmas:g})", detection
             )
         return detection
+
+
+def _round(vector: Vector) -> str:
+    return f"({vector[0]:.2f}, {vector[1]:.2f})"
 
 
 class Level(NamedTuple):
@@ -304,7 +317,7 @@ def _describe(level: Level) -> Detection:
     """Return the detection of the most probable candidate, with the others as alternatives."""
     best, *others = level.candidates
     evidence, basis = level.evidence, best.basis
-    lattice = Lattice.from_basis(level.factor * basis).reduced()
+    lattice = Lattice.from_basis(level.factor * basis).oriented()
     between, repeated = highest_added(evidence, basis), evidence.repeated(basis)
     peaks = np.concatenate([basis, *level.proposals])
     diagnostics: dict[str, Any] = {
@@ -328,6 +341,6 @@ def _sum_probabilities(best: Candidate, others: Sequence[Candidate]) -> Probabil
 
 
 def _describe_alternative(candidate: Candidate, factor: int, chosen: Lattice) -> Alternative:
-    lattice = Lattice.from_basis(factor * candidate.basis).reduced()
+    lattice = Lattice.from_basis(factor * candidate.basis).oriented()
     change = relate(lattice, chosen, TOLERANCE, SHARE)
     return Alternative(lattice, candidate.probability, change.name if change else "unrelated", candidate.merit)

@@ -19,8 +19,9 @@ from nrbench.detectors.autocorrelation.peaks import (
     quantize_correlation,
     subpixel,
 )
-from nrbench.detectors.autocorrelation.repeating_holes import join_holes
-from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
+from nrbench.detectors.autocorrelation.pixel_structure import detect_content
+from nrbench.detectors.autocorrelation.repeated_holes import join_holes
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
 from nrbench.detectors.autocorrelation.vector_pair_kernels import best_pair
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
@@ -114,7 +115,7 @@ class Gncc:
     surrogates: int = 30
     false_alarms: float = 0.01
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     masks: ClassVar[bool] = True
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -160,8 +161,10 @@ class Gncc:
             If the image is constant, if too few peaks are prominent, or, unless ``reject`` is ``"none"``, if the best
             pair is no better than chance or is a grating.
         """
-        require_texture(image)
-        image, known = join_holes(self, image, known)
+        return detect_content(self._detect, *join_holes(self, image, known))
+
+    def _detect(self, image: Image, known: Mask | None = None) -> Detection:
+        """Return the lattice of an image that is not constant, of any range."""
         gamma = half_autocorrelation(image, known)
         best = self._search(gamma)
         if best is None:
@@ -211,7 +214,7 @@ class Gncc:
     def _detection(self, gamma: Correlation, best: Pair) -> Detection:
         """Return the lattice of the best pair, fitted, with its diagnostics."""
         first, second = fit_pair(gamma, best.vectors, self._reach(gamma)) if self.subpixel else best.vectors
-        lattice = Lattice.from_basis((first, second)).reduced()
+        lattice = Lattice.from_basis((first, second)).oriented()
         mean = (best.goodness * best.multiples) ** (1 / self.alpha) / best.multiples
         surface = Surface(gamma, (0, gamma.shape[0] // 2), best.candidates, np.stack([first, second]))
         diagnostics = {"correlation": surface, "goodness": best.goodness, "multiples": best.multiples}

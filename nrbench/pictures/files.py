@@ -135,6 +135,7 @@ def _read(path: str | Path, smallest: int, convert: Callable[[NDArray[Any], str,
             pixels, space = _pixels(picture, file, head, where, notes)
     pixels = pixels if pixels.ndim == 3 else pixels[..., np.newaxis]
     if pixels.dtype.kind == "f":
+        pixels = pixels.astype(np.float32) if pixels.dtype == np.float16 else pixels
         convert(pixels, where, smallest)  # the range of floats is checked before the conversion
         if space is None:
             notes.append("float values without a profile are read as linear light; store other quantities with 16 bits")
@@ -414,7 +415,7 @@ def write_image(path: str | Path, image: Image) -> Path:
         The path; its name must end in ``.png``, ``.tif``, ``.tiff`` or ``.webp``. An existing file is replaced. All
         pixels are kept, but that WebP has only 8 bits; then there is a warning.
     image
-        float32 ``(H, W, C)`` in [0, 1]; values outside are clipped.
+        uint8, uint16, or float in [0, 1], ``(H, W)`` or ``(H, W, C)``; floats outside are clipped.
 
     Returns
     -------
@@ -436,6 +437,8 @@ def write_image(path: str | Path, image: Image) -> Path:
     >>> read_image(path).shape
     (64, 96, 3)
     """
+    image = np.asarray(image)
+    image = as_image(np.clip(image, 0, 1) if image.dtype.kind == "f" else image, f"picture {path}", 1)
     target, deep = Path(path), depth_of(image) == 16
     kind = target.suffix.lower()
     if kind not in WRITTEN:

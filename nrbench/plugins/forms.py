@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -281,6 +281,8 @@ class NoLatticeFound(Exception):
         One sentence that says which test failed.
     best
         The best candidate that was rejected, or None.
+    lattices
+        The lattices of an image in which several are superposed; empty otherwise.
 
     Examples
     --------
@@ -293,13 +295,14 @@ class NoLatticeFound(Exception):
     None
     """
 
-    def __init__(self, reason: str, best: Detection | None = None) -> None:
+    def __init__(self, reason: str, best: Detection | None = None, lattices: Sequence[Lattice] = ()) -> None:
         super().__init__(reason)
         self.reason = reason
         self.best = best
+        self.lattices = tuple(lattices)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.reason, self.best)
+        return type(self), (self.reason, self.best, self.lattices)
 
 
 @runtime_checkable
