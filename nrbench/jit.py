@@ -265,8 +265,9 @@ def _writable(usual: Path) -> Path:
         return usual
     os.environ.setdefault("MPLCONFIGDIR", str(folder))  # else matplotlib has two lines of its own about it
     warnings.warn(
-        f"compiled kernels: {usual if usual.name else 'the cache'} cannot be written ({why}), so they are kept in {folder}; set XDG_CACHE_HOME to a "
-        "folder that lasts, else they may be compiled again, which takes up to some minutes",
+        f"compiled kernels: {usual if usual.name else 'the cache'} cannot be written ({why}), so they are kept in "
+        f"{folder}; set XDG_CACHE_HOME to a folder that lasts, else they may be compiled again, which takes up to some "
+        "minutes",
         stacklevel=2,
     )
     return folder

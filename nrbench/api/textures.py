@@ -34,7 +34,7 @@ from nrbench.api.arguments import (
     stored_masked,
 )
 from nrbench.errors import BadInput, require
-from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber
+from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber, Switch
 from nrbench.plugins.parameters import parse_spec
 
 # The help of a command imports no array library.
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.imaging.wallpaper_group import FoundGroup
     from nrbench.lattice.geometry import Lattice
-    from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Texture, Value
+    from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Task, Texture, Value
     from nrbench.suites.suite import Suite
 
 
@@ -314,6 +314,7 @@ def synthesize(
     progress: Callable[[float], None] | None = None,
     tileable: Tileable = False,
     mask: Masklike = None,
+    flatten_light: Switch = False,
     **parameters: Any,
 ) -> Synthesis:
     """Synthesize a larger texture from a sample.
@@ -347,6 +348,11 @@ def synthesize(
         A picture of the size of the sample, in which white counts, and black is left out.
 
         Or an array, True where a pixel counts. Transparent pixels do not count. The output holds nothing of the others.
+    flatten_light
+        Divide uneven light out of the sample first: shadows, dark corners, slopes.
+
+        ``extras["flattened"]`` is the sample in even light, from which the output is made, and to which ``source``
+        points. Without it, a warning names light that varies much. It needs a lattice.
     **parameters
         The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -361,7 +367,8 @@ def synthesize(
         When the method cannot be applied to the sample, or if a tileable output would need a larger strain.
     BadInput
         For a bad image, mask, lattice, method or parameter, or if the method cannot make tileable outputs, or cannot
-        leave out pixels; the message names those that can.
+        leave out pixels; the message names those that can. Also if light is to be divided out of a sample without a
+        lattice.
 
     Examples
     --------
@@ -370,31 +377,46 @@ def synthesize(
     >>> synthesize("quilting:block=24", brick, "160x128", seed=1).image.shape
     (128, 160, 3)
     """
-    import numpy as np
-
-    from nrbench.calling.bent_samples import synthesize_in_geometry
-    from nrbench.calling.method_calls import briefly_prepared, checked_synthesis, synthesize_from_part
-    from nrbench.calling.tileable import AXES, synthesize_tileable
     from nrbench.imaging.convert import match_ndim
     from nrbench.imaging.masks import MaskedImage
-    from nrbench.plugins.forms import Refused, Task
+    from nrbench.plugins.forms import Task
     from nrbench.streams import pixels_hash, stream
 
     plugin = plugin_in("synthesizers", method, parameters)
-    along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
-    require(along in ("", *AXES), f"tileable {tileable!r}: give True, or one of {', '.join(AXES)}")
     sample, known = stored_masked(image, mask)
+    along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
     plugins.require_abilities("synthesizers", plugin, wraps=bool(along), masks=known is not None)
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     given = lattice_in(MaskedImage(sample, known), lattice)
     task = Task(sample, shape_in(shape), given, rng, progress or (lambda fraction: None), known=known)
-    if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
-        raise Refused("the sample is constant; there is nothing to synthesize from")
-    make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
-    with briefly_prepared(plugin, task, seed) as ready:
-        synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape, known)
+    synthesis = _synthesize_task(plugin, task, seed, along, flatten_light)
     like = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))
+
+
+def _synthesize_task(plugin: Any, task: Task, seed: int, along: str, flatten: bool) -> Synthesis:
+    """Return the checked synthesis of a task, along the axes of an output that repeats, in even light if wanted."""
+    import numpy as np
+
+    from nrbench.calling.bent_samples import synthesize_in_geometry
+    from nrbench.calling.lighting import flatten_light, warn_of_light
+    from nrbench.calling.method_calls import briefly_prepared, checked_synthesis, synthesize_from_part
+    from nrbench.calling.tileable import AXES, synthesize_tileable
+    from nrbench.plugins.forms import Refused
+
+    require(along in ("", *AXES), f"tileable {along!r}: give True, or one of {', '.join(AXES)}")
+    if float(np.ptp(task.sample, axis=(0, 1)).max()) == 0:
+        raise Refused("the sample is constant; there is nothing to synthesize from")
+    make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
+    task, lit = flatten_light(plugin, task) if flatten else (task, "")
+    with briefly_prepared(plugin, task, seed) as ready:
+        made = checked_synthesis(synthesize_from_part(make, plugin, ready), task.sample, task.shape, task.known)
+    if flatten:
+        note = "; ".join(filter(None, (made.note, lit)))
+        return dataclasses.replace(made, note=note, extras={**made.extras, "flattened": task.sample})
+    if made.lattice is not None:
+        warn_of_light(task.sample, made.lattice, task.known)
+    return made
 
 
 def fill(

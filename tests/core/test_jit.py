@@ -94,7 +94,7 @@ def test_without_a_home_machine_code_is_temporary(homeless: Path) -> None:
 
 
 def test_a_user_without_any_home_has_temporary_machine_code(homeless: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """platformdirs raises for a user whom the system does not list; the same warning says so."""
+    """Where the system lists no home for a user, and platformdirs raises, the same warning says so."""
 
     def fail(*names: object, **options: object) -> Path:
         raise RuntimeError("could not determine the home directory")
