@@ -35,7 +35,7 @@ from nrbench.detectors.candidate_search.sublattice_search import (
     propose_lattices,
     ridge_height,
 )
-from nrbench.detectors.candidate_search.superposed_lattices import find_superposed_lattices
+from nrbench.detectors.candidate_search.superposed_lattices import find_wave_lattices
 from nrbench.detectors.frdft import Frdft
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import checker
@@ -62,6 +62,8 @@ COARSEST = 8
 MIN_PERIOD = 14.0
 """px; least length of the shorter vector of a lattice in an image that is shrunk. Lattices of half its cell, which
 compete with it, are still resolved."""
+FINEST = 5.0
+"""px; screens of this period are found at any angle. Finer ones may repeat better with the grid of pixels."""
 LISTED = 6
 """Largest number of alternatives."""
 
@@ -156,10 +158,10 @@ class Consensus:
 
     def _detect(self, image: Image, known: Mask | None = None) -> Detection:
         """Return the lattice of an image that is not constant, of any range."""
-        superposed = [] if self.reject == "none" or known is not None else find_superposed_lattices(image)
-        if superposed:
-            vectors = "; ".join(f"t1 = {_round(each.t1)}, t2 = {_round(each.t2)} px" for each in superposed)
-            raise NoLatticeFound(f"several lattices are superposed: {vectors}", None, superposed)
+        waves = [] if self.reject == "none" or known is not None else find_wave_lattices(image)
+        vectors = "; ".join(f"t1 = {_round(each.t1)}, t2 = {_round(each.t2)} px" for each in waves)
+        if len(waves) > 1:
+            raise NoLatticeFound(f"several lattices are superposed: {vectors}", None, waves)
         chosen, highest = None, (False, -1.0)
         for level in rate_levels(image, known):
             best = level.candidates[0]
@@ -176,6 +178,9 @@ class Consensus:
             raise NoLatticeFound(
                 "the image repeats along one direction by any vector: stripes, not a lattice", detection
             )
+        if waves and waves[0].s < FINEST and not detection.lattice.is_equivalent(waves[0], waves[0].s / 8):
+            reason = f"the waves repeat by {vectors}; periods under {FINEST:g} px may be mixed with the grid of pixels"
+            raise NoLatticeFound(f"{reason}: enlarge the image, or give this lattice", detection, waves)
         return detection if self.reject == "none" else self._check_strength(detection)
 
     def _check_strength(self, detection: Detection) -> Detection:

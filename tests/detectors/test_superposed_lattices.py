@@ -10,7 +10,7 @@ import pytest
 from commands import call
 
 from nrbench import NoLatticeFound, detect_lattice, texture
-from nrbench.detectors.candidate_search.superposed_lattices import find_superposed_lattices
+from nrbench.detectors.candidate_search.superposed_lattices import find_wave_lattices
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import write_image
@@ -53,7 +53,7 @@ def test_one_lattice_is_not_several() -> None:
     screen, (lattice,) = draw_screens((15, 6.1))
     assert detect_lattice(screen).lattice.is_equivalent(lattice, 0.02)
     for name in ("wallpaper", "hexagon", "basket", "plaid", "noise"):
-        assert not find_superposed_lattices(texture(name, shape=(192, 192), seed=1).image)
+        assert len(find_wave_lattices(texture(name, shape=(192, 192), seed=1).image)) < 2
 
 
 def test_the_command_lists_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -63,3 +63,11 @@ def test_the_command_lists_them(tmp_path: Path, capsys: pytest.CaptureFixture[st
     answer = json.loads(capsys.readouterr().out)
     assert answer["lattice"] is None
     assert [sorted(each) for each in answer["lattices"]] == [["t1", "t2"]] * 2
+
+
+def test_periods_that_cannot_be_told_are_named() -> None:
+    """Where a fine screen repeats better by a multiple, there is no lattice, and the reason has the true vectors."""
+    image, (lattice,) = draw_screens((20, 3.0), gray=True)
+    with pytest.raises(NoLatticeFound, match=r"t1 = \(2.82, 1.03\), .* periods under 5 px") as none:
+        detect_lattice(image)
+    assert none.value.lattices[0].is_equivalent(lattice, 0.05)

@@ -1,4 +1,4 @@
-"""Several lattices in one image, such as the screens of printed inks: found by the strongest waves of the spectrum."""
+"""Lattices that few strong waves of the spectrum show: fine screens, and those of several inks, superposed."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ SQUARE_OR_HEXAGONAL = 1.3
 """Factor by which such a pair of waves is preferred: waves of two screens, too, generate a lattice."""
 MOST_ORDER, NEAR = 3, 0.6
 """Largest order of the harmonics of a lattice, and their largest distance from a peak, bins."""
-LEAST_SHARE, LEAST_SUM, MOST_SHARE = 0.04, 0.7, 0.85
-"""Least share of the energy of the peaks of each lattice and of all, and the largest share of a single one."""
+LEAST_SHARE, LEAST_SUM, LEAST_SINGLE, MOST_SHARE = 0.04, 0.7, 0.8, 0.85
+"""Shares of the energy of the peaks: the least of each lattice, of all, of a single one; the largest of several."""
 MULTIPLES, NESTED = 4, 0.4
 """Two lattices are nested if up to this multiple of the waves of one lie this near, bins for each, to those of the
 other."""
 
 
-def find_superposed_lattices(image: Image) -> list[Lattice]:
-    """Return the lattices of an image whose strongest waves belong to two to four of them; else nothing.
+def find_wave_lattices(image: Image) -> list[Lattice]:
+    """Return the lattices of an image whose strongest waves belong to one to four of them; else nothing.
 
     The strongest wave and a partner generate the first lattice, with the harmonics of both. The strongest wave that
     remains generates the next one. The waves of an image with one lattice, however large its cell, are those of one
@@ -46,7 +46,7 @@ def find_superposed_lattices(image: Image) -> list[Lattice]:
     Returns
     -------
     list of Lattice
-        The strongest first. No two are multiples of each other.
+        The strongest first. No two are multiples of each other. A single one has nearly all of the energy.
     """
     image = crop_middle(image, SIDE)
     size = np.array(image.shape[1::-1], np.float64)
@@ -66,8 +66,10 @@ def find_superposed_lattices(image: Image) -> list[Lattice]:
         if not any(_are_nested(*both, size) for _, other in separate for both in ((pair, other), (other, pair))):
             separate.append((share, pair))
     shares = [share for share, _ in separate]
-    if len(shares) < 2 or max(shares) > MOST_SHARE or sum(shares) < LEAST_SUM:
+    if sum(shares) < LEAST_SUM or (len(shares) == 1 and shares[0] < LEAST_SINGLE):
         return []
+    if shares[0] > MOST_SHARE:
+        separate = separate[:1]
     return [Lattice.from_basis(np.linalg.inv(pair).T).oriented() for _, pair in separate]
 
 
