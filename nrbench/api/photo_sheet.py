@@ -15,10 +15,10 @@ from nrbench.api.arguments import Latticelike, lattice_in
 from nrbench.calling.bent_samples import recognize_sample
 from nrbench.calling.lighting import flatten_light, warn_of_light
 from nrbench.displacement.bent_detection import LARGEST_FOLLOWED
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.pictures.files import read_image, write_image
+from nrbench.pictures.files import read_image, read_mask, read_masked, write_image
 from nrbench.pictures.overlays import contact_sheet, draw_lattice
 from nrbench.plugins.forms import Task, describe_silence
 from nrbench.plugins.parameters import parse_size, size_text
@@ -37,14 +37,19 @@ BAD = 0.5
 _PERILS = ("regularity", "integrity", "randomness", "appearance")
 
 
-def prepare_photo(photo: Path, lattice: Latticelike, flatten: bool, folder: Path) -> tuple[Path, Latticelike]:
+def prepare_photo(
+    photo: Path, lattice: Latticelike, flatten: bool, folder: Path, masked: bool = False
+) -> tuple[Path, Latticelike]:
     """Return the file of a photograph that is straight and in even light, if this is wanted, and its lattice.
 
     A photograph that is to stay as it is keeps its file and the lattice that was given; so does a large one, whose bend
-    is hardly seen in a sample. A warning names uneven light.
+    is hardly seen in a sample, and one of which pixels are left out (``masked``). A warning names uneven light.
     """
     with warnings.catch_warnings(action="ignore"):  # the plan reads it again
-        image = read_image(photo)
+        image, known_pixels = read_masked(photo)
+    if masked or known_pixels is not None:
+        require(not flatten, "--flatten-light: a sheet takes no masked photograph with it; use synth, or flatten first")
+        return photo, lattice
     if max(image.shape[:2]) > LARGEST_FOLLOWED and not flatten:
         return photo, lattice
     depth = depth_of(image)
@@ -63,11 +68,12 @@ def prepare_photo(photo: Path, lattice: Latticelike, flatten: bool, folder: Path
     return write_image(folder / "prepared.png", quantize(image, depth)), known
 
 
-def photo_suite(photo: Path, sample: Any, size: Any) -> Suite:
+def photo_suite(photo: Path, sample: Any, size: Any, mask: Path | None = None) -> Suite:
     """Return a suite of one photograph with all methods that are no references and need no parameter."""
     with warnings.catch_warnings(action="ignore"):  # the plan reads it again
-        height, width = map(min, read_image(photo).shape[:2], parse_size(sample))
-    row = {"name": "photo", "dataset": plugins.in_role("pictures"), "parameters": {"path": str(photo.absolute())}}
+        height, width = map(min, read_masked(photo).image.shape[:2], parse_size(sample))
+    files = {"path": str(photo.absolute())} | ({} if mask is None else {"mask": str(mask.absolute())})
+    row = {"name": "photo", "dataset": plugins.in_role("pictures"), "parameters": files}
     content = {
         "name": "sheet",
         "sample": f"{width}x{height}",
@@ -167,7 +173,9 @@ def describe_row(row: Mapping[str, Any]) -> str:
 def draw_sheet(made: Sequence[tuple[CellRecord, Mapping[str, Any]]]) -> Image:
     """Return the sample with its lattice, and the outputs, each below its caption."""
     records = [one for one, _ in made]
-    sample = read_image(records[0].folder / "sample.png")
+    sample, known = read_image(records[0].folder / "sample.png"), records[0].folder / "known.png"
+    if known.is_file():
+        sample[~read_mask(known, sample.shape[:2])] = 1
     lattice = next((one.cell.lattice_given for one in records if one.cell.lattice_given), None)
     first = sample if lattice is None else draw_lattice(sample, lattice)
     found = "no lattice" if lattice is None else "lattice " + ",".join(f"{x:.2f}" for x in (*lattice.t1, *lattice.t2))

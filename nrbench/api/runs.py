@@ -17,6 +17,7 @@ from nrbench.api.arguments import (
     Folder,
     Latticelike,
     LatticeSources,
+    Masklike,
     Methods,
     OutputFolder,
     Picture,
@@ -662,6 +663,7 @@ def sheet(
     size: SampleSize = "384x384",
     lattice: Latticelike = None,
     seed: Number = 0,
+    mask: Masklike = None,
     flatten_light: Switch = False,
     progress: OnStep | None = None,
     options: Options | None = None,
@@ -691,6 +693,10 @@ def sheet(
         The lattice of PHOTO, or the detector that finds it, once for all methods.  [default: consensus]
     seed
         Equal seeds give equal outputs.
+    mask
+        A picture of the size of PHOTO, in which white counts, and black is left out.
+
+        Or an array, bool or in [0, 1]. Transparent pixels of PHOTO do not count either.
     flatten_light
         Divide uneven light out of PHOTO first: methods and judge get it in even light.
     progress, options
@@ -722,8 +728,11 @@ def sheet(
     from nrbench.running.runner import execute
 
     with tempfile.TemporaryDirectory() as folder:
-        file, lattice = prepare_photo(picture_file(photo, Path(folder)), lattice, flatten_light, Path(folder))
-        suite = photo_suite(file, sample, size)
+        left, file = None, picture_file(photo, Path(folder))
+        if mask is not None:
+            left = picture_file(mask, Path(folder), "mask.png")
+        file, lattice = prepare_photo(file, lattice, flatten_light, Path(folder), left is not None)
+        suite = photo_suite(file, sample, size, left)
         sources = plugins.in_role("detector") if lattice is None else lattice
         cells, root = plan_cells(suite, methods, (), sources, Path(folder) / "run", seed=seed)
         rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)

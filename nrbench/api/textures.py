@@ -410,7 +410,7 @@ def _synthesize_task(plugin: Any, task: Task, seed: int, along: str, flatten: bo
     make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
     task, lit = flatten_light(plugin, task) if flatten else (task, "")
     with briefly_prepared(plugin, task, seed) as ready:
-        made = checked_synthesis(synthesize_from_part(make, plugin, ready), task.sample, task.shape)
+        made = checked_synthesis(synthesize_from_part(make, plugin, ready), task.sample, task.shape, task.known)
     if flatten:
         note = "; ".join(filter(None, (made.note, lit)))
         return dataclasses.replace(made, note=note, extras={**made.extras, "flattened": task.sample})
