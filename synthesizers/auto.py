@@ -100,7 +100,9 @@ class Auto:
         }
         if found.lattice is None:
             warn_of_no_lattice("auto", found.reason)
-        light = describe_light(estimate_light(task.sample, found.lattice, task.known)) if found.lattice else ""
+        light = (
+            describe_light(estimate_light(task.sample, found.lattice, task.known, edges=False)) if found.lattice else ""
+        )
         remarks = f"; {light}, which --flatten-light divides out" if light else ""
         seen = f"regularity {share:.2f}" if found.lattice else f"no lattice ({found.reason})"
         names = list(dict.fromkeys([name, *(("rsgf", "tile-set") if near_regular else ()), "ann-pixel"]))
