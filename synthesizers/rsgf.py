@@ -177,7 +177,10 @@ class Rsgf:
         filler.fill_gaps()
         image, source = filler.placer.canvas.output()
         task.progress(1.0)
-        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=self._note(found))
+        blended, note = filler.placer.canvas.blended(), self._note(found)
+        return Synthesis(
+            image, found.lattice, source, detection_seconds=found.seconds, note=note, blended=blended
+        )
 
     def block_grid(self, task: Task) -> BlockGrid:
         """Return the blocks of the output. Those of a tileable one are as large as its sides require."""

@@ -57,4 +57,4 @@ class Scatter:
             placer.fill_gap(gap, places[gap.row, gap.column])
         image, source = placer.canvas.output()
         task.progress(1.0)
-        return Synthesis(image, source=source)
+        return Synthesis(image, source=source, blended=placer.canvas.blended())

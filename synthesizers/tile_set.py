@@ -233,7 +233,9 @@ class TileSet:
         notes = ["the lattice has no origin: tiles are anchored where their borders are quiet"] if unanchored else []
         if self.symmetry == "own" and not laying.stock.images.copies:
             notes.append("no symmetry of the texture is certain: the sample is used as it is")
-        return Synthesis(image, lattice, source, detection_seconds=seconds, note="; ".join(notes))
+        return Synthesis(
+            image, lattice, source, detection_seconds=seconds, note="; ".join(notes), blended=laying.canvas.blended()
+        )
 
     def _require_within_s(self, s: float) -> None:
         most = max(s, FEATHER)

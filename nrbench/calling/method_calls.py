@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, depth_of, quantize, shrink
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import NoLatticeFound, Shape, SourceMap, Synthesis, Synthesizer, Task
 from nrbench.plugins.registry import NamedDetector
 from nrbench.storage import read_json, remove, temporary_folder, write_json
@@ -142,6 +142,7 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
     return dataclasses.replace(
         synthesis,
         image=image,
+        sample=sample,
         source=source,
         extras=extras,
         detection_seconds=float(seconds),
@@ -222,6 +223,8 @@ def _count_wrong(source: SourceMap, image: Image, sample: Image) -> int:
     return int((np.abs(image[known][copy] - pixels) > COPY_TOLERANCE).any(-1).sum())
 
 
+_ROWS = 256
+"""Rows whose sources are moved at a time."""
 LARGE: Final = 1024
 """px: smaller samples are used whole."""
 PERIODS: Final = 16
@@ -256,14 +259,33 @@ def synthesize_from_part(
     lattice = None if task.lattice is None else task.lattice.shifted((-left, -top))
     made = synthesize(method, replace(task, sample=np.ascontiguousarray(part), lattice=lattice))
     note = "; ".join(filter(None, (made.note, f"from the middle {part.shape[1]}x{part.shape[0]} px of the sample")))
-    source = None if made.source is None else made.source + np.array([left, top, 0], np.float32)
+    made = move_sources(made, lambda places: places + (left, top))
     return replace(
         made,
         lattice=None if made.lattice is None else made.lattice.shifted((left, top)),
-        source=source,
         detection_seconds=made.detection_seconds + seconds,
         note=note if max(shape) > side else made.note,
     )
+
+
+def move_sources(made: Synthesis, locate: Callable[[Points], Points]) -> Synthesis:
+    """Return a synthesis from a part of a sample, or from a deformed one, with its sources in the sample itself.
+
+    Parameters
+    ----------
+    made
+        The synthesis.
+    locate
+        Returns the places (x, y) in the sample of those that the method saw, ``(..., 2)``.
+    """
+    moved = {}
+    for name in ("source", "blended", "tints"):
+        if (before := getattr(made, name)) is not None:
+            moved[name] = np.array(before, np.float32)
+            for rows in (moved[name][top : top + _ROWS] for top in range(0, len(before), _ROWS)):
+                places = locate(np.nan_to_num(rows[..., :2].astype(np.float64)))
+                rows[..., :2] = np.where(np.isfinite(rows[..., :2]), places, np.nan)
+    return replace(made, **moved)
 
 
 def _longest_period(task: Task, finder: str) -> float:
