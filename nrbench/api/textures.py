@@ -14,20 +14,24 @@ from nrbench.api.arguments import (
     Detectorlike,
     Imagelike,
     Latticelike,
+    Masklike,
     Method,
     OutputFolder,
     Picture,
     Pluginlike,
     Shapelike,
     Textures,
+    detect_among,
     detector_in,
     image_in,
     lattice_in,
     list_of,
+    masked_in,
     names_of,
     plugin_in,
     shape_in,
     stored_image,
+    stored_masked,
 )
 from nrbench.errors import BadInput, require
 from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber
@@ -93,7 +97,9 @@ def texture(model: Pluginlike, shape: Shapelike = (128, 128), seed: int = 0, **p
     return drawn
 
 
-def detect_lattice(image: Imagelike, detector: Detectorlike = None, **parameters: Any) -> Detection:
+def detect_lattice(
+    image: Imagelike, detector: Detectorlike = None, mask: Masklike = None, **parameters: Any
+) -> Detection:
     """Detect the lattice of an image.
 
     Parameters
@@ -102,6 +108,8 @@ def detect_lattice(image: Imagelike, detector: Detectorlike = None, **parameters
         An :data:`Imagelike`.
     detector
         A detector plugin: its name, its class, or an instance; if None, ``consensus``.
+    mask
+        A :data:`Masklike` of the size of the image: which pixels count. Transparent pixels do not count either.
     **parameters
         The detector's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -115,7 +123,7 @@ def detect_lattice(image: Imagelike, detector: Detectorlike = None, **parameters
     NoLatticeFound
         When the detector finds no lattice.
     BadInput
-        For a bad image, detector or parameter.
+        For a bad image, mask, detector or parameter, or if pixels do not count and the detector cannot leave them out.
 
     Examples
     --------
@@ -125,8 +133,7 @@ def detect_lattice(image: Imagelike, detector: Detectorlike = None, **parameters
     >>> found.lattice.is_equivalent(brick.lattice, tolerance=0.5)
     True
     """
-    detection: Detection = detector_in(detector, parameters).detect(image_in(image))
-    return detection
+    return detect_among(detector_in(detector, parameters), masked_in(image, mask))
 
 
 def detect_symmetry(
@@ -267,6 +274,7 @@ def synthesize(
     seed: Number = 0,
     progress: Callable[[float], None] | None = None,
     tileable: Tileable = False,
+    mask: Masklike = None,
     **parameters: Any,
 ) -> Synthesis:
     """Synthesize a larger texture from a sample.
@@ -296,6 +304,10 @@ def synthesize(
 
         True, ``"both"``, ``"x"`` or ``"y"``. Its opposite edges continue each other. The sample is strained so that its
         lattice closes, by at most 2.5 %; the note says by how much.
+    mask
+        A picture of the size of the sample, in which white counts, and black is left out.
+
+        Or an array, True where a pixel counts. Transparent pixels do not count. The output holds nothing of the others.
     **parameters
         The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -309,7 +321,8 @@ def synthesize(
     Refused
         When the method cannot be applied to the sample, or if a tileable output would need a larger strain.
     BadInput
-        For a bad image, lattice, method or parameter, or if the method cannot make tileable outputs.
+        For a bad image, mask, lattice, method or parameter, or if the method cannot make tileable outputs, or cannot
+        leave out pixels; the message names those that can.
 
     Examples
     --------
@@ -322,26 +335,27 @@ def synthesize(
 
     from nrbench.calling.bent_samples import synthesize_in_geometry
     from nrbench.calling.method_calls import briefly_prepared, checked_synthesis, synthesize_from_part
-    from nrbench.calling.tileable import AXES, require_wrapping, synthesize_tileable
+    from nrbench.calling.tileable import AXES, synthesize_tileable
     from nrbench.imaging.convert import match_ndim
+    from nrbench.imaging.masks import MaskedImage
     from nrbench.plugins.forms import Refused, Task
     from nrbench.streams import pixels_hash, stream
 
     plugin = plugin_in("synthesizers", method, parameters)
     along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
     require(along in ("", *AXES), f"tileable {tileable!r}: give True, or one of {', '.join(AXES)}")
-    if along:
-        require_wrapping(type(plugin))
-    sample = stored_image(image)
+    sample, known = stored_masked(image, mask)
+    plugins.require_abilities("synthesizers", plugin, wraps=bool(along), masks=known is not None)
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
-    task = Task(sample, shape_in(shape), lattice_in(sample, lattice), rng, progress or (lambda fraction: None))
+    given = lattice_in(MaskedImage(sample, known), lattice)
+    task = Task(sample, shape_in(shape), given, rng, progress or (lambda fraction: None), known=known)
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
     make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
     with briefly_prepared(plugin, task, seed) as ready:
         synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape)
-    given = image if hasattr(image, "ndim") else sample
-    return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, given))
+    like = image if hasattr(image, "ndim") else sample
+    return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,8 @@ def _synthesize_bent(method: Synthesizer, task: Task, bent: Deformation, geometr
     low, high = np.floor(places.min((0, 1))) - margin, np.ceil(places.max((0, 1))) + margin
     columns, rows = (high - low).astype(int) + 1
     shape = int(rows), int(columns)
-    made = synthesize_exactly(method, replace(task, sample=sample, shape=shape, lattice=straight))
+    known = None if task.known is None else bent.straighten_mask(task.known)
+    made = synthesize_exactly(method, replace(task, sample=sample, shape=shape, lattice=straight, known=known))
     # The output continues the phase of the straightened sample, whose corner is elsewhere on the plane.
     places = places - low + bent.lattice.wrap(low - bent.corner)
     image = read_spline(made.image, places)

@@ -255,9 +255,10 @@ def synthesize_from_part(
     side = max(LARGE, *task.shape, math.ceil(PERIODS * _longest_period(task, finder)))
     seconds = 0.0 if task.lattice else time.perf_counter() - start
     top, left = (max(length - side, 0) // 2 for length in shape)
-    part = task.sample[top : top + side, left : left + side]
+    window = np.s_[top : top + side, left : left + side]
+    part, known = task.sample[window], None if task.known is None else task.known[window]
     lattice = None if task.lattice is None else task.lattice.shifted((-left, -top))
-    made = synthesize(method, replace(task, sample=np.ascontiguousarray(part), lattice=lattice))
+    made = synthesize(method, replace(task, sample=np.ascontiguousarray(part), lattice=lattice, known=known))
     note = "; ".join(filter(None, (made.note, f"from the middle {part.shape[1]}x{part.shape[0]} px of the sample")))
     made = move_sources(made, lambda places: places + (left, top))
     return replace(

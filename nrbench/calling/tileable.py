@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from nrbench import plugins
 from nrbench.calling.method_calls import synthesize_exactly
 from nrbench.displacement.deformation_field import pixel_places, read_spline
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, depth_of, largest_box, quantize
+from nrbench.imaging.masks import known_at
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector, in_role
@@ -60,7 +60,7 @@ def synthesize_tileable(method: Synthesizer, task: Task, along: str = "both") ->
         If the strain would exceed :data:`MOST_STRAIN`; the message names the nearest size that closes. Also if the
         method refuses the sample.
     """
-    require_wrapping(type(method))
+    plugins.require_abilities("synthesizers", method, wraps=True)
     found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or in_role("detector")))
     axes = AXES[along]
     if found.lattice is None:
@@ -72,6 +72,10 @@ def synthesize_tileable(method: Synthesizer, task: Task, along: str = "both") ->
     sample, lattice = (task.sample, found.lattice) if bent is None else bent.straighten()
     strained = StrainedSample.of(sample, lattice, task.shape, axes, depth_of(task.sample))
     wrapped = replace(task, sample=strained.image, shape=strained.shape, lattice=strained.lattice, tileable=True)
+    if task.known is not None:
+        known = task.known if bent is None else bent.straighten_mask(task.known)
+        places = strained.locate(pixel_places(*strained.image.shape[:2]))
+        wrapped = replace(wrapped, known=known if strained.image is sample else known_at(known, places))
     made = _cut(synthesize_exactly(method, wrapped), task.shape)
     if bent is not None:
         made = trace_sources(made, lambda at: bent.locate(strained.locate(at) + bent.corner), task.sample.shape)
@@ -103,14 +107,6 @@ def _cut(made: Synthesis, shape: Shape) -> Synthesis:
     extras = {name: array[part] if np.shape(array)[:2] == whole else array for name, array in kept.items()}
     source, blended = (each if each is None else each[part] for each in (made.source, made.blended))
     return replace(made, image=made.image[part], source=source, blended=blended, extras=extras)
-
-
-def require_wrapping(method: type) -> None:
-    """Raise :class:`BadInput` unless methods of a class can make an output that repeats."""
-    if not getattr(method, "wraps", False):
-        able = ", ".join(one.name for one in plugins.inventory("synthesizers") if getattr(one.cls, "wraps", False))
-        name = plugins.name_of("synthesizers", method) or method.__name__
-        raise BadInput(f"--tileable: {name} cannot make an output that repeats without a seam; {able} can")
 
 
 def describe_strain(lattice: Lattice, shape: Shape, axes: tuple[int, ...] = (0, 1)) -> str:

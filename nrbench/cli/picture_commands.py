@@ -23,6 +23,7 @@ from nrbench.storage import write_text
 if TYPE_CHECKING:
     from nrbench.api.textures import Scores
     from nrbench.imaging.convert import Image
+    from nrbench.imaging.masks import MaskedImage
     from nrbench.lattice.geometry import Lattice
 
 OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png|.tif|.webp", kind=Path)]
@@ -36,6 +37,7 @@ def synth_command(
     method: str,
     shape: str,
     lattice: str | None,
+    mask: Path | None,
     output: OutputPicture,
     extras: Switch = False,
 ) -> None:
@@ -56,9 +58,9 @@ def synth_command(
         Also write the pictures that the method returns beside the output.
     """
     from nrbench import plugins
-    from nrbench.api.arguments import plugin_in
+    from nrbench.api.arguments import masked_in, plugin_in
     from nrbench.calling.method_calls import is_picture
-    from nrbench.pictures.files import WRITTEN, read_image, write_image
+    from nrbench.pictures.files import WRITTEN, write_image
     from nrbench.plugins.parameters import parse_size
 
     check_output(output, *WRITTEN)
@@ -67,10 +69,10 @@ def synth_command(
     finder = getattr(plugin_in("synthesizers", method, {}), "finder", "")
     size = parse_size(shape)
     require(max(size) < 1 << 14 or output.suffix.lower() != ".webp", f"-o {output}: WebP has at most 16383 px; use PNG")
-    sample = read_image(image)
+    sample = masked_in(image, mask)
     given = _given_lattice(sample, lattice)
     with waiting(f"{method.partition(':')[0]}, {shape}") as progress:
-        synthesis = call(image=sample, shape=size, lattice=given, progress=progress)
+        synthesis = call(image=sample, shape=size, lattice=given, mask=None, progress=progress)
     write_image(output, synthesis.image)
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
     pictures = {title: array for title, array in synthesis.extras.items() if is_picture(array)}
@@ -85,7 +87,7 @@ def synth_command(
         _warn_of_another_lattice(sample, method.partition(":")[0], synthesis.lattice)
 
 
-def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
+def _given_lattice(sample: Image | MaskedImage, text: str | None) -> Lattice | None:
     """Return the lattice of the option ``--lattice``: its numbers, or what a detector finds, which is printed.
 
     Raises
@@ -107,7 +109,7 @@ def _given_lattice(sample: Image, text: str | None) -> Lattice | None:
     return found
 
 
-def _warn_of_another_lattice(sample: Image, method: str, used: Lattice) -> None:
+def _warn_of_another_lattice(sample: MaskedImage, method: str, used: Lattice) -> None:
     """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
     from nrbench.lattice.relation import relate
     from nrbench.plugins.forms import NoLatticeFound

@@ -12,6 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import MIN_SIDE, Image, largest_box
+from nrbench.imaging.masks import Mask, known_at
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.vertices import Vertex, lay_vertices, list_vertices
@@ -289,6 +290,10 @@ class Deformation:
     def rectify(self) -> tuple[Image, Lattice]:
         """Return the same as :meth:`straighten`, with displacements of any size undone, errors of tracking too."""
         return self._straight if self.covered else (self.image, self.lattice)
+
+    def straighten_mask(self, known: Mask) -> Mask:
+        """Return which pixels of the image that :meth:`straighten` returns count, for a mask of this image."""
+        return known_at(known, self._box[0]) if self.bent and self.covered else known
 
     @cached_property
     def _box(self) -> tuple[Points, tuple[int, int]]:

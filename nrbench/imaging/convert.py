@@ -15,6 +15,8 @@ Image = NDArray[np.float32]
 MIN_SIDE = 8
 """px; the smallest side of an input."""
 Number = TypeVar("Number", np.float32, np.float64)
+OPAQUE = 0.98
+"""Least alpha, or brightness in a mask, of a pixel that counts. Soft edges do not: they show what lies below them."""
 _INTEGER_PEAK = {np.dtype(np.bool_): 1, np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}
 
 
@@ -25,7 +27,7 @@ def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Imag
     ----------
     array
         bool, uint8, uint16 or float in [0, 1]; ``(H, W)``, ``(H, W, 1)`` or ``(H, W, 3)``, or with an alpha channel,
-        ``(H, W, 2)`` or ``(H, W, 4)``, that is opaque everywhere. Such a channel is left out.
+        ``(H, W, 2)`` or ``(H, W, 4)``, that is opaque everywhere (:data:`OPAQUE`). Such a channel is left out.
     where
         The name of the input in error messages.
     smallest
@@ -64,9 +66,14 @@ def _check_shape(pixels: NDArray[Any], where: str, smallest: int) -> None:
         raise BadInput(f"{where}: {pixels.shape[1]}x{pixels.shape[0]} px; at least {smallest} px a side are needed")
 
 
+def is_opaque(alpha: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return where an alpha channel is at least :data:`OPAQUE`."""
+    return np.asarray(alpha >= OPAQUE * _INTEGER_PEAK.get(alpha.dtype, 1))
+
+
 def _check_opaque(alpha: NDArray[Any], where: str) -> None:
-    """Raise BadInput if an alpha channel ``(H, W)`` is not full, to 8 bits, at every pixel."""
-    transparent = ~(alpha >= _INTEGER_PEAK.get(alpha.dtype, 1) * (1 - 0.5 / 255))
+    """Raise BadInput if an alpha channel ``(H, W)`` is not opaque at every pixel."""
+    transparent = ~is_opaque(alpha)
     if transparent.any():
         y, x = np.argwhere(transparent)[0]
         raise BadInput(

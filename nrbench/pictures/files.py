@@ -10,10 +10,10 @@ import struct
 import sys
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import numpy as np
 import PIL.ExifTags
@@ -28,11 +28,13 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput, strip_control
 from nrbench.imaging.convert import MIN_SIDE, Image, as_image, depth_of, to_bytes, to_integers
+from nrbench.imaging.masks import Mask, MaskedImage, as_mask, as_masked
 from nrbench.pictures.color_spaces import LINEAR, ColorSpace, apply_profile, find_color_space, read_profile
 from nrbench.storage import find_path, write_aside
 
 for _library in ("PIL", "tifffile"):  # they print the faults of a damaged file, of which we make one error
     logging.getLogger(_library).addHandler(logging.NullHandler())
+Read = TypeVar("Read", NDArray[Any], MaskedImage)
 _Opened = PIL.ImageFile.ImageFile | tifffile.TiffPage
 ENDINGS = frozenset(
     {
@@ -109,6 +111,22 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     >>> read_image(path).shape
     (64, 96, 3)
     """
+    return _read(path, smallest, as_image)
+
+
+def read_masked(path: str | Path, smallest: int = MIN_SIDE) -> MaskedImage:
+    """Read an image file as :func:`read_image` does; transparent pixels do not count."""
+    return _read(path, smallest, as_masked)
+
+
+def read_mask(path: str | Path, shape: tuple[int, int]) -> Mask:
+    """Read a picture as a mask of ``shape`` (height, width): white counts, and black is left out."""
+    with warnings.catch_warnings(action="ignore"):  # of what its colors mean
+        return as_mask(read_masked(path, 1), shape, f"mask {path}")
+
+
+def _read(path: str | Path, smallest: int, convert: Callable[[NDArray[Any], str, int], Read]) -> Read:
+    """Return what ``convert`` makes of the pixels of a file, which may have alpha, and warn of what is odd."""
     where, notes = f"picture {path}", list[str]()
     with _opened(path, where) as (picture, file, head):
         if isinstance(picture, tifffile.TiffPage):
@@ -117,18 +135,18 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
             pixels, space = _pixels(picture, file, head, where, notes)
     pixels = pixels if pixels.ndim == 3 else pixels[..., np.newaxis]
     if pixels.dtype.kind == "f":
-        as_image(pixels, where, smallest)  # the range of floats is checked before the conversion
+        convert(pixels, where, smallest)  # the range of floats is checked before the conversion
         if space is None:
             notes.append("float values without a profile are read as linear light; store other quantities with 16 bits")
         space = space or LINEAR
     if space is not None:
         pixels, remark = space.to_srgb(pixels)
         notes += [remark] if remark else []
-    image = as_image(pixels, where, smallest)
-    notes += _range_remark(image)
+    read = convert(pixels, where, smallest)
+    notes += _range_remark(read.image if isinstance(read, MaskedImage) else read)
     if notes:
-        warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=2)
-    return image
+        warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=3)
+    return read
 
 
 def _range_remark(image: Image) -> list[str]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
+from nrbench.imaging.masks import Mask
 from nrbench.jit import work_clock
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.vertices import Vertex
@@ -300,7 +301,12 @@ class NoLatticeFound(Exception):
 
 @runtime_checkable
 class Detector(Protocol):
-    """The form of a detector plugin: a frozen dataclass with this method."""
+    """The form of a detector plugin: a frozen dataclass with this method.
+
+    A detector that can leave pixels out declares the class variable ``masks = True``. Its method is then
+    ``detect(image, known=None)``: ``known`` is ``bool (H, W)``, True where a pixel counts. The others have the color of
+    the nearest one that counts. Detectors without it get such an image as if all counted.
+    """
 
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``, or raise :class:`NoLatticeFound`."""
@@ -371,6 +377,10 @@ class Task:
     detected
         What a detector found in a sample before the method ran: the sample, the detector, and the answer.
         :func:`find_lattice` returns this answer for the same sample and an equal detector; None if there is none.
+    known
+        ``bool (h, w)``: True where a pixel of ``sample`` counts; None if all do. It is None unless the class variable
+        ``masks`` of the method is True: then the output holds nothing of the other pixels, which were transparent or
+        left out by a mask. They have the color of the nearest pixel that counts.
 
     Examples
     --------
@@ -390,6 +400,7 @@ class Task:
     cache: Path | None = None
     tileable: bool = False
     detected: tuple[Image, Detector, FoundLattice] | None = None
+    known: Mask | None = field(default=None, repr=False)
 
 
 def check_map(array: NDArray[Any], sample: Image | None) -> NDArray[np.float64]:
@@ -572,7 +583,7 @@ def find_lattice(task: Task, detector: Detector) -> FoundLattice:
         sample, earlier, found = task.detected
         if sample is task.sample and earlier == detector:
             return replace(found, seconds=0.0)
-    return timed_detection(detector, task.sample)
+    return timed_detection(detector, task.sample, task.known)
 
 
 def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Lattice, float]:
@@ -611,8 +622,30 @@ def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Latti
     return found.lattice, found.seconds
 
 
-def timed_detection(detector: Detector, image: Image) -> FoundLattice:
+def detect_known(detector: Any, image: Image, known: Mask | None) -> Detection:
+    """Return the lattice that a detector finds in the pixels that count, or in all if it can leave none out.
+
+    Raises
+    ------
+    NoLatticeFound
+        If it finds none.
+    """
+    masked = known is not None and getattr(detector, "masks", False)
+    found: Detection = detector.detect(image, known) if masked else detector.detect(image)
+    return found
+
+
+def timed_detection(detector: Detector, image: Image, known: Mask | None = None) -> FoundLattice:
     """Detect the lattice of an image, and measure the wall seconds; if there is none, return the reason.
+
+    Parameters
+    ----------
+    detector
+        The detector.
+    image
+        The image.
+    known
+        The pixels that count, see :func:`detect_known`.
 
     Raises
     ------
@@ -621,7 +654,7 @@ def timed_detection(detector: Detector, image: Image) -> FoundLattice:
     """
     start = work_clock()
     try:
-        found: object = detector.detect(image)
+        found: object = detect_known(detector, image, known)
     except NoLatticeFound as none:
         return FoundLattice(None, work_clock() - start, none.reason)
     if not isinstance(found, Detection):

@@ -23,15 +23,16 @@ from functools import cache, cached_property
 from importlib.machinery import SourceFileLoader
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.plugins.form_checks import FORMS, find_fault, is_stable, kinds_of, methods_wanted, plain_value
 from nrbench.plugins.parameters import converted, nearest, parse_spec, validated
 
 # The forms import numpy, which the names of plugins do not need.
 if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
+    from nrbench.imaging.masks import Mask
     from nrbench.plugins.forms import Detection
 
 
@@ -327,14 +328,17 @@ class NamedDetector:
     """
 
     spec: str
+    masks: ClassVar[bool] = True
 
-    def detect(self, image: Image) -> Detection:
+    def detect(self, image: Image, known: Mask | None = None) -> Detection:
         """Return what the detector finds; see :class:`~nrbench.plugins.forms.Detector`.
 
         Parameters
         ----------
         image
             The image.
+        known
+            The pixels that count. A detector that cannot leave out the others gets the filled image.
 
         Returns
         -------
@@ -347,8 +351,30 @@ class NamedDetector:
             If the detector finds none.
         """
         name, parameters = parse_spec(self.spec)
-        found: Detection = build("detectors", name, parameters).detect(image)
-        return found
+        from nrbench.plugins.forms import detect_known
+
+        return detect_known(build("detectors", name, parameters), image, known)
+
+
+ABILITIES: Final = {
+    "wraps": "--tileable: {} cannot make an output that repeats without a seam",
+    "masks": "{} cannot leave out transparent or masked pixels",
+}
+"""What a plugin lacks whose class variable of this name is not True."""
+
+
+def describe_lack(kind: str, cls: type[Any], ability: str) -> str:
+    """Return that a plugin's class lacks one of :data:`ABILITIES`, and which ones have it; empty if it has it."""
+    if getattr(cls, ability, False):
+        return ""
+    able = ", ".join(one.name for one in inventory(kind) if getattr(one.cls, ability, False))
+    return f"{ABILITIES[ability].format(name_of(kind, cls) or cls.__name__)}; {able or 'none'} can"
+
+
+def require_abilities(kind: str, plugin: Any, **wanted: bool) -> None:
+    """Raise :class:`BadInput` if a plugin lacks a wanted one of :data:`ABILITIES`; the message names those that can."""
+    for lack in (describe_lack(kind, type(plugin), ability) for ability, needed in wanted.items() if needed):
+        require(not lack, lack)
 
 
 def read_fingerprint(plugin: Any, where: str) -> str | int | float | None:

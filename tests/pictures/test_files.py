@@ -121,7 +121,7 @@ def test_opaque_alpha_is_left_out(tmp_path: Path, mode: str, name: str) -> None:
 def test_transparent_pixels_are_refused(tmp_path: Path, mode: str) -> None:
     """One transparent pixel is enough; the message says where it is and what to do."""
     picture = PIL.Image.new(mode, (10, 12), (200,) * (len(mode) - 1) + (255,))
-    picture.putpixel((3, 7), (200,) * (len(mode) - 1) + (254,))
+    picture.putpixel((3, 7), (200,) * (len(mode) - 1) + (249,))
     message = _refusal(_saved(tmp_path, picture))
     assert "1 transparent pixels, the first at (3, 7)" in message and "flatten" in message
 
