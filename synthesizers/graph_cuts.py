@@ -103,6 +103,7 @@ class GraphCuts:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches without a lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

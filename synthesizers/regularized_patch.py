@@ -19,6 +19,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Geometry, Refused, Shape, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .canvas.canvas import FURTHER
 from .lattice_places.equal_places import CellTorus, pixel_grid, require_two_periods
 from .sample_reading.patches import Patches, round_places
 
@@ -109,6 +110,7 @@ class RegularizedPatch:
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     family: ClassVar[str] = "tiles and patches on the lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
     patch_shape: ClassVar[str] = "user identified lattice, quadrilateral patch"
     patch_placement: ClassVar[str] = "lattice points"
@@ -470,16 +472,19 @@ class TexelMosaic:
         Those are ``(H, W, 4, 3)``, in the order of their weights.
         """
         (height, width), channels = size, self.stock.reader.sample.shape[2]
-        image, source = np.zeros((height, width, channels), np.float32), np.zeros((height, width, 4, 3), np.float32)
+        image, source = (
+            np.zeros((height, width, channels), np.float32),
+            np.zeros((height, width, FURTHER + 1, 3), np.float32),
+        )
         rows = max(1, _BAND // width)
         for top in range(0, height, rows):
             pixels = pixel_grid(width, min(rows, height - top), top=top).astype(np.float64)
             values = image[top : top + rows].reshape(-1, channels)
-            traced = source[top : top + rows].reshape(-1, 4, 3)
+            traced = source[top : top + rows].reshape(-1, FURTHER + 1, 3)
             for seen, places, weight in self.contributions(pixels.reshape(-1, 2)):
                 shown, origin = self.stock.reader.trace(places, weight)
                 values[seen] += weight[:, np.newaxis].astype(np.float32) * shown
-                for rank in range(4):
+                for rank in range(FURTHER + 1):
                     old = traced[seen, rank]
                     larger = origin[:, 2:] > old[:, 2:]
                     traced[seen, rank], origin = np.where(larger, origin, old), np.where(larger, old, origin)

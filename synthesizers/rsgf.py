@@ -126,6 +126,7 @@ class Rsgf:
     reference: ClassVar[bool] = False
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "tiles and patches on the lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -178,9 +179,7 @@ class Rsgf:
         image, source = filler.placer.canvas.output()
         task.progress(1.0)
         blended, note = filler.placer.canvas.blended(), self._note(found)
-        return Synthesis(
-            image, found.lattice, source, detection_seconds=found.seconds, note=note, blended=blended
-        )
+        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note, blended=blended)
 
     def block_grid(self, task: Task) -> BlockGrid:
         """Return the blocks of the output. Those of a tileable one are as large as its sides require."""

@@ -32,6 +32,7 @@ class Scatter:
     uses_lattice: ClassVar[bool] = False
     wraps: ClassVar[bool] = True
     right_on: ClassVar[frozenset[Kind]] = frozenset({"stochastic"})
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
 
     def __post_init__(self) -> None:

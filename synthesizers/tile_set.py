@@ -177,6 +177,7 @@ class TileSet:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     family: ClassVar[str] = "tiles and patches on the lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "5"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

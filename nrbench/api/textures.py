@@ -14,6 +14,7 @@ from nrbench.api.arguments import (
     Detectorlike,
     Imagelike,
     Latticelike,
+    Maps,
     Masklike,
     Method,
     OutputFolder,
@@ -25,7 +26,9 @@ from nrbench.api.arguments import (
     detector_in,
     image_in,
     lattice_in,
+    layers_in,
     list_of,
+    map_in,
     masked_in,
     names_of,
     plugin_in,
@@ -34,7 +37,7 @@ from nrbench.api.arguments import (
     stored_masked,
 )
 from nrbench.errors import BadInput, require
-from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber
+from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber, Switch
 from nrbench.plugins.parameters import parse_spec
 
 # The help of a command imports no array library.
@@ -275,6 +278,8 @@ def synthesize(
     progress: Callable[[float], None] | None = None,
     tileable: Tileable = False,
     mask: Masklike = None,
+    maps: Maps = (),
+    keep_alpha: Switch = False,
     **parameters: Any,
 ) -> Synthesis:
     """Synthesize a larger texture from a sample.
@@ -308,6 +313,15 @@ def synthesize(
         A picture of the size of the sample, in which white counts, and black is left out.
 
         Or an array, True where a pixel counts. Transparent pixels do not count. The output holds nothing of the others.
+    maps
+        Another map of the sample, of its size, such as normals, heights or roughness; it gets the layout of the output.
+
+        A list of arrays, of bool, whole numbers or floats of any range, or of the paths of pictures, whose values are
+        taken as they are stored. ``maps`` of the result holds them; see also :meth:`Synthesis.apply`.
+    keep_alpha
+        Give the output the alpha channel of the sample, in the layout of the color.
+
+        For pictures with holes, such as fences. Else transparent pixels do not count.
     **parameters
         The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -322,7 +336,7 @@ def synthesize(
         When the method cannot be applied to the sample, or if a tileable output would need a larger strain.
     BadInput
         For a bad image, mask, lattice, method or parameter, or if the method cannot make tileable outputs, or cannot
-        leave out pixels; the message names those that can.
+        leave out pixels, or lay out maps; the message names those that can.
 
     Examples
     --------
@@ -334,9 +348,10 @@ def synthesize(
     import numpy as np
 
     from nrbench.calling.bent_samples import synthesize_in_geometry
-    from nrbench.calling.method_calls import briefly_prepared, checked_synthesis, synthesize_from_part
+    from nrbench.calling.method_calls import briefly_prepared, synthesize_from_part
+    from nrbench.calling.sample_maps import flatten_alpha, restore_alpha, synthesize_with_maps
     from nrbench.calling.tileable import AXES, synthesize_tileable
-    from nrbench.imaging.convert import match_ndim
+    from nrbench.imaging.convert import depth_of, match_ndim
     from nrbench.imaging.masks import MaskedImage
     from nrbench.plugins.forms import Refused, Task
     from nrbench.streams import pixels_hash, stream
@@ -344,8 +359,16 @@ def synthesize(
     plugin = plugin_in("synthesizers", method, parameters)
     along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
     require(along in ("", *AXES), f"tileable {tileable!r}: give True, or one of {', '.join(AXES)}")
-    sample, known = stored_masked(image, mask)
-    plugins.require_abilities("synthesizers", plugin, wraps=bool(along), masks=known is not None)
+    others = [map_in(each) for each in maps]
+    if keep_alpha:
+        require(mask is None, "--keep-alpha and --mask: choose one of them")
+        layers = layers_in(image)
+        (sample, hidden), known = flatten_alpha(layers), None
+        others = [*hidden, *others]
+    else:
+        sample, known = stored_masked(image, mask)
+    wanted = {"wraps": bool(along), "masks": known is not None, "maps": bool(others)}
+    plugins.require_abilities("synthesizers", plugin, **wanted)
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     given = lattice_in(MaskedImage(sample, known), lattice)
     task = Task(sample, shape_in(shape), given, rng, progress or (lambda fraction: None), known=known)
@@ -353,7 +376,9 @@ def synthesize(
         raise Refused("the sample is constant; there is nothing to synthesize from")
     make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
     with briefly_prepared(plugin, task, seed) as ready:
-        synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape)
+        synthesis = synthesize_with_maps(partial(synthesize_from_part, make), plugin, ready, others)
+    if keep_alpha:
+        return restore_alpha(synthesis, depth_of(layers))
     like = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nrbench.calling.method_calls import move_sources, synthesize_exactly
 from nrbench.displacement.bent_detection import find_deformation
@@ -215,4 +213,6 @@ def trace_sources(made: Synthesis, locate: Callable[[Points], Points], shape: tu
     """
     last = np.array(shape[1::-1]) - 0.5
     made = move_sources(made, lambda points: np.clip(locate(points), -0.5, last))
-    return made if made.source is None else replace(made, source=made.source * np.float32([1, 1, _MOST_WEIGHT]))
+    return (
+        made if made.source is None else replace(made, source=made.source * np.array([1, 1, _MOST_WEIGHT], np.float32))
+    )

@@ -260,7 +260,7 @@ def synthesize_from_part(
     lattice = None if task.lattice is None else task.lattice.shifted((-left, -top))
     made = synthesize(method, replace(task, sample=np.ascontiguousarray(part), lattice=lattice, known=known))
     note = "; ".join(filter(None, (made.note, f"from the middle {part.shape[1]}x{part.shape[0]} px of the sample")))
-    made = move_sources(made, lambda places: places + (left, top))
+    made = move_sources(made, lambda places: places + np.array((left, top)))
     return replace(
         made,
         lattice=None if made.lattice is None else made.lattice.shifted((left, top)),
@@ -279,7 +279,7 @@ def move_sources(made: Synthesis, locate: Callable[[Points], Points]) -> Synthes
     locate
         Returns the places (x, y) in the sample of those that the method saw, ``(..., 2)``.
     """
-    moved = {}
+    moved: dict[str, Any] = {}
     for name in ("source", "blended", "tints"):
         if (before := getattr(made, name)) is not None:
             moved[name] = np.array(before, np.float32)

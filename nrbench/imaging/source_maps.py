@@ -8,12 +8,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from nrbench.errors import BadInput
+
 Floats = NDArray[np.float64]
 
 ORDER: Final = 5
 """Order of the splines by which maps are read between pixels, as the methods read the sample."""
 _UNIT = 0.05
 """Largest median difference from 1 of the lengths of the vectors of a normal map."""
+_LEVEL = 0.1
+"""Largest mean x and y of vectors in [0, 1] that mostly point up."""
 _OPPOSED = 0.5
 """A mean of unit vectors that is shorter says little: the vectors lie more than 120 degrees apart."""
 
@@ -34,14 +38,17 @@ def lay_out(values: Floats, source: NDArray[np.float32], blended: NDArray[np.flo
     laid = np.zeros((*source.shape[:2], values.shape[2]))
     for layer in layers:
         between = (layer[..., :2] != np.rint(layer[..., :2])).any(-1) & (layer[..., 2] > 0)
-        shown, at = _read_nearest(values, layer), layer[between][:, 1::-1].T
+        shown, at = read_nearest(values, layer), layer[between][:, 1::-1].T
         for channel, plane in enumerate(planes if between.any() else ()):
-            shown[between, channel] = scipy.ndimage.map_coordinates(plane, at, order=ORDER, mode="mirror", prefilter=False)
+            shown[between, channel] = scipy.ndimage.map_coordinates(
+                plane, at, order=ORDER, mode="mirror", prefilter=False
+            )
         laid += layer[..., 2:] / total * shown
-    return np.clip(laid, values.min((0, 1)), values.max((0, 1)))
+    return laid
 
 
-def _read_nearest(values: NDArray[Any], places: NDArray[Any]) -> NDArray[Any]:
+def read_nearest(values: NDArray[Any], places: NDArray[Any]) -> NDArray[Any]:
+    """Return the values ``(H, W, C)`` of a map at the pixels nearest to places (x, y), ``(H, W, 2 or more)``."""
     x, y = np.rint(places[..., :2]).astype(np.intp).clip(0, np.array(values.shape[1::-1]) - 1).T
     return np.asarray(values[y.T, x.T])
 
@@ -58,58 +65,71 @@ def follow_tints(values: Floats, tints: NDArray[np.float32], change: Floats) -> 
     change
         ``(H, W, c)``: the output, without what was copied from the sample.
     """
-    own = _read_nearest(values, tints).reshape(-1, values.shape[2])
+    own = read_nearest(values, tints).reshape(-1, values.shape[2])
     colors = tints[..., 2:].reshape(-1, change.shape[2]).astype(np.float64)
     power = colors.T @ colors
     doubt = 1e-6 * np.trace(power) * np.eye(len(power)) + 1e-12
     return np.asarray(change @ np.linalg.solve(power + doubt, colors.T @ (own - own.mean(0))))
 
 
+def as_layers_of_map(other: NDArray[Any], shape: tuple[int, ...]) -> Floats:
+    """Return the channels of a map ``(h, w, C)``, for a normal map also the lengths of its vectors, 1 is half a peak.
+
+    Raises
+    ------
+    BadInput
+        Unless the map is finite and has the height and width of ``shape``, those of its sample.
+    """
+    size = np.shape(other)[:2]
+    if size != shape[:2]:
+        own, found = ("x".join(map(str, each[::-1])) for each in (shape[:2], size))
+        raise BadInput(f"map: is {found} px, the sample {own}; all maps of a material need one size")
+    values = np.asarray(other, np.float64).reshape(*size, -1)
+    if not np.isfinite(values).all():
+        raise BadInput("map: has NaN or infinite values; replace them first")
+    units = values / _peak(other)
+    return np.dstack([values, _lengths(units) * _peak(other) / 2]) if are_normals(units) else values
+
+
+def _peak(other: NDArray[Any]) -> float:
+    return float(np.iinfo(other.dtype).max) if other.dtype.kind in "iu" else 1.0
+
+
+def _lengths(units: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(2 * units[..., :3] - 1, axis=-1, keepdims=True))
+
+
 def are_normals(units: Floats) -> bool:
-    """Return whether a map of values in [0, 1] holds unit vectors: 2 v - 1 has length 1 at most pixels."""
-    if units.shape[2] != 3:
+    """Return whether a map of values in [0, 1] holds normals, 2 v - 1: unit vectors, or such as mostly point up."""
+    if units.shape[2] not in (3, 4):
         return False
-    return bool(np.median(np.abs(np.linalg.norm(2 * units - 1, axis=-1) - 1)) < _UNIT)
+    mean, up = units.mean((0, 1)), np.quantile(units[..., 2], 0.02)
+    return bool(np.median(np.abs(_lengths(units) - 1)) < _UNIT or (up > 0.5 and np.abs(mean[:2] - 0.5).max() < _LEVEL))
 
 
-def normalize(units: Floats, nearest: Floats) -> Floats:
-    """Return vectors of a normal map with length 1. Where the vectors that were blended oppose each other, the nearest.
+def like_map(laid: Floats, other: NDArray[Any], nearest: Floats) -> NDArray[Any]:
+    """Return layers that were laid out as a map, in the range of the one that they come from, with its dtype and axes.
 
-    Parameters
-    ----------
-    units, nearest
-        ``(H, W, 3)`` in [0, 1]: the means, and the values of the sources of the largest weights.
-    """
-    vectors = 2 * units - 1
-    vectors = np.where(np.linalg.norm(vectors, axis=-1, keepdims=True) < _OPPOSED, 2 * nearest - 1, vectors)
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9) / 2 + 0.5)
-
-
-def lay_out_map(
-    values: Floats,
-    peak: float,
-    source: NDArray[np.float32],
-    blended: NDArray[np.float32] | None,
-    tints: tuple[NDArray[np.float32], Floats] | None,
-) -> Floats:
-    """Return a map as :func:`lay_out`, with the drawn colors, and with vectors of length 1 if it is a normal map.
+    Means of the vectors of a normal map get the mean of their lengths, which is 1 if theirs are. Where the vectors
+    oppose each other, the nearest one is taken.
 
     Parameters
     ----------
-    values, source, blended
-        As for :func:`lay_out`.
-    peak
-        The value that stands for 1.
-    tints
-        The arguments ``tints`` and ``change`` of :func:`follow_tints`; None if no colors were drawn.
+    laid, nearest
+        Means of the layers of :func:`as_layers_of_map`, and the layers of the sources of the largest weights.
+    other
+        The map.
     """
-    laid = lay_out(values, source, blended)
-    if tints is not None:
-        laid = np.clip(laid + follow_tints(values, *tints), values.min((0, 1)), values.max((0, 1)))
-    if not are_normals(values / peak):
-        return laid
-    copied = (source[..., :2] == np.rint(source[..., :2])).all(-1, keepdims=True)
-    if blended is not None:
-        copied &= blended[:, :, :1, 2] == 0
-    nearest = _read_nearest(values, source)
-    return np.where(copied, nearest, peak * normalize(laid / peak, nearest / peak))
+    channels, values = other.shape[2] if other.ndim > 2 else 1, other.reshape(*other.shape[:2], -1)
+    low, high = values.min((0, 1)), values.max((0, 1))
+    if laid.shape[2] > channels:
+        half = _peak(other) / 2
+        vectors, lengths = laid[..., :3] / half - 1, _lengths(laid / (2 * half))
+        wanted = laid[..., -1:] / half
+        short = lengths < _OPPOSED * wanted
+        vectors = np.where(short, nearest[..., :3] / half - 1, vectors * wanted / np.maximum(lengths, 1e-9))
+        laid[..., :3] = half * (vectors + 1)
+        low, high = np.minimum(low, 0), np.maximum(high, 2 * half)
+    laid = np.clip(laid[..., :channels], low, high)
+    laid = nearest if other.dtype == np.bool_ else np.rint(laid) if other.dtype.kind in "iu" else laid
+    return laid.astype(other.dtype).reshape(*laid.shape[:2], *other.shape[2:])

@@ -403,17 +403,6 @@ class Task:
     known: Mask | None = field(default=None, repr=False)
 
 
-def check_map(array: NDArray[Any], sample: Image | None) -> NDArray[np.float64]:
-    """Return a map of a sample as ``(h, w, C)``; raise :class:`BadInput` unless it is finite and of the sample's size."""
-    size, own = np.shape(array)[:2], np.shape(sample)[:2]
-    if sample is not None and size != own:
-        raise BadInput(f"map: {size[::-1]} px (width, height), the sample has {own[::-1]}; all maps need one size")
-    values = np.asarray(array, np.float64).reshape(*size, -1)
-    if not np.isfinite(values).all():
-        raise BadInput("map: has NaN or infinite values; replace them first")
-    return values
-
-
 @dataclass(frozen=True)
 class Synthesis:
     """The result of a synthesis method.
@@ -497,24 +486,18 @@ class Synthesis:
         >>> bool((made.apply(heights) == made.image[..., 1] ** 2).all())
         True
         """
-        from nrbench.imaging.source_maps import lay_out, lay_out_map  # reads SciPy
+        from nrbench.imaging.source_maps import as_layers_of_map, follow_tints, lay_out, like_map, read_nearest
         from nrbench.plugins.registry import inventory
 
-        values = check_map(other, self.sample)
         if self.source is None or self.sample is None or not np.isfinite(self.source).all():
             able = ", ".join(one.name for one in inventory("synthesizers") if getattr(one.cls, "maps", "") == "source")
             raise BadInput(f"apply: the method gives no complete source map; {able} do")
-        peak = float(np.iinfo(other.dtype).max) if other.dtype.kind in "iu" else 1.0
-        if other.dtype == np.bool_:
-            laid = lay_out(values, np.concatenate([np.rint(self.source[..., :2]), self.source[..., 2:]], -1))
-        else:
-            drawn = None
-            if self.tints is not None:
-                copied = lay_out(self.sample.astype(np.float64), self.source, self.blended)
-                drawn = self.tints, self.image.reshape(copied.shape) - copied
-            laid = lay_out_map(values, peak, self.source, self.blended, drawn)
-        laid = np.rint(laid) if other.dtype.kind in "iu" else laid
-        return laid.astype(other.dtype).reshape(*self.source.shape[:2], *other.shape[2:])
+        values = as_layers_of_map(other, self.sample.shape)
+        laid, nearest = lay_out(values, self.source, self.blended), read_nearest(values, self.source)
+        if self.tints is not None:
+            copies = lay_out(self.sample.astype(np.float64), self.source, self.blended)
+            laid += follow_tints(values, self.tints, self.image.reshape(copies.shape) - copies)
+        return like_map(laid, other, nearest)
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""

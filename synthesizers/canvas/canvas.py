@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -23,6 +23,8 @@ Pixels = NDArray[Any]
 """``(h, w, C)``: ``float32`` in [0, 1], or ``uint8``."""
 Source = NDArray[np.float32]
 """``float32 (h, w, 3)``: the place (x, y) in the sample that a pixel shows, and its weight, 1 unless it is blended."""
+FURTHER: Final = 3
+"""Sources of a blended pixel that are kept beside the main one."""
 Further = NDArray[np.float32]
 """``float32 (h, w, 3, 3)``: the further sources of blended pixels; 0 where there is none."""
 Patch = tuple[Pixels, Source]
@@ -117,7 +119,9 @@ class Canvas:
         )
         if self.further is not None or not isinstance(further, float):
             rest = self._further()
-            rest[pixels] = further if mask is None else np.where(mask[..., np.newaxis, np.newaxis], further, rest[pixels])
+            rest[pixels] = (
+                further if mask is None else np.where(mask[..., np.newaxis, np.newaxis], further, rest[pixels])
+            )
         if mask is None:
             for canvas, new in zip(layers, patch, strict=True):
                 canvas[pixels] = new
@@ -159,7 +163,7 @@ class Canvas:
 
     def _further(self) -> Further:
         if self.further is None:
-            self.further = np.zeros((*self.known.shape, 3, 3), np.float32)
+            self.further = np.zeros((*self.known.shape, FURTHER, 3), np.float32)
         return self.further
 
     def output(self) -> tuple[Image, Source]:

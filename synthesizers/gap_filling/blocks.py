@@ -23,7 +23,20 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Refused
 
-from ..canvas.canvas import Box, Canvas, Further, Mask, Patch, Sides, Source, Window, cut_closed_seam, edge_mask, find_paths
+from ..canvas.canvas import (
+    FURTHER,
+    Box,
+    Canvas,
+    Further,
+    Mask,
+    Patch,
+    Sides,
+    Source,
+    Window,
+    cut_closed_seam,
+    edge_mask,
+    find_paths,
+)
 from ..canvas.seam_kernels import link_costs
 from ..lattice_places.equal_places import SearchShape, pixel_grid, search_shape
 from ..matching.frame_matching import fit_deformation
@@ -383,7 +396,7 @@ class BlockPlacer:
         shown = sources[border.layers, y, x]
         shown[..., 2] *= border.weights
         shown = np.take_along_axis(shown, (-border.weights).argsort(0, "stable")[..., np.newaxis], 0)
-        source[y, x], further = shown[0], np.zeros((*source.shape[:2], 3, 3), np.float32)
+        source[y, x], further = shown[0], np.zeros((*source.shape[:2], FURTHER, 3), np.float32)
         further[y, x, :2] = shown[1:].swapaxes(0, 1)
         return (image, source), further
 

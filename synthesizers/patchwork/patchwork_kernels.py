@@ -218,7 +218,7 @@ def feather_seams(
             source[y, x, 2] = min(shares[best] / total, np.float64(np.float32(1) - np.float32(2**-24)))
             for n in range(min(count - 1, further.shape[2])):
                 shares[best] = -1.0
-                best = np.argmax(shares[:count])
+                best = int(np.argmax(shares[:count]))
                 further[y, x, n, 0], further[y, x, n, 1] = places[best, 0], places[best, 1]
                 further[y, x, n, 2] = shares[best] / total
     return blended, source, further

@@ -85,8 +85,7 @@ class Patches:
             patch = self.sample[row : row + height, column : column + width]
         else:
             patch = np.clip(self._interpolate(row, column, shape, fraction), 0, 1)
-        points = pixel_grid(width, height).astype(np.float64) + (float(x), float(y))
-        return patch, point_source(points, self.sample.shape)
+        return patch, point_source(pixel_grid(width, height) + np.array((x, y)), self.sample.shape)
 
     def _interpolate(self, row: int, column: int, shape: tuple[int, int], fraction: tuple[float, float]) -> Image:
         height, width = shape
