@@ -131,6 +131,11 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
     source = None if synthesis.source is None else _numbers(synthesis.source, "source map").astype(np.float32)
     if source is not None:
         check_source(source, image, sample)
+    blended = None if synthesis.blended is None else _numbers(synthesis.blended, "array of blended sources")
+    if blended is not None and (blended.ndim != 4 or blended.shape[:2] + blended.shape[3:] != (*shape, 3)):
+        raise InvalidOutput(
+            f"returned blended sources of the wrong shape: expected {(*shape, 'K', 3)}, got {blended.shape}"
+        )
     if not (synthesis.lattice is None or isinstance(synthesis.lattice, Lattice)):
         raise InvalidOutput(
             f"returned a lattice of the wrong type: expected Lattice or None, got {synthesis.lattice!r}"
