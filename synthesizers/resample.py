@@ -18,7 +18,7 @@ from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .canvas.canvas import FURTHER
-from .lattice_places.equal_places import CellTorus, require_two_periods
+from .lattice_places.equal_places import CellTorus, pixel_grid, require_two_periods
 from .resampling.element_classes import find_object
 from .resampling.element_colors import ElementColors
 from .resampling.element_copies import ElementCopies
@@ -238,7 +238,7 @@ class VariationModel:
     def tints(self) -> NDArray[np.float32]:
         """Return the colors of the sample's elements, see :class:`~nrbench.plugins.forms.Synthesis`."""
         shape = self.detail.rest.shape[:2]
-        places = np.stack(np.indices(shape)[::-1], -1)
+        places = pixel_grid(shape[1], shape[0])
         return np.concatenate([places, self.colors.render(self.colors.of_sample(shape), shape)], -1, dtype=np.float32)
 
     def draw(self, task: Task, variation: float) -> tuple[Image, NDArray[np.float32]]:
