@@ -79,7 +79,6 @@ class Gpdm:
     uses_lattice: ClassVar[bool] = False
     wraps: ClassVar[bool] = True
     family: ClassVar[str] = "all patches at once"
-    maps: ClassVar[str] = "joint"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

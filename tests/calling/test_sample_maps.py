@@ -28,7 +28,7 @@ FAST = {
     "texture-optimization": "iterations=2",
 }
 """Parameters with which slow methods take less time."""
-SLOW = "fftm-patch", "fftm-pixel", "gpdm"
+SLOW = "fftm-patch", "fftm-pixel"
 ABLE = [one.name for one in inventory("synthesizers") if getattr(one.cls, "maps", "") and one.name not in SLOW]
 Values = NDArray[Any]
 
