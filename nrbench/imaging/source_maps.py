@@ -30,7 +30,8 @@ def lay_out(values: Floats, source: NDArray[np.float32], blended: NDArray[np.flo
     values
         The map.
     source, blended
-        As in :class:`~nrbench.plugins.forms.Synthesis`. Places between pixels are interpolated.
+        As in :class:`~nrbench.plugins.forms.Synthesis`. Places between pixels are interpolated, and
+        stay in the range of the map.
     """
     layers = [source] if blended is None else [source, *np.moveaxis(blended, 2, 0)]
     total = sum(layer[..., 2:].astype(np.float64) for layer in layers)
@@ -40,9 +41,8 @@ def lay_out(values: Floats, source: NDArray[np.float32], blended: NDArray[np.flo
         between = (layer[..., :2] != np.rint(layer[..., :2])).any(-1) & (layer[..., 2] > 0)
         shown, at = read_nearest(values, layer), layer[between][:, 1::-1].T
         for channel, plane in enumerate(planes if between.any() else ()):
-            shown[between, channel] = scipy.ndimage.map_coordinates(
-                plane, at, order=ORDER, mode="mirror", prefilter=False
-            )
+            read = scipy.ndimage.map_coordinates(plane, at, order=ORDER, mode="mirror", prefilter=False)
+            shown[between, channel] = np.clip(read, values[..., channel].min(), values[..., channel].max())
         laid += layer[..., 2:] / total * shown
     return laid
 
