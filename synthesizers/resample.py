@@ -235,8 +235,13 @@ class VariationModel:
             return ""
         return f"threads run around the edges and meet others: {count} differ, {shown} in the sample"
 
-    def tints(self) -> NDArray[np.float32]:
-        """Return the colors of the sample's elements, see :class:`~nrbench.plugins.forms.Synthesis`."""
+    def tints(self) -> NDArray[np.float32] | None:
+        """Return the colors of the sample's elements, see :class:`~nrbench.plugins.forms.Synthesis`.
+
+        None if elements are whole instances, whose maps are whole as well.
+        """
+        if self.detail.own is not None:
+            return None
         shape = self.detail.rest.shape[:2]
         places = pixel_grid(shape[1], shape[0])
         return np.concatenate([places, self.colors.render(self.colors.of_sample(shape), shape)], -1, dtype=np.float32)
