@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.ndimage
 from numpy.typing import NDArray
 
 from nrbench.errors import require
@@ -83,6 +82,8 @@ def as_mask(array: Any, shape: tuple[int, int], where: str = "mask") -> Mask:
 
 def known_at(known: Mask, points: NDArray[np.floating[Any]]) -> Mask:
     """Return which values that are interpolated at points (x, y) px, ``(..., 2)``, come from pixels that count."""
+    import scipy.ndimage  # most commands need none of this
+
     sure = scipy.ndimage.binary_erosion(known, np.ones((5, 5), bool), border_value=1)
     x, y = np.moveaxis(np.clip(np.rint(points), 0, np.array(known.shape[::-1]) - 1).astype(int), -1, 0)
     return np.asarray(sure[y, x])
@@ -90,5 +91,7 @@ def known_at(known: Mask, points: NDArray[np.floating[Any]]) -> Mask:
 
 def fill_unknown(image: NDArray[Any], known: Mask) -> NDArray[Any]:
     """Return an image ``(H, W, C)`` in which each pixel that does not count has the color of the nearest one."""
+    import scipy.ndimage
+
     rows, columns = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return np.asarray(image[rows, columns])
