@@ -210,19 +210,16 @@ class Sample:
         The texture, its image rounded to 8 bits; None if drawing failed.
     shape
         Shape (height, width) of the outputs.
-    again_hash
-        Of a photograph: hash of a region that does not touch the sample; empty if there is none.
     fault, log
         Why drawing failed, and what the dataset printed then; empty if it did not fail.
     region
-        The region of ``again_hash``.
+        Of a photograph: a region that does not touch the sample; None if there is none.
     """
 
     row: TextureRow
     recipe: Recipe
     texture: Texture | None
     shape: Shape
-    again_hash: str = ""
     fault: str = ""
     log: str = ""
     region: Image | None = None
@@ -431,9 +428,7 @@ def _draw(row: TextureRow, recipe: Recipe, shape: Shape, draw: Draw) -> Sample:
         return Sample(row, recipe, None, shape, fault=str(error), log=log)
     except (Exception, SystemExit) as error:
         return Sample(row, recipe, None, shape, fault=describe_error(error))
-    texture = dataclasses.replace(texture, name=row.name)
-    again_hash = pixels_hash(again) if again is not None else ""
-    return Sample(row, recipe, texture, shape, again_hash, region=again)
+    return Sample(row, recipe, dataclasses.replace(texture, name=row.name), shape, region=again)
 
 
 def _chosen(draw: Draw | None, recipe: Recipe) -> Draw:
@@ -527,7 +522,7 @@ def _make_cell(suite: Suite, sample: Sample, method: PlannedMethod, source: Latt
         sample_hash=sample.hash,
         description=row.description,
         procedural=sample.recipe.procedural,
-        again_hash=sample.again_hash if method.reference else "",
+        again_hash=pixels_hash(sample.region) if method.reference and sample.region is not None else "",
         **known,
     )
     if texture is None:

@@ -35,7 +35,6 @@ from .estimates import (
     kappa,
     mean_kappa,
     means_over_textures,
-    paired_differences,
     stack_draws,
     success_rate,
 )
@@ -222,11 +221,13 @@ def _subtract(mean: Estimate, value: float) -> Estimate:
 
 
 def _difference(first: pd.DataFrame, second: pd.DataFrame) -> Estimate:
+    """Return the mean of first minus second, paired by texture and replicate: both received the same sample."""
     if first.empty or second.empty:
         return NO_ESTIMATE
     if not set(first["texture"]) & set(second["texture"]):
         first, second = first.assign(texture=first["family"]), second.assign(texture=second["family"])
-    return paired_differences(first, second, ["value"])["value"]
+    both = first.merge(second, on=["texture", "replicate"], suffixes=("", "_second"))
+    return means_over_textures(both.assign(value=both["value"] - both["value_second"]), ["value"])["value"]
 
 
 @cache

@@ -6,8 +6,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 import time
 import tomllib
@@ -16,7 +14,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from commands import call
+from commands import call, start
 from suites import scores
 
 from nrbench import run
@@ -151,12 +149,7 @@ def test_killed_halfway_it_resumes_to_the_same_table(whole: Run, tmp_path: Path)
     suite = tmp_path / "small.toml"
     suite.write_text(SUITE_TOML)
     words = ["run", str(suite), "--no-report", "--jobs", "2", "--out", "broken"]
-    broken = subprocess.Popen(
-        [sys.executable, "-c", "from nrbench.cli.main import main; main()", *words],
-        cwd=tmp_path,
-        stderr=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-    )
+    broken = start(tmp_path, *words)
     cells = tmp_path / "broken" / "cells"
     while broken.poll() is None and len(list(cells.glob("*/result.json"))) < 3:
         time.sleep(0.01)
