@@ -345,40 +345,58 @@ def synthesize(
     >>> synthesize("quilting:block=24", brick, "160x128", seed=1).image.shape
     (128, 160, 3)
     """
+    plugin = plugin_in("synthesizers", method, parameters)
+    along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
+    make = partial(_make_output, plugin, shape_in(shape), lattice, seed, progress or (lambda fraction: None), along)
+    return make(image, mask, maps) if not keep_alpha else _make_transparent(make, image, mask, maps)
+
+
+def _make_transparent(make: Callable[..., Synthesis], image: Imagelike, mask: Masklike, maps: Maps) -> Synthesis:
+    """Return a synthesis with the alpha channel of an image; ``make`` gets it over a flat color."""
+    from nrbench.calling.sample_maps import flatten_alpha, restore_alpha
+    from nrbench.imaging.convert import depth_of
+
+    require(mask is None, "--keep-alpha and --mask: choose one of them")
+    layers = layers_in(image)
+    flat, hidden = flatten_alpha(layers)
+    return restore_alpha(make(flat, None, [*hidden, *maps]), depth_of(layers))
+
+
+def _make_output(
+    plugin: Any,
+    shape: Shape,
+    lattice: Latticelike,
+    seed: int,
+    progress: Callable[[float], None],
+    along: str,
+    image: Imagelike,
+    mask: Masklike,
+    maps: Maps,
+) -> Synthesis:
     import numpy as np
 
     from nrbench.calling.bent_samples import synthesize_in_geometry
     from nrbench.calling.method_calls import briefly_prepared, synthesize_from_part
-    from nrbench.calling.sample_maps import flatten_alpha, restore_alpha, synthesize_with_maps
+    from nrbench.calling.sample_maps import synthesize_with_maps
     from nrbench.calling.tileable import AXES, synthesize_tileable
-    from nrbench.imaging.convert import depth_of, match_ndim
+    from nrbench.imaging.convert import match_ndim
     from nrbench.imaging.masks import MaskedImage
     from nrbench.plugins.forms import Refused, Task
     from nrbench.streams import pixels_hash, stream
 
-    plugin = plugin_in("synthesizers", method, parameters)
-    along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
-    require(along in ("", *AXES), f"tileable {tileable!r}: give True, or one of {', '.join(AXES)}")
-    others = [map_in(each) for each in maps]
-    if keep_alpha:
-        require(mask is None, "--keep-alpha and --mask: choose one of them")
-        layers = layers_in(image)
-        (sample, hidden), known = flatten_alpha(layers), None
-        others = [*hidden, *others]
-    else:
-        sample, known = stored_masked(image, mask)
-    wanted = {"wraps": bool(along), "masks": known is not None, "maps": bool(others)}
+    require(along in ("", *AXES), f"tileable {along!r}: give True, or one of {', '.join(AXES)}")
+    sample, known = stored_masked(image, mask)
+    wanted = {"wraps": bool(along), "masks": known is not None, "maps": len(maps) > 0}
     plugins.require_abilities("synthesizers", plugin, **wanted)
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     given = lattice_in(MaskedImage(sample, known), lattice)
-    task = Task(sample, shape_in(shape), given, rng, progress or (lambda fraction: None), known=known)
+    task = Task(sample, shape, given, rng, progress, known=known)
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
     make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
     with briefly_prepared(plugin, task, seed) as ready:
+        others = [map_in(each) for each in maps]
         synthesis = synthesize_with_maps(partial(synthesize_from_part, make), plugin, ready, others)
-    if keep_alpha:
-        return restore_alpha(synthesis, depth_of(layers))
     like = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))
 

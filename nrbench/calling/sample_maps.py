@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench import plugins
 from nrbench.calling.method_calls import checked_synthesis
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.source_maps import as_layers_of_map, like_map
@@ -42,7 +43,7 @@ def synthesize_with_maps(
     sample, values = task.sample, [as_layers_of_map(each, task.sample.shape) for each in maps]
     if not maps or getattr(method, "maps", "") != "joint":
         made = checked_synthesis(make(method, task), sample, task.shape)
-        return replace(made, maps=tuple(map(made.apply, maps)))
+        return replace(_name_able(made), maps=tuple(map(made.apply, maps)))
     low, span = ([change(each) for each in values] for change in (np.min, lambda each: max(np.ptp(each), 1e-12)))
     units = [(each - first) / length for each, first, length in zip(values, low, span, strict=True)]
     stack = quantize(np.concatenate([sample, *units], -1), 16)
@@ -54,7 +55,16 @@ def synthesize_with_maps(
     image, *parts = np.split(np.asarray(made.image, np.float64), ends[:-1], -1)
     restored = [part * length + first for part, length, first in zip(parts, span, low, strict=True)]
     made = checked_synthesis(replace(made, image=image.astype(np.float32)), sample, task.shape)
-    return replace(made, maps=tuple(like_map(each, other, each) for each, other in zip(restored, maps, strict=True)))
+    return replace(
+        _name_able(made), maps=tuple(like_map(each, other, each) for each, other in zip(restored, maps, strict=True))
+    )
+
+
+def _name_able(made: Synthesis) -> Synthesis:
+    if made.source is not None:
+        return made
+    able = [one.name for one in plugins.inventory("synthesizers") if getattr(one.cls, "maps", "") == "source"]
+    return replace(made, able=", ".join(able))
 
 
 def flatten_alpha(pixels: Image) -> tuple[Image, list[Image]]:

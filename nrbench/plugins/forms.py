@@ -425,6 +425,8 @@ class Synthesis:
         The sample; nrbench adds it.
     maps
         The maps of the call, in the layout of the output; nrbench adds them.
+    able
+        The names of the methods that give source maps, for a message; nrbench adds them if there is none.
     extras
         Pictures or arrays by name; they are kept beside the output.
     detection_seconds
@@ -454,6 +456,7 @@ class Synthesis:
     tints: NDArray[np.float32] | None = field(default=None, repr=False)
     sample: Image | None = field(default=None, repr=False)
     maps: tuple[NDArray[Any], ...] = field(default=(), repr=False)
+    able: str = field(default="", repr=False)
 
     def apply(self, other: NDArray[Any]) -> NDArray[Any]:
         """Return another map of the sample, such as heights, in the layout of the output.
@@ -487,11 +490,9 @@ class Synthesis:
         True
         """
         from nrbench.imaging.source_maps import as_layers_of_map, follow_tints, lay_out, like_map, read_nearest
-        from nrbench.plugins.registry import inventory
 
         if self.source is None or self.sample is None or not np.isfinite(self.source).all():
-            able = ", ".join(one.name for one in inventory("synthesizers") if getattr(one.cls, "maps", "") == "source")
-            raise BadInput(f"apply: the method gives no complete source map; {able} do")
+            raise BadInput(f"apply: the method gives no complete source map; {self.able or 'others'} do")
         values = as_layers_of_map(other, self.sample.shape)
         laid, nearest = lay_out(values, self.source, self.blended), read_nearest(values, self.source)
         if self.tints is not None:
