@@ -10,11 +10,11 @@ from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Geometry, Synthesis, Synthesizer, Task, find_lattice
+from nrbench.plugins.forms import Geometry, Refused, Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .ann_pixel import AnnPixel
-from .lattice_places.equal_places import shows_two_periods
+from .lattice_places.equal_places import shows_two_periods, warn_of_no_lattice
 from .rsgf import Rsgf
 from .tile_set import TileSet
 
@@ -27,7 +27,8 @@ class Auto:
     method that compares local neighborhoods. It leaves F and the threshold open. Here F is the estimated regular share
     of the sample on its lattice (:func:`estimate_regular_share`), and 0 if there is no lattice or the sample shows less
     than two of its periods. The lattice is the given one, or that of the detector ``consensus``, which rejects lattices
-    that chance explains. The note says F and the method that was picked.
+    that chance explains. The note says F and the method that was picked. If that one
+    refuses the sample, the next of ``rsgf``, ``tile-set`` and ``ann-pixel`` is tried, and the note says why.
 
     The threshold was set on walls and cloths, where lattices that are found exactly have F of 0.13 and more (color 1,
     noise 0.25), and on noise, which has no lattice. On hexagons of the same departures F is 0.11 and more.
@@ -45,7 +46,8 @@ class Auto:
         The method for all other textures: ``"rsgf"`` in its stochastic mode, or ``"ann-pixel"``.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
-        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``;
+        ``"waves"``: bent if the sample waves, straight if it is in perspective, round or distorted by a lens.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself.
 
@@ -58,7 +60,7 @@ class Auto:
     threshold: float = 0.1
     regular: Literal["rsgf", "tile-set", "tile-set:preset=paper"] = "rsgf"
     other: Literal["rsgf", "ann-pixel"] = "rsgf"
-    geometry: Geometry = "bent"
+    geometry: Geometry = "waves"
 
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
@@ -82,7 +84,7 @@ class Auto:
         Raises
         ------
         Refused
-            If the method that is picked refuses the sample.
+            If the method that is picked refuses the sample, and all others of the list, too.
         """
         found = find_lattice(task, NamedDetector(self.finder))
         share = estimate_regular_share(task.sample, found.lattice) if found.lattice else 0.0
@@ -94,10 +96,21 @@ class Auto:
             "tile-set:preset=paper": TileSet(**TileSet.presets["paper"]),
             "ann-pixel": AnnPixel(),
         }
-        method = methods[name]
-        made = method.synthesize(replace(task, lattice=found.lattice if near_regular else None))
+        if found.lattice is None:
+            warn_of_no_lattice("auto", found.reason)
         seen = f"regularity {share:.2f}" if found.lattice else f"no lattice ({found.reason})"
-        note = f"picked {name}: {seen}" + (f"; {made.note}" if made.note else "")
+        names = list(dict.fromkeys([name, *(("rsgf", "tile-set") if near_regular else ()), "ann-pixel"]))
+        refusals = ""
+        for name in names:
+            given = found.lattice if near_regular and name != "ann-pixel" else None
+            try:
+                made = methods[name].synthesize(replace(task, lattice=given))
+                break
+            except Refused as refused:
+                refusals += f"; {name} refused: {refused}"
+                if name == names[-1]:
+                    raise
+        note = f"picked {name}: {seen}{refusals}" + (f"; {made.note}" if made.note else "")
         return replace(made, detection_seconds=found.seconds, note=note)
 
 

@@ -93,13 +93,14 @@ class Resample:
         strong.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
-        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``;
+        ``"waves"``: bent if the sample waves, straight if it is in perspective, round or distorted by a lens.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself.
     """
 
     variation: float = 1.0
-    geometry: Geometry = "bent"
+    geometry: Geometry = "waves"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True

@@ -148,7 +148,8 @@ class TileSet:
         Detector that finds the lattice if none is given: ``"consensus"``, or ``"dominance"``, that of the paper.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
-        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``;
+        ``"waves"``: bent if the sample waves, straight if it is in perspective, round or distorted by a lens.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper.
 
@@ -171,7 +172,7 @@ class TileSet:
     anchor: AnchorKind | Literal["given"] = "elements"
     symmetry: Literal["none", "own"] = "none"
     finder: Literal["consensus", "dominance"] = "consensus"
-    geometry: Geometry = "bent"
+    geometry: Geometry = "waves"
 
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False

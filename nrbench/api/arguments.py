@@ -104,7 +104,7 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
 
 
 def lattice_in(image: Imagelike, lattice: Latticelike) -> Lattice | None:
-    """Return a lattice as :func:`as_lattice`, or find it in the image if a detector is named.
+    """Return a lattice as :func:`as_lattice`, or find it in the image, which may be bent, if a detector is named.
 
     Raises
     ------
@@ -118,11 +118,11 @@ def lattice_in(image: Imagelike, lattice: Latticelike) -> Lattice | None:
     known = plugins.names("detectors")
     if (name := parse_spec(lattice)[0]) not in known:
         raise BadInput(f"lattice {lattice!r}: give x1,y1,x2,y2 in px, or a detector{nearest(name, known)}")
-    return detect_among(plugin_in("detectors", lattice, {}), masked_in(image)).lattice
+    return detect_among(plugin_in("detectors", lattice, {}), masked_in(image), bent=True).lattice
 
 
-def detect_among(detector: Any, image: MaskedImage) -> Detection:
-    """Return the lattice that a detector finds in the pixels that count.
+def detect_among(detector: Any, image: MaskedImage, bent: bool) -> Detection:
+    """Return the lattice that a detector finds in the pixels that count, or that of a bent image where it finds none.
 
     Raises
     ------
@@ -134,7 +134,11 @@ def detect_among(detector: Any, image: MaskedImage) -> Detection:
     from nrbench.plugins.forms import detect_known
 
     plugins.require_abilities("detectors", detector, masks=image.known is not None)
-    return detect_known(detector, *image)
+    if not bent:
+        return detect_known(detector, *image)
+    from nrbench.displacement.bent_detection import recognize
+
+    return recognize(image.image, detector, image.known)[0]
 
 
 def image_in(image: Imagelike, where: str = "image") -> Image:

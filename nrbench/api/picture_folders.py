@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nrbench import plugins
+from nrbench.displacement.bent_detection import recognize
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Vector
@@ -260,7 +261,7 @@ class Survey:
 
     def _detect(self, name: str, image: Image) -> SurveyedPicture:
         try:
-            detection = self._detector.detect(image)
+            detection = recognize(image, self._detector)[0]
         except NoLatticeFound as none:
             if none.best is None:
                 return SurveyedPicture(name, reason=none.reason)

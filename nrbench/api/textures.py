@@ -55,8 +55,6 @@ Metrics = Annotated[Sequence[str] | str, Flag(metavar="NAME,...")]
 Rendered = Annotated["str | Suite", Flag(ARGUMENT, "MODEL[:param=value,...]|SUITE")]
 RenderedSize = Annotated["Shape | str | None", Flag("--sample --size", "WxH")]
 Tileable = Annotated[bool | str, Flag(metavar="[x|y]", choices=("both", "x", "y"), alone="both")]
-LARGEST_FOLLOWED = 1024
-"""px; a larger image is followed only by :func:`track_lattice` and ``--straighten``, because it takes long."""
 FOLLOWS_BENT = "symmetry: the detector follows bent lattices; choose another, or straighten the image first"
 
 
@@ -110,7 +108,8 @@ def detect_lattice(
     image
         An :data:`Imagelike`.
     detector
-        A detector plugin: its name, its class, or an instance; if None, ``consensus``.
+        A detector plugin: its name, its class, or an instance. If None, ``consensus``; where it finds none, the mean
+        lattice of a bent image of up to 1024 px is looked for.
     mask
         A :data:`Masklike` of the size of the image: which pixels count. Transparent pixels do not count either.
     **parameters
@@ -119,7 +118,8 @@ def detect_lattice(
     Returns
     -------
     Detection
-        The lattice, its confidence, the alternatives and the diagnostics.
+        The lattice, its confidence, the alternatives and the diagnostics. Of a bent image, ``vertices`` says where the
+        points of the lattice lie.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def detect_lattice(
     >>> found.lattice.is_equivalent(brick.lattice, tolerance=0.5)
     True
     """
-    return detect_among(detector_in(detector, parameters), masked_in(image, mask))
+    return detect_among(detector_in(detector, parameters), masked_in(image, mask), bent=detector is None)
 
 
 def detect_symmetry(
@@ -174,19 +174,15 @@ def detect_symmetry(
     >>> detect_symmetry(brick, brick.lattice).group
     'cmm'
     """
+    from nrbench.displacement.bent_detection import recognize
     from nrbench.imaging.wallpaper_group import find_wallpaper_group
-    from nrbench.plugins.forms import NoLatticeFound
 
     image = image_in(image)
     if (known := lattice_in(image, lattice)) is None:
-        try:
-            detection = detect_lattice(image, detector, **parameters)
-            require(not detection.vertices, FOLLOWS_BENT)
-            known = detection.lattice
-        except NoLatticeFound:
-            if detector is not None or (bent := find_bent_lattice(image, parameters)) is None:
-                raise
-            image, known = bent.deformation.straighten()
+        found = detector_in(detector, parameters)
+        detection, bent = recognize(image, found) if detector is None else (found.detect(image), None)
+        require(bent is not None or not detection.vertices, FOLLOWS_BENT)
+        image, known = (image, detection.lattice) if bent is None else bent.deformation.straighten()
     return find_wallpaper_group(image, known)
 
 
@@ -251,22 +247,6 @@ def follow_bent_lattice(
     from nrbench.displacement.bent_detection import find_deformation
 
     return find_deformation(image, lattice, detector_in(detector, parameters or {}), only_promising)
-
-
-def find_bent_lattice(image: Image, parameters: Mapping[str, Any] | None = None) -> Followed | None:
-    """Return the lattice of a bent image in which the default detector finds none; None if there is none.
-
-    Little time is spent on images without a lattice, and none on large ones (:data:`LARGEST_FOLLOWED`).
-    """
-    from nrbench.plugins.forms import NoLatticeFound
-
-    if max(image.shape[:2]) > LARGEST_FOLLOWED:
-        return None
-    try:
-        followed = follow_bent_lattice(image, parameters=parameters, only_promising=True)
-    except NoLatticeFound:
-        return None
-    return followed if followed.deformation.bent else None
 
 
 def synthesize(
@@ -388,6 +368,8 @@ def _make_output(
     sample, known = stored_masked(image, mask)
     wanted = {"wraps": bool(along), "masks": known is not None, "maps": len(maps) > 0}
     plugins.require_abilities("synthesizers", plugin, **wanted)
+    joint = wanted["maps"] and getattr(plugin, "maps", "") == "joint"
+    require(not (along and joint), "--tileable with other maps: needs a method with a source map, such as tile-set")
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     given = lattice_in(MaskedImage(sample, known), lattice)
     task = Task(sample, shape, given, rng, progress, known=known)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nrbench.calling.method_calls import move_sources, synthesize_exactly
-from nrbench.displacement.bent_detection import find_deformation
+from nrbench.displacement.bent_detection import find_bent_lattice, find_deformation
 from nrbench.displacement.deformation_field import LEAST_AMPLITUDE, Deformation, pixel_places, read_spline
 from nrbench.displacement.free_form import REPEATS, FreeForm
 from nrbench.displacement.random_field import output_field
@@ -65,9 +65,6 @@ class SampleSurvey:
 def survey_sample(method: Synthesizer, task: Task) -> SampleSurvey | None:
     """Find the lattice of a sample, and whether it is bent; None for a method that gets the sample as it is.
 
-    If no lattice is given, the detector of the method finds one, or that of the role ``detector`` if it names none.
-    Where the detector finds none, nrbench looks for a bent lattice.
-
     Parameters
     ----------
     method, task
@@ -75,14 +72,35 @@ def survey_sample(method: Synthesizer, task: Task) -> SampleSurvey | None:
     """
     if getattr(method, "geometry", "as-is") == "as-is" or not getattr(method, "uses_lattice", True):
         return None
+    return recognize_sample(method, task)
+
+
+def recognize_sample(method: Synthesizer | None, task: Task) -> SampleSurvey:
+    """Find the lattice of a sample, and whether it is bent.
+
+    If no lattice is given, the detector of the method finds one, or that of the role ``detector`` if it names none.
+    Where the detector finds none, a bent lattice is looked for, as :func:`~.bent_detection.recognize` does.
+    """
     start = work_clock()
-    found = find_lattice(task, _detector_of(method))
-    bent, note = find_bend(task.sample, found.lattice, task.lattice is not None)
-    return SampleSurvey(found, bent, note, work_clock() - start)
+    found = find_lattice(task, detector_of(method))
+    followed = find_bent_lattice(task.sample) if found.lattice is None else None
+    if followed is None:
+        bent, note = find_bend(task.sample, found.lattice, task.lattice is not None)
+    else:
+        bent = followed.deformation
+        found, note = FoundLattice(bent.lattice, vertices=bent.lattice_points), _describe(bent)
+    seconds = work_clock() - start
+    return SampleSurvey(found, bent, note, seconds)
 
 
-def _detector_of(method: Synthesizer) -> NamedDetector:
+def detector_of(method: Synthesizer | None) -> NamedDetector:
+    """Return the detector of a method, or that of the role ``detector``."""
     return NamedDetector(getattr(method, "finder", "") or in_role("detector"))
+
+
+def _describe(bent: Deformation) -> str:
+    kind = "in perspective" if bent.homography is not None else "round or distorted by a lens" if bent.is_global else ""
+    return f"bent by {bent.amplitude:.2f} s{f' ({kind})' if kind else ''}: the sample was straightened"
 
 
 def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey | None = None) -> Synthesis:
@@ -110,7 +128,9 @@ def synthesize_in_geometry(method: Synthesizer, task: Task, survey: SampleSurvey
         return synthesize_exactly(method, task)
     geometry: Geometry = getattr(method, "geometry", "as-is")
     seconds, bent, note = 0.0 if task.lattice else survey.seconds, survey.bent, survey.note
-    task = replace(task, detected=(task.sample, _detector_of(method), survey.found))
+    if geometry == "waves":
+        geometry = "straight" if bent is not None and bent.is_global else "bent"
+    task = replace(task, detected=(task.sample, detector_of(method), survey.found))
     made = synthesize_exactly(method, task) if bent is None else _synthesize_bent(method, task, bent, geometry)
     if bent is not None:
         note += f", and the output is {'straight' if geometry == 'straight' else 'bent'}"
@@ -159,14 +179,14 @@ def find_bend(sample: Image, lattice: Lattice | None, given: bool) -> tuple[Defo
     lattice
         Its lattice; None if it is not known.
     given
-        Whether the lattice is known for sure. If not, and it cannot be followed, nrbench looks for another one.
+        Whether the lattice is known for sure. If it cannot be followed, it is then looked for in parts of the sample.
     """
-    found = _follow(sample, lattice, given)
+    found = None if lattice is None else _follow(sample, lattice, given)
     if found is None:
         return None, "cannot tell whether the sample is bent; it is used as it is" if lattice else ""
     if found.bent:
         known = replace(found, regular=lattice) if given else found
-        return known if known.bent else found, f"bent by {found.amplitude:.2f} s: the sample was straightened"
+        return known if known.bent else found, _describe(found)
     if found.is_smooth:
         return None, "the sample seems bent, but straightening gains nothing: it is taken as it is"
     if found.amplitude < LEAST_AMPLITUDE:
@@ -174,18 +194,17 @@ def find_bend(sample: Image, lattice: Lattice | None, given: bool) -> tuple[Defo
     return None, f"tiles lie off the lattice by {found.amplitude:.2f} s, not smoothly: the sample is taken as it is"
 
 
-def _follow(sample: Image, lattice: Lattice | None, given: bool) -> Deformation | None:
+def _follow(sample: Image, lattice: Lattice, given: bool) -> Deformation | None:
     """Return the deformation of a sample; None if its lattice cannot be followed.
 
-    If the lattice cannot be followed from what it is on average, one that is detected in a part of the sample is.
+    If a given lattice cannot be followed from what it is on average, one that is detected in a part of the sample is.
     """
-    for start in (None,) if lattice is None else (lattice, None):
+    for start in (lattice, None) if given else (lattice,):
         try:
             found = find_deformation(sample, start).deformation
         except (NoLatticeFound, BadInput):
             continue
-        other = start is None and given and lattice and not found.lattice.is_equivalent(lattice, _SAME * lattice.s)
-        if found.covered and not other:
+        if found.covered and (start or found.lattice.is_equivalent(lattice, _SAME * lattice.s)):
             return found
     return None
 

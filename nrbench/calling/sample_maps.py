@@ -14,8 +14,7 @@ from nrbench import plugins
 from nrbench.calling.method_calls import checked_synthesis
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.source_maps import as_layers_of_map, like_map
-from nrbench.plugins.forms import Synthesis, Synthesizer, Task, find_lattice
-from nrbench.plugins.registry import NamedDetector, in_role
+from nrbench.plugins.forms import Synthesis, Synthesizer, Task
 
 
 def synthesize_with_maps(
@@ -47,9 +46,6 @@ def synthesize_with_maps(
     low, span = ([change(each) for each in values] for change in (np.min, lambda each: max(np.ptp(each), 1e-12)))
     units = [(each - first) / length for each, first, length in zip(values, low, span, strict=True)]
     stack = quantize(np.concatenate([sample, *units], -1), 16)
-    if task.lattice is None:  # a lattice is that of the colors
-        detector = NamedDetector(in_role("detector"))
-        task = replace(task, detected=(stack, detector, find_lattice(task, detector)))
     made = make(method, replace(task, sample=stack))
     ends = np.cumsum([sample.shape[2], *(each.shape[2] for each in values)])
     image, *parts = np.split(np.asarray(made.image, np.float64), ends[:-1], -1)

@@ -18,10 +18,9 @@ from nrbench.displacement.deformation_field import pixel_places, read_spline
 from nrbench.imaging.convert import Image, depth_of, largest_box, quantize
 from nrbench.imaging.masks import known_at
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
-from nrbench.plugins.registry import NamedDetector, in_role
+from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task
 
-from .bent_samples import find_bend, trace_sources
+from .bent_samples import recognize_sample, trace_sources
 
 _LITTLE = 0.0025
 """Strain at which the note names no better size."""
@@ -40,8 +39,8 @@ def synthesize_tileable(method: Synthesizer, task: Task, along: str = "both") ->
 
     The sides of the output must be vectors of the lattice. The sample is therefore stretched and sheared by the
     smallest change that makes them so, and the method gets the strained sample with its lattice, and a task whose
-    ``tileable`` is True. Where the sample is bent and the method has a ``geometry``, it is straightened first, and the
-    output stays straight. If the sample has no lattice, it is not changed.
+    ``tileable`` is True. Where the sample is bent, it is straightened first unless the method has
+    ``geometry="as-is"``, and the output stays straight. If the sample has no lattice, it is not changed.
 
     Parameters
     ----------
@@ -61,14 +60,12 @@ def synthesize_tileable(method: Synthesizer, task: Task, along: str = "both") ->
         method refuses the sample.
     """
     plugins.require_abilities("synthesizers", method, wraps=True)
-    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or in_role("detector")))
-    axes = AXES[along]
+    survey, axes = recognize_sample(method, task), AXES[along]
+    found = survey.found
     if found.lattice is None:
         shape = _lengthened(None, task.shape, axes)
         return _cut(synthesize_exactly(method, replace(task, shape=shape, tileable=True)), task.shape)
-    bent, bending = None, ""
-    if getattr(method, "geometry", "as-is") != "as-is":
-        bent, bending = find_bend(task.sample, found.lattice, task.lattice is not None)
+    bent, bending = (None, "") if getattr(method, "geometry", "") == "as-is" else (survey.bent, survey.note)
     sample, lattice = (task.sample, found.lattice) if bent is None else bent.straighten()
     strained = StrainedSample.of(sample, lattice, task.shape, axes, depth_of(task.sample))
     wrapped = replace(task, sample=strained.image, shape=strained.shape, lattice=strained.lattice, tileable=True)
@@ -82,7 +79,7 @@ def synthesize_tileable(method: Synthesizer, task: Task, along: str = "both") ->
     elif strained.image is not sample:
         made = trace_sources(made, strained.locate, task.sample.shape)
     note = "; ".join(filter(None, (made.note, bending, describe_strain(lattice, task.shape, axes))))
-    seconds = made.detection_seconds + found.seconds
+    seconds = made.detection_seconds + (0.0 if task.lattice else survey.seconds)
     return replace(made, lattice=found.lattice, detection_seconds=seconds, note=note)
 
 

@@ -34,9 +34,10 @@ from nrbench.api.picture_folders import (
     rank_candidates,
     vector_texts,
 )
-from nrbench.api.textures import FOLLOWS_BENT, find_bent_lattice, follow_bent_lattice
+from nrbench.api.textures import FOLLOWS_BENT, follow_bent_lattice
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
+from nrbench.displacement.bent_detection import recognize
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
@@ -264,27 +265,20 @@ def _print_numbers(lattice: Lattice) -> None:
 
 
 def _show_detection(image: Image, options: LatticeQuestion) -> None:
-    """Print and draw the lattice that one detector finds.
-
-    If the default detector finds none, the mean lattice of a bent image is looked for.
-    """
+    """Print and draw the lattice that one detector finds; the default detector also that of a bent image."""
     spec = options.spec
     name, parameters = parse_spec(spec)
     detector = plugins.build("detectors", name, parameters)
+    detection: Detection | None
     try:
         with waiting(f"{name} looks for the lattice"):
-            detection = detector.detect(image)
-        result = LatticeResult.of_detection(name, detection)
-        title = f"{spec}: {result.vectors}, confidence {detection.confidence:.3f}"
+            usual = options.detector is None
+            detection, bent = recognize(image, detector) if usual else (detector.detect(image), None)
+        result = LatticeResult.of_followed(name, bent) if bent else LatticeResult.of_detection(name, detection)
+        title = f"{spec}: {result.vectors}, confidence {detection.confidence:.3f}{', straightened' if bent else ''}"
     except NoLatticeFound as none:
         result, detection = LatticeResult(name, None, reason=none.reason), none.best
         title = f"{spec}: no lattice: {none.reason}"
-    if result.lattice is None and options.detector is None:
-        with waiting(f"{name} looks for a bent lattice"):
-            bent = find_bent_lattice(image)
-        if bent is not None:
-            result, detection = LatticeResult.of_followed(name, bent), bent.detection
-            title = f"{spec}, of the straightened image: {result.vectors}"
     result = result.with_symmetry(image, options)
     if options.diagnostics is not None:
         _draw_diagnostics(detection.diagnostics if detection else {}, title, options.diagnostics)

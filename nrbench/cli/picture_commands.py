@@ -158,12 +158,13 @@ def _given_lattice(sample: Image | MaskedImage, text: str | None) -> Lattice | N
 
 def _warn_of_another_lattice(sample: MaskedImage, method: str, used: Lattice) -> None:
     """Warn if a method found another lattice by itself than the detector ``consensus`` finds."""
+    from nrbench import plugins
     from nrbench.lattice.relation import relate
     from nrbench.plugins.forms import NoLatticeFound
 
     try:
         with waiting("consensus checks the lattice"):
-            found = textures.detect_lattice(sample).lattice
+            found = textures.detect_lattice(sample, plugins.in_role("detector")).lattice
     except NoLatticeFound:
         return
     change = relate(used, found)

@@ -1,7 +1,7 @@
 """The lattice of an image that may be bent: detected in views, followed through the image, checked when straight.
 
-"Is this picture bent?" has one answer, :attr:`.Deformation.bent` of what :func:`find_deformation` returns, for the
-command line, the Python functions and the methods.
+Commands, Python functions, runs and methods find the lattice of a picture by :func:`recognize`. "Is this picture bent?"
+has one answer for them, :attr:`.Deformation.bent` of what :func:`find_deformation` returns.
 """
 
 from __future__ import annotations
@@ -14,16 +14,20 @@ import numpy as np
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import MIN_SIDE, Image, shrink
+from nrbench.imaging.masks import Mask
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.relation import lattice_error, relate
-from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
+from nrbench.plugins.forms import Detection, Detector, NoLatticeFound, detect_known
 from nrbench.plugins.registry import NamedDetector, bent_finders
 
 from .deformation_field import LEAST_AMPLITUDE, Deformation
 from .following import find_knots, follow_on, follow_roughly, merit, probe
 from .growth import Knots
 
-__all__ = ["Followed", "find_deformation"]
+__all__ = ["Followed", "find_bent_lattice", "find_deformation", "recognize"]
+
+LARGEST_FOLLOWED: Final = 1024
+"""px; in a larger image no bent lattice is looked for unless this is asked for, because it takes long."""
 
 LARGEST_VIEW: Final = 512
 """px; largest side of a view other than the whole image, as the detector sees it."""
@@ -73,6 +77,55 @@ class Followed(NamedTuple):
 
     deformation: Deformation
     detection: Detection | None
+
+
+def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tuple[Detection, Followed | None]:
+    """Return the lattice of an image, and how it was followed where the detector finds none because the image is bent.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    detector
+        Looks at the image as it is.
+    known
+        The pixels that count; None: all.
+
+    Returns
+    -------
+    detection
+        Of a bent image: its mean lattice, and the places of its points as ``vertices``.
+    followed
+        None if the detector finds a lattice in the image as it is.
+
+    Raises
+    ------
+    NoLatticeFound
+        If the detector finds none, and there is no bent lattice either, or the image is larger than 1024 px.
+    """
+    try:
+        return detect_known(detector, image, known), None
+    except NoLatticeFound as none:
+        followed = find_bent_lattice(image)
+        if followed is None or followed.detection is None:
+            raise none from None
+    found = followed.deformation
+    mean = replace(followed.detection, lattice=found.lattice, has_origin=False, vertices=found.lattice_points)
+    return mean, followed
+
+
+def find_bent_lattice(image: Image) -> Followed | None:
+    """Return the lattice of a bent image in which a detector finds none; None if there is none.
+
+    Little time is spent on images without a lattice, and none on large ones (:data:`LARGEST_FOLLOWED`).
+    """
+    if max(image.shape[:2]) > LARGEST_FOLLOWED:
+        return None
+    try:
+        followed = find_deformation(image, only_promising=True)
+    except NoLatticeFound:
+        return None
+    return followed if followed.deformation.bent else None
 
 
 def find_deformation(

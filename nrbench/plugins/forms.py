@@ -22,10 +22,11 @@ Shape = tuple[int, int]
 """(height, width) in px."""
 Region = tuple[int, int, int, int]
 """(x0, y0, x1, y1) in px of the picture that a crop was cut from, half-open."""
-Geometry = Literal["bent", "argmax", "straight", "as-is"]
+Geometry = Literal["waves", "bent", "argmax", "straight", "as-is"]
 """How a method is run where the sample is bent. It gets the straightened sample, and its output is ``"bent"`` by a
 field like the sample's, bent by ``"argmax"`` as in Lin and others 2004 (appendix A, equation 3; one pass of each warp),
-or left ``"straight"``. ``"as-is"``: it gets the sample itself."""
+or left ``"straight"``. ``"waves"``: bent where the sample waves, straight where it shows a plane in perspective, a
+round surface or the distortion of a lens. ``"as-is"``: it gets the sample itself."""
 
 
 @dataclass(frozen=True)

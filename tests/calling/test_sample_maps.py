@@ -72,6 +72,8 @@ def test_methods_without_maps_are_refused_before_they_run() -> None:
     """The message names the method and those that can; ``apply`` does as well."""
     with pytest.raises(BadInput, match=r"cartoon cannot lay out.*rsgf.* can"):
         nrbench.synthesize("cartoon", WALL, (64, 64), maps=[heights_of(WALL.image)])
+    with pytest.raises(BadInput, match=r"such as tile-set"):
+        nrbench.synthesize("random-phase", WALL, (64, 64), tileable=True, maps=[heights_of(WALL.image)])
     with pytest.raises(BadInput, match=r"no complete source map; .*quilting"):
         nrbench.synthesize("random-phase", WALL, (64, 64)).apply(heights_of(WALL.image))
 
