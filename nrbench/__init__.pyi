@@ -15,6 +15,7 @@ from .api.runs import status as status
 from .api.textures import Scores as Scores
 from .api.textures import detect_lattice as detect_lattice
 from .api.textures import detect_symmetry as detect_symmetry
+from .api.textures import fill as fill
 from .api.textures import render_textures as render_textures
 from .api.textures import score as score
 from .api.textures import synthesize as synthesize

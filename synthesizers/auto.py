@@ -14,11 +14,13 @@ from nrbench.plugins.forms import Geometry, Refused, Synthesis, Synthesizer, Tas
 from nrbench.plugins.registry import NamedDetector
 
 from .ann_pixel import AnnPixel
+from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import shows_two_periods, warn_of_no_lattice
 from .rsgf import Rsgf
 from .tile_set import TileSet
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Auto:
     """Measure the regularity of the sample, and pick the method by it (Liu, Tsin and Lin 2005, section 4.1).

@@ -14,6 +14,7 @@ from nrbench.detectors.frdft import Frdft
 from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Shape, Synthesis, Task
 
+from .gap_filling.holes import leaves_out
 from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .pixel_growing.neighbor_search import Integers
 from .pixel_growing.pixel_growth import (
@@ -37,6 +38,7 @@ CLUSTER_CHANGE = 0.1
 """Gray levels. The clustering stops when the mean distance to the centers decreases by less than this."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class FftmPixel(MaskParameters, SearchParameters):
     """Fractional Fourier texture masks, pixel-based (Nicoll et al. 2005, sections 4.1 and 4.3).

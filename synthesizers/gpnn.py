@@ -13,6 +13,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Synthesis, Task
 
+from .gap_filling.holes import leaves_out
 from .neighbor_fields.neighbor_field import NeighborField, make_grid, wrap_around
 from .neighbor_fields.pyramid import cover_sample, list_resolutions, rescale, scale_shape
 
@@ -24,6 +25,7 @@ UNIT: Final = 0.5
 """The paper's values lie in [-1, 1], ours in [0, 1]: one of its units is this much."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Gpnn:
     """Generative patch nearest neighbors, GPNN (Granot and others 2022).

@@ -13,6 +13,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
 from .canvas.canvas import Window
+from .gap_filling.holes import leaves_out
 from .patchwork.patchwork import LEAST_OVERLAP, Patchwork, Placement, SeamHeat, WholePatches, to_gray_levels
 
 Refine = Literal["worst", "random", "minima", "extremes"]
@@ -28,6 +29,7 @@ LEAST_FEATHER = 0.1
 """px: the least width of feathering. At this width the weight of a pixel's neighbor is 2e-22."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class GraphCuts:
     """Graph cut textures (Kwatra, Schödl, Essa, Turk, Bobick 2003).

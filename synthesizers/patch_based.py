@@ -16,6 +16,7 @@ from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
 from .canvas.canvas import Box, Canvas, ExactPatch, feather_weights
+from .gap_filling.holes import leaves_out
 from .matching.frame_matching import FrameMatcher, frame_mask
 from .patch_laying.raster_order import (
     LARGEST_SHARE,
@@ -45,6 +46,7 @@ LONGER = 1.05
 """Rounded components are at most this long, and at most so far from orthogonal."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class PatchBased:
     """Patch-based sampling (Liang, Liu, Xu, Guo, Shum 2001).

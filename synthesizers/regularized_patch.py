@@ -20,6 +20,7 @@ from nrbench.plugins.forms import Geometry, Refused, Shape, SourceMap, Synthesis
 from nrbench.plugins.registry import NamedDetector
 
 from .canvas.canvas import FURTHER
+from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import CellTorus, pixel_grid, require_two_periods
 from .sample_reading.patches import Patches, round_places
 
@@ -52,6 +53,7 @@ _BAND = 1 << 16
 """Number of output pixels that are computed at a time."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class RegularizedPatch:
     """Regularized patch-based synthesis (Lin et al. 2004, section 2.4 and appendix A): texels pasted on the lattice.

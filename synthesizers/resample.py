@@ -18,6 +18,7 @@ from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
 from .canvas.canvas import FURTHER
+from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import CellTorus, pixel_grid, require_two_periods
 from .resampling.element_classes import find_object
 from .resampling.element_colors import ElementColors
@@ -43,6 +44,7 @@ _ROWS = 256
 """Rows of the output that are composed at once."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Resample:
     """Draws new elements: bricks, threads and tiles with new colors, whose detail is copied from the sample's.

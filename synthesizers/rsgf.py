@@ -21,6 +21,7 @@ from nrbench.plugins.forms import FoundLattice, Geometry, Refused, Synthesis, Ta
 from nrbench.plugins.registry import NamedDetector
 
 from .gap_filling.blocks import Block, BlockGrid, BlockPlacer, SeamMethod, check_border
+from .gap_filling.holes import TOLERANCE, fill_task, leaves_out
 from .lattice_places.equal_places import (
     EqualPlaces,
     Pixels,
@@ -34,8 +35,6 @@ from .sample_reading.patches import Patches, round_places
 
 Search = Literal["lattice", "everywhere", "stochastic"]
 Finder = Literal["consensus", "gncc", "gncc:preset=paper"]
-TOLERANCE: Final = 0.07
-"""Default tolerance over s, along x and along y: both together are less than a tenth of s."""
 REMEMBERED: Final = 64
 """Number of the latest patches that :class:`PlaceSampler` avoids. A draw costs the same however large the output is."""
 _BLOCKS, _BORDER = (40, 32, 24, 20, 16, 12, 8), 10
@@ -46,6 +45,7 @@ _OVERLAP_SLACK: Final = 0.05
 """A place is as good as the least used one if its overlap count exceeds that one's by no more than this."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Rsgf:
     """Random sampling and gap filling (RSGF, section 4): random patches on the lattice, and patches that join them.
@@ -135,6 +135,7 @@ class Rsgf:
     geometry: Geometry = "waves"
 
     wraps: ClassVar[bool] = True
+    fills: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "tiles and patches on the lattice"
@@ -211,6 +212,21 @@ class Rsgf:
             (block, self.border or border) for block in blocks for border in (min(_BORDER, block // 2), block // 4)
         ]
         return [(block, border) for block, border in dict.fromkeys(sizes) if 1 <= border <= block // 2]
+
+    def fill(self, task: Task) -> Synthesis:
+        """Return the sample with its holes filled (:class:`~.gap_filling.holes.HoleFiller`).
+
+        The size of patches follows the lattice. Where there is none, it is ``block``.
+
+        Raises
+        ------
+        Refused
+            If no pixel that counts is equal to one that does not.
+        """
+        made = fill_task(task, self.finder, self.block or _BLOCKS[0])
+        if made.lattice is None:
+            warn_of_no_lattice("rsgf", made.note.partition("found (")[2].removesuffix(")"))
+        return made
 
     def block_grid(self, task: Task) -> BlockGrid:
         """Return the blocks of the output. Those of a tileable one are as large as its sides require."""

@@ -13,6 +13,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
+from .gap_filling.holes import leaves_out
 from .neighbor_fields.neighbor_field import NeighborField, make_grid
 from .neighbor_fields.pyramid import cover_sample, rescale, scale_shape
 
@@ -25,6 +26,7 @@ SOFTENING: Final = 1e-4
 one pixel of the smallest neighborhood."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class TextureOptimization:
     """Texture optimization (Kwatra and others 2005).

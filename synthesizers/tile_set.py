@@ -17,6 +17,7 @@ from nrbench.plugins.forms import Geometry, Refused, Synthesis, Task, require_la
 from nrbench.plugins.registry import NamedDetector
 
 from .canvas.canvas import Canvas, Window, find_paths
+from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import require_two_periods
 from .tile_laying.tile_kernels import FEATHER, Under, blend_weights, cut_tile, error_surface
 from .tile_laying.tiles import (
@@ -45,6 +46,7 @@ MARGIN: Final = 2.0
 """px by which tiles are longer at each end for exact cuts, so that seams can run around elements."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class TileSet:
     """Tile set (Liu, Tsin and Lin 2005, section 3.1): tiles drawn at random, laid over one another on the lattice.

@@ -383,6 +383,75 @@ def _make_output(
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))
 
 
+def fill(
+    image: Imagelike,
+    mask: Masklike = None,
+    method: Pluginlike | None = None,
+    lattice: Latticelike = None,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+    **parameters: Any,
+) -> Synthesis:
+    """Fill the holes of a picture, on its own lattice and in its phase. All other pixels stay as they are.
+
+    Parameters
+    ----------
+    image
+        An :data:`Imagelike`. Its transparent pixels are holes.
+    mask
+        A :data:`Masklike` of the size of the image: white is kept, black is filled. None: the transparent pixels are.
+    method
+        A synthesizer plugin that can fill holes; if None, the first that can: ``rsgf``.
+    lattice
+        The lattice of the image; if None, the method finds it in the pixels that are kept. Where it is bent, it is
+        followed. Without a lattice, patches come from anywhere.
+    seed, progress
+        As for :func:`synthesize`.
+    **parameters
+        The method's parameters.
+
+    Returns
+    -------
+    Synthesis
+        The image has the shape of the given one, no alpha, and 8 or 16 bits as it.
+
+    Raises
+    ------
+    Refused
+        If the kept pixels show nothing that equals a pixel of a hole.
+    BadInput
+        For a bad image, mask, lattice, method or parameter, if there is no hole, or if the method cannot fill holes;
+        the message names those that can.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import fill, texture
+    >>> brick, kept = texture("brick", shape=(96, 96)), np.ones((96, 96), bool)
+    >>> kept[30:60, 20:70] = False
+    >>> filled = fill(brick, kept, lattice=brick.lattice).image
+    >>> filled.shape, bool(np.abs(filled - brick.image)[kept].max() < 1 / 255)
+    ((96, 96, 3), True)
+    """
+    from nrbench.calling.filling import fill_picture
+    from nrbench.calling.method_calls import checked_synthesis
+    from nrbench.imaging.convert import match_ndim
+    from nrbench.imaging.masks import MaskedImage
+    from nrbench.plugins.forms import Task
+    from nrbench.streams import pixels_hash, stream
+
+    if method is None:
+        method = next(one.cls for one in plugins.inventory("synthesizers") if getattr(one.cls, "fills", False))
+    plugin = plugin_in("synthesizers", method, parameters)
+    plugins.require_abilities("synthesizers", plugin, fills=True)
+    sample, known = stored_masked(image, mask)
+    require(known is not None, "there is no hole to fill: make its pixels transparent, or black in the mask")
+    rng, given = stream("synthesis", seed, pixels_hash(sample), 0), lattice_in(MaskedImage(sample, known), lattice)
+    task = Task(sample, sample.shape[:2], given, rng, progress or (lambda fraction: None), known=known)
+    filled = checked_synthesis(fill_picture(plugin, task), sample, task.shape)
+    return dataclasses.replace(filled, image=match_ndim(filled.image, image if hasattr(image, "ndim") else sample))
+
+
 @dataclass(frozen=True)
 class Scores:
     """The scores of one output.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from nrbench.api import textures
-from nrbench.api.arguments import as_lattice, lattice_in, names_of
+from nrbench.api.arguments import METHOD, as_lattice, lattice_in, names_of
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.cli.verbs import check_output, choose_one, verb
@@ -28,22 +28,30 @@ if TYPE_CHECKING:
 
 OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png|.tif|.webp|DIR", kind=Path)]
 All = Annotated[bool, Flag("--all", kind=bool)]
+SomeMethod = Annotated[str | None, Flag("-m", METHOD)]
+SomeSize = Annotated[str | None, Flag("--size", "WxH")]
+Holes = Annotated[Path | None, Flag("--fill", "MASK", kind=Path)]
 
 
 @verb(textures.synthesize)
 def synth_command(
     call: Callable[..., Any],
     image: Path,
-    method: str,
-    shape: str,
     lattice: str | None,
+    seed: int,
     mask: Path | None,
     maps: tuple[Path, ...],
     keep_alpha: bool,
+    tileable: str | None,
     output: OutputPicture,
+    method: SomeMethod = None,
+    shape: SomeSize = None,
+    fill: Holes = None,
     extras: Switch = False,
 ) -> None:
     """Synthesize a texture of any size from IMAGE.
+
+    With --fill, only the holes of IMAGE are synthesized, on its own lattice. All other pixels stay as they are.
 
     With --tileable, methods that can wrap synthesize around the edges of the output. The sample is strained, by at most
     2.5 %, so that the lattice closes; the strain is printed, and a size nearby if that needs less than half of it. If
@@ -60,6 +68,13 @@ def synth_command(
     ----------
     output
         The output, with the 8 or 16 bits a channel of IMAGE; WebP has 8. With --with, a folder.
+    method
+        The method.  [required; with --fill: rsgf]
+    shape
+        Size of the output.  [required; with --fill: that of IMAGE]
+    fill
+        A picture of the size of IMAGE in which white is kept and black is filled; transparent pixels are filled as
+        well. IMAGE itself, if it has holes that are transparent.
     extras
         Also write the pictures that the method returns beside the output.
     """
@@ -71,12 +86,20 @@ def synth_command(
     from nrbench.pictures.files import WRITTEN, read_map, write_image, write_map
     from nrbench.plugins.parameters import parse_size
 
+    unused = {"--size": shape, "--mask": mask, "--tileable": tileable, "--with": maps, "--keep-alpha": keep_alpha}
+    for name, value in unused.items() if fill is not None else ():
+        require(not value, f"{name}: has no effect with --fill, which returns a picture of the size of IMAGE")
     read = [read_map(path) for path in maps]
     if maps:
         output, *others = _name_outputs(output, [image, *maps], [False, *(each.dtype.kind == "f" for each, _ in read)])
     check_output(output, *WRITTEN)
     if os.path.realpath(output) == os.path.realpath(image):
         raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
+    if fill is not None:
+        _fill(image, fill, method, lattice, seed, output)
+        return
+    if method is None or shape is None:
+        raise click.UsageError(f"Missing option '{'-m' if method is None else '--size'}'.")
     finder = getattr(plugin_in("synthesizers", method, {}), "finder", "")
     size = parse_size(shape)
     require(max(size) < 1 << 14 or output.suffix.lower() != ".webp", f"-o {output}: WebP has at most 16383 px; use PNG")
@@ -132,6 +155,19 @@ def _name_outputs(folder: Path, pictures: Sequence[Path], floats: Sequence[bool]
     require(folder.is_dir() or not folder.exists(), f"-o {folder}: is a file; with --with, give a folder")
     make_writable(folder.absolute(), "choose another directory")
     return named
+
+
+def _fill(image: Path, mask: Path, method: str | None, lattice: str | None, seed: int, output: Path) -> None:
+    """Write a picture with its holes filled."""
+    from nrbench.api.arguments import masked_in
+    from nrbench.pictures.files import write_image
+
+    sample = masked_in(image, None if os.path.realpath(mask) == os.path.realpath(image) else mask)
+    given = _given_lattice(sample, lattice)
+    with waiting("holes are filled") as progress:
+        filled = textures.fill(sample, None, method, given, seed, progress)
+    write_image(output, filled.image)
+    click.echo(f"{output} ({filled.note})", err=True)
 
 
 def _given_lattice(sample: Image | MaskedImage, text: str | None) -> Lattice | None:

@@ -1,0 +1,270 @@
+"""Fill the holes of a picture with patches of the rest, on the picture's own lattice; for methods that need no hole."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, Final, TypeVar
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from nrbench.calling.method_calls import move_sources
+from nrbench.imaging.convert import Image, box_sums
+from nrbench.lattice.geometry import Lattice, Points
+from nrbench.plugins.forms import FoundLattice, Refused, SourceMap, Synthesis, Task, find_lattice
+from nrbench.plugins.registry import NamedDetector, in_role
+
+from ..canvas.canvas import Canvas, Mask, Window, copy_patch, edge_mask
+from ..canvas.seam_kernels import cut_overlap, link_costs, record_seams
+from ..lattice_places.equal_places import EqualPlaces, Pixels, nearest_pixels
+from ..patch_laying.raster_order import draw_within
+
+Method = TypeVar("Method", bound=type[Any])
+_REACH = 1.5
+"""Sides of a patch, in the extents of a cell along x and along y: it shows an element whole, with what is around it."""
+_BESIDE = 0.49
+"""px: largest distance of a place from the pixel that filled a hole, so that the pixel is the nearest one."""
+_LEAST = 12
+"""px: least side of a patch, if the picture holds such patches; else patches are halved, down to a pixel."""
+_PARTS: Final = (1.0, 0.5, 0.3)
+"""Sides of the patches of each pass that improves seams, as parts of the first. Of small ones, more have the color that
+continues an element which the border of a hole cuts."""
+_TRIES = 30
+"""Patches that a pass tries in each window: those that agree best with what is known around the hole."""
+_MOST_PLACES, _MOST_PIXELS = 2000, 400
+"""Places that are compared in a window, and pixels by which; more are drawn at random, or left out evenly."""
+_ACCEPTED = 0.2
+"""A patch is drawn from those whose summed squared difference is at most so much above the least (in quilting, .21)."""
+
+
+TOLERANCE: Final = 0.07
+"""Default tolerance of a gap's patch over s, along x and along y: both together are less than a tenth of s."""
+
+
+class HoleFiller:
+    """Fills the holes of a picture.
+
+    This is gap filling (RSGF, section 4.2) for gaps of any shape. A hole is filled from its border inward. Each patch
+    lies around a pixel at the border of what is known, takes one of the places that the lattice makes equal to its own,
+    from those that agree best with what the picture shows there, and is joined along the least visible seam. Further
+    passes lay smaller patches over the windows of the hole, as far as they make the seams less visible, also that along
+    the border of the hole. All pixels are copies of known ones.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    known
+        ``bool (H, W)``: False in the holes.
+    lattice
+        The lattice of the picture; None: patches come from anywhere.
+    rng
+        The randomness.
+    tolerance
+        Largest distance of a patch from an equal place, px along x and along y.
+    block
+        Side of a patch in px where there is no lattice.
+    keep
+        Whether known pixels never change. False: those up to a third of a patch from a hole may change, so that seams
+        can run around the elements that its border cuts.
+    """
+
+    def __init__(
+        self,
+        image: Image,
+        known: Mask,
+        lattice: Lattice | None,
+        rng: np.random.Generator,
+        tolerance: float = 1.0,
+        block: int = 40,
+        keep: bool = True,
+    ) -> None:
+        self.image, self.known, self.lattice, self.rng = image, known, lattice, rng
+        self.shape = image.shape[0], image.shape[1]
+        self.canvas = Canvas(self.shape, image.shape[2])
+        self.canvas.place((0, self.shape[0], 0, self.shape[1]), copy_patch(image, (0, 0), self.shape), known)
+        across = down = float(block)
+        if lattice is not None:
+            across, down = _REACH * np.abs(lattice.reduced().matrix).sum(0)
+        self.size = max(_LEAST, round(down)), max(_LEAST, round(across))
+        # Only what is near the hole tells which patch continues it.
+        distance = scipy.ndimage.distance_transform_edt(known)
+        self._near = known & (distance <= max(min(self.size) / 4, 2))
+        self._kept = known if keep else distance > max(self.size) / 3
+        steps = np.arange(-int(tolerance), int(tolerance) + 1)
+        self._moves = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) if lattice else np.zeros((1, 2), np.int64)
+
+    def fill(self, progress: Callable[[float], None]) -> tuple[Image, SourceMap]:
+        """Return the picture without holes, and its source map.
+
+        Raises
+        ------
+        Refused
+            If no known pixel is equal to one of a hole.
+        """
+        holes = int((~self.known).sum())
+        while (left := int((~self.canvas.known).sum())) > 0:
+            self._fill_next()
+            progress(0.5 - 0.5 * left / holes)
+        for number, part in enumerate(_PARTS):
+            for window in self._windows((max(round(part * self.size[0]), 3), max(round(part * self.size[1]), 3))):
+                self._improve(window, part)
+            progress(0.5 + 0.5 * (number + 1) / len(_PARTS))
+        return self.canvas.output()
+
+    def _fill_next(self) -> None:
+        """Lay a patch around the unknown pixel at the border of what is known that has most known pixels around it."""
+        known, size = self.canvas.known, self.size
+        rim = ~known & scipy.ndimage.binary_dilation(known)
+        share = scipy.ndimage.uniform_filter(known.astype(np.float32), size)
+        row, column = divmod(int(np.where(rim, share, -1).argmax()), known.shape[1])
+        while True:
+            window = self._window_around(row, column, size)
+            seen = self.canvas.known[window[0] : window[1], window[2] : window[3]]
+            whole = box_sums(~self.known, seen.shape) == 0
+            places, differences = self._rate_places(window, seen, whole)
+            if len(places):
+                break
+            if max(size) == 1:
+                raise Refused(
+                    f"no pixel that counts is equal to the one at ({column}, {row}), which does not: every cell leaves "
+                    "it out; where holes belong to the texture, keep alpha as a channel"
+                )
+            size = max(size[0] // 2, 1), max(size[1] // 2, 1)
+        self._lay(window, places[draw_within(differences, (1 + _ACCEPTED) * float(differences.min()), self.rng)])
+
+    def _window_around(self, row: int, column: int, size: tuple[int, int]) -> Window:
+        """Return the window of a size around a pixel, moved into the picture."""
+        ends: list[int] = []
+        for middle, length, side in zip((row, column), size, self.shape, strict=True):
+            start = min(max(middle - length // 2, 0), max(side - length, 0))
+            ends += [start, min(start + length, side)]
+        return ends[0], ends[1], ends[2], ends[3]
+
+    def _windows(self, size: tuple[int, int]) -> Iterator[Window]:
+        """Yield windows half a side apart that show a part of a hole."""
+        for row in range(0, self.shape[0], max(size[0] // 2, 1)):
+            for column in range(0, self.shape[1], max(size[1] // 2, 1)):
+                window = self._window_around(row, column, size)
+                if not self._kept[window[0] : window[1], window[2] : window[3]].all():
+                    yield window
+
+    def _improve(self, window: Window, part: float) -> None:
+        """Lay patches over a window, as far as they make its seams less visible; small ones only at a hole's border."""
+        near = self._near[window[0] : window[1], window[2] : window[3]]
+        if part == 1 or near.any():
+            anywhere = np.ones(np.subtract(self.shape, near.shape) + 1, np.bool_)
+            for place in self._rate_places(window, near, anywhere)[0]:
+                self._lay(window, place)
+
+    def _rate_places(self, window: Window, seen: Mask, allowed: Mask) -> tuple[Pixels, NDArray[np.float64]]:
+        """Return the places whose patches agree best with a window where it is ``seen``, and their differences.
+
+        Each is moved by at most the tolerance to where it agrees best. If nothing is seen, places are drawn.
+        """
+        if self.lattice is None:
+            places = np.argwhere(allowed)[:, ::-1]
+        else:
+            equal = EqualPlaces(self.lattice, allowed.shape).find_places((window[2], window[0]))
+            places = nearest_pixels(equal, allowed.shape)
+            places = places[allowed[places[:, 1], places[:, 0]]]
+        places = self.rng.permutation(places)[:_MOST_PLACES]
+        if not len(places) or not seen.any():
+            return places[:_TRIES], np.zeros(min(len(places), _TRIES))
+        rows, columns = np.nonzero(seen)
+        spread = slice(None, None, -(-len(rows) // _MOST_PIXELS))
+        rows, columns = rows[spread], columns[spread]
+        shown = self.canvas.image[rows + window[0], columns + window[2]]
+
+        def rate(at: Pixels) -> NDArray[np.float64]:
+            apart = self.image[at[:, 1, np.newaxis] + rows, at[:, 0, np.newaxis] + columns] - shown
+            return np.asarray(np.einsum("nmc,nmc->n", apart, apart), np.float64)
+
+        places = places[np.argsort(rate(places), kind="stable")[:_TRIES]]
+        moved = np.clip(places[:, np.newaxis] + self._moves, 0, np.array(allowed.shape[::-1]) - 1)
+        moved[~allowed[moved[..., 1], moved[..., 0]]] = -1
+        moved = np.where(moved < 0, places[:, np.newaxis], moved)
+        rated = rate(moved.reshape(-1, 2)).reshape(moved.shape[:2])
+        best = rated.argmin(1)
+        return moved[np.arange(len(places)), best], rated.min(1)
+
+    def _lay(self, window: Window, place: NDArray[np.int64]) -> None:
+        """Cut the patch at a place into a window, where both the patch is known and the picture is not given."""
+        y0, y1, x0, x1 = window
+        (x, y), pixels, shape = place.tolist(), self.canvas.pixels(window), (y1 - y0, x1 - x0)
+        patch, shown = copy_patch(self.image, (x, y), shape), self.known[y : y + shape[0], x : x + shape[1]]
+        old, known, given = self.canvas.image[pixels], self.canvas.known[pixels].copy(), self.known[pixels]
+        inner = x0 > 0, y0 > 0, x1 < self.shape[1], y1 < self.shape[0]
+        fixed_new = ~known & shown
+        fixed_old = (self._kept[pixels] | ~shown | edge_mask(shape, inner)) & ~fixed_new
+        new = np.ascontiguousarray(patch[0])
+        costs = link_costs(np.where(known[..., np.newaxis], old, new), new, True)
+        # Beyond the border of a hole nothing is known that a patch could be compared with: its near side counts twice.
+        border = 2 * link_costs(np.where(given[..., np.newaxis], old, new), new, True)
+        for axis, first, second in ((0, np.s_[:, :-1], np.s_[:, 1:]), (1, np.s_[:-1], np.s_[1:])):
+            np.copyto(costs[axis][first], border[axis][first], where=given[first] != given[second])
+        seams = np.ascontiguousarray(self.canvas.seams[:, *pixels])
+        mask = cut_overlap(costs, seams, fixed_old, fixed_new)
+        record_seams(seams, known, mask, costs)
+        self.canvas.place(window, patch, mask)
+        self.canvas.seams[:, *pixels] = seams
+
+
+def fill_task(task: Task, finder: str = "", block: int = 40, keep: bool = True) -> Synthesis:
+    """Return the sample of a task with its holes filled: on its lattice, or with patches from anywhere if it has none.
+
+    Parameters
+    ----------
+    task
+        Its ``known`` leaves pixels out. The shape of the output does not count.
+    finder
+        Detector that finds the lattice if none is given; that of the role ``detector`` if empty.
+    block, keep
+        See :class:`HoleFiller`.
+    """
+    assert task.known is not None
+    found = find_lattice(task, NamedDetector(finder or in_role("detector")))
+    tolerance = 0.0 if found.lattice is None else min(3.0, TOLERANCE * found.lattice.s)
+    filler = HoleFiller(task.sample, task.known, found.lattice, task.rng, tolerance, block, keep)
+    image, source = filler.fill(task.progress)
+    note = f"{100 * (1 - task.known.mean()):.2g} % of the picture filled"
+    note += "" if found.lattice else f" with patches from anywhere: no lattice found ({found.reason})"
+    return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note)
+
+
+def leaves_out(method: Method) -> Method:
+    """Make a method leave out the pixels that do not count; a decorator of its class.
+
+    The holes of the sample are filled first, and the method gets the full sample. What it copies from a filled place is
+    a copy of a pixel that counts, and the source map names that one.
+    """
+    synthesize: Callable[[Any, Task], Synthesis] = method.synthesize
+
+    @functools.wraps(synthesize)
+    def synthesize_filled(self: Any, task: Task) -> Synthesis:
+        if task.known is None:
+            return synthesize(self, task)
+        filled = fill_task(task, getattr(self, "finder", ""), keep=False)
+        found = FoundLattice(filled.lattice, reason="" if filled.lattice else filled.note)
+        detected = filled.image, NamedDetector(getattr(self, "finder", "") or in_role("detector")), found
+        made = synthesize(self, replace(task, sample=filled.image, known=None, detected=detected))
+        note = "; ".join(filter(None, (made.note, filled.note)))
+        seconds = made.detection_seconds + filled.detection_seconds
+        source = filled.source
+        assert source is not None
+        made = move_sources(made, lambda places: trace_places(places, source))
+        return replace(made, detection_seconds=seconds, note=note)
+
+    method.synthesize, method.masks = synthesize_filled, True
+    return method
+
+
+def trace_places(places: Points, filled: SourceMap) -> Points:
+    """Return the places (x, y) in a sample of places ``(..., 2)`` in the sample with its holes filled."""
+    pixels = np.rint(places).astype(np.intp).clip(0, np.array(filled.shape[1::-1]) - 1)
+    moved = filled[pixels[..., 1], pixels[..., 0], :2]
+    beside = moved + np.clip(places - pixels, -_BESIDE, _BESIDE)
+    return np.where((moved == pixels).all(-1, keepdims=True), places, beside)
