@@ -36,7 +36,7 @@ _LEAST_PERIODS = 2.0
 """Periods along both vectors that the straightened sample must show."""
 _MARGIN = 3
 """px of the straight output beyond the outermost point that the deformed output shows."""
-_MOST_WEIGHT = 0.999
+MOST_WEIGHT = 0.999
 """Largest weight in the source map of a pixel that was interpolated."""
 
 
@@ -232,6 +232,5 @@ def trace_sources(made: Synthesis, locate: Callable[[Points], Points], shape: tu
     """
     last = np.array(shape[1::-1]) - 0.5
     made = move_sources(made, lambda points: np.clip(locate(points), -0.5, last))
-    return (
-        made if made.source is None else replace(made, source=made.source * np.array([1, 1, _MOST_WEIGHT], np.float32))
-    )
+    weight = np.array([1, 1, MOST_WEIGHT], np.float32)
+    return made if made.source is None else replace(made, source=made.source * weight)
