@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.imaging.masks import MaskedImage
     from nrbench.lattice.geometry import Lattice
+    from nrbench.plugins.forms import Synthesis
 
 OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png|.tif|.webp|DIR", kind=Path)]
 All = Annotated[bool, Flag("--all", kind=bool)]
@@ -80,7 +81,6 @@ def synth_command(
     """
     from nrbench import plugins
     from nrbench.api.arguments import layers_in, masked_in, plugin_in
-    from nrbench.calling.method_calls import is_picture
     from nrbench.calling.sample_maps import flatten_alpha
     from nrbench.imaging.masks import MaskedImage
     from nrbench.pictures.files import WRITTEN, read_map, write_image, write_map
@@ -118,6 +118,16 @@ def synth_command(
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
     for path, values, (_, profile) in zip(others if maps else (), synthesis.maps, read, strict=True):
         click.echo(f"{write_map(path, values, profile)}", err=True)
+    _write_extras(synthesis, output, extras)
+    if given is None and synthesis.lattice is not None and finder != plugins.in_role("detector"):
+        _warn_of_another_lattice(sample, method.partition(":")[0], synthesis.lattice)
+
+
+def _write_extras(synthesis: Synthesis, output: Path, extras: bool) -> None:
+    """Write the pictures and texts that a method returned beside the output, or print their names."""
+    from nrbench.calling.method_calls import is_picture
+    from nrbench.pictures.files import write_image
+
     pictures = {title: array for title, array in synthesis.extras.items() if is_picture(array)}
     if pictures and not extras:
         click.echo(f"not written: {', '.join([*pictures, *synthesis.files])}; --extras writes them", err=True)
@@ -126,8 +136,6 @@ def synth_command(
     for name, describe in synthesis.files.items() if extras else ():
         write_text(output.with_name(f"{output.stem}-{name}"), describe(f"{output.stem}-"))
         click.echo(f"{output.with_name(f'{output.stem}-{name}')} ({name})", err=True)
-    if given is None and synthesis.lattice is not None and finder != plugins.in_role("detector"):
-        _warn_of_another_lattice(sample, method.partition(":")[0], synthesis.lattice)
 
 
 def _name_outputs(folder: Path, pictures: Sequence[Path], floats: Sequence[bool]) -> list[Path]:
