@@ -24,7 +24,7 @@ from nrbench.runs.records import CellRecord, Run
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits as Linux enforces them")
 
-SECONDS = 3.0
+SECONDS = 5.0
 """The limit of each phase: enough for 300 MiB to be allocated on a machine that does much else."""
 ENDINGS = {
     "raise": ("error", "RuntimeError: planted failure (faulty_plugins.py, line "),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from synthesis_cases import build
 
 from nrbench import plugins, run, texture
 from nrbench.api.runs import changed
@@ -17,7 +17,6 @@ from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Synthesis, Task
-from nrbench.plugins.parameters import parse_spec
 from nrbench.plugins.registry import NamedDetector
 from nrbench.running.runner import Options
 from nrbench.suites.suite import load_suite
@@ -46,11 +45,6 @@ FINDERS = {
     "tile-set:preset=paper": "dominance",
     "tiling": "gncc",
 }
-
-
-def build(spec: str) -> Any:
-    """Return a method with its parameters."""
-    return plugins.build("synthesizers", *parse_spec(spec))
 
 
 @pytest.mark.parametrize("spec", FINDERS)

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthesis_cases import BOND, FRACTIONAL, OBLIQUE, UPRIGHT, noise, synthesize, waves
+from synthesis_cases import BOND, FRACTIONAL, OBLIQUE, UPRIGHT, build, noise, synthesize, waves
 
-from nrbench import plugins, texture
+from nrbench import texture
 from nrbench.calling.method_calls import checked_synthesis
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, quantize, to_bytes
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.parameters import parse_spec
-
-
-def build(spec: str) -> Any:
-    """Return a method with its parameters."""
-    return plugins.build("synthesizers", *parse_spec(spec))
-
 
 COPYING = {
     "ann-pixel": 1,
