@@ -41,6 +41,8 @@ BENCHMARKS = {
     "zoo.py prints --count 1 --kinds dots": "zoo.py prints",
     "zoo.py faults --count 1 --kinds dots": "zoo.py faults",
     "prints.py colors --names dots-two --seeds 1": "prints.py colors",
+    "elsewhere.py edges --count 1": "elsewhere.py edges",
+    "elsewhere.py defects --count 1": "elsewhere.py defects --count 2",
     "doses.py plot doses.svg": "the same",
     "sensitivity.py runs/default --textures brick-strong --limits JND": "sensitivity.py runs/default",
     "seeds.py --seeds 1 2 --textures brick-strong": "seeds.py",

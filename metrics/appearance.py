@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
+from nrbench.imaging.wrapped_edges import SHORTEST, measure_edges
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Value
 
@@ -59,9 +60,6 @@ _PARTS = 4
 
 _SEAM_DRAWS = 2
 _LEAST_SEAM_SIDE = 16
-_INSIDE = 0.95
-"""Quantile of the gradients across lines inside a tile, to which its border is compared."""
-_ROUNDING_STEP = 0.5 / 255
 _LEAST_TILE_SIDE = 4
 
 
@@ -496,10 +494,11 @@ class Appearance:
 
     Seams are searched on every straight line of at least half the image's side, in every direction, because the places
     where a method has cut are unknown. A tile that claims to be seamless when it is repeated is also measured across
-    its border: ``extras["tile"]``, or the output itself if ``extras["tileable"]`` is not zero.
+    its border (:mod:`~nrbench.imaging.wrapped_edges`): ``extras["tile"]``, or the output itself if
+    ``extras["tileable"]`` is not zero.
     """
 
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
@@ -529,7 +528,7 @@ class Appearance:
         ),
         "seam_step": _column("Step of brightness across the line with the most visible step.", "values"),
         "tileable": _column(
-            "Gradient across the wrapped border over that across lines inside; up to 1 the border is invisible."
+            "Largest departure of the wrapped edges from lines inside, over what these allow; up to 1 it repeats."
         ),
         "tile_bytes": _column("Bytes of the tile over those of the sample."),
     }
@@ -566,7 +565,11 @@ def _score(observation: Observation) -> Score:
     if isinstance(tile, str):
         reasons |= dict.fromkeys(("tileable", "tile_bytes"), tile)
     else:
-        values["tileable"], values["tile_bytes"] = border_excess(tile), tile.size / observation.sample.size
+        values["tile_bytes"] = tile.size / observation.sample.size
+        edges = measure_edges(tile, examine(observation).known_lattice.lattice)
+        values["tileable"] = max((edge.ratio for edge in edges if edge.ratios), default=None)
+        if values["tileable"] is None:
+            reasons["tileable"] = f"undecided: the sides of the tile are shorter than {SHORTEST} px"
     pictures = {} if line is None else {"seam": draw_line(observation.output, line)}
     records = {"reference": "sample" if observation.again is None else "fresh draws"}
     return Score(values, reasons, pictures, records)
@@ -654,17 +657,3 @@ def _claimed_tile(output: Image, extras: Mapping[str, NDArray[Any]]) -> Image | 
     if "tileable" in extras and np.asarray(extras["tileable"]).any():
         return output
     return "not applicable: no tile in the extras, and the output does not claim to be tileable"
-
-
-def border_excess(tile: Image) -> float:
-    """Return the gradient across the wrapped borders over that across lines inside, for the worse of both borders.
-
-    For rows, the root mean squared difference between the last row and the first is divided by the 95 % quantile of
-    that between neighboring rows inside; columns alike. The border is invisible up to 1.
-    """
-    return max(_row_excess(tile), _row_excess(tile.transpose(1, 0, 2)))
-
-
-def _row_excess(tile: Image) -> float:
-    jumps = np.sqrt(((tile - np.roll(tile, 1, 0)) ** 2).mean((1, 2), dtype=np.float64))
-    return float(jumps[0] + _ROUNDING_STEP) / float(np.quantile(jumps[1:], _INSIDE) + _ROUNDING_STEP)

@@ -43,6 +43,7 @@ from nrbench.plugins.parameters import parse_spec
 # The help of a command imports no array library.
 if TYPE_CHECKING:
     from nrbench.displacement.bent_detection import Followed
+    from nrbench.displacement.defects import PictureDefect
     from nrbench.displacement.deformation_field import Deformation
     from nrbench.imaging.convert import Image
     from nrbench.imaging.wallpaper_group import FoundGroup
@@ -55,6 +56,11 @@ Metrics = Annotated[Sequence[str] | str, Flag(metavar="NAME,...")]
 Rendered = Annotated["str | Suite", Flag(ARGUMENT, "MODEL[:param=value,...]|SUITE")]
 RenderedSize = Annotated["Shape | str | None", Flag("--sample --size", "WxH")]
 Tileable = Annotated[bool | str, Flag(metavar="[x|y]", choices=("both", "x", "y"), alone="both")]
+Repeats = Annotated[bool, Flag("--tileable", kind=bool)]
+OtherPicture = Annotated[Imagelike | None, Flag(ARGUMENT, kind=Path)]
+"""A :data:`Picture` that may be left out."""
+LEAST_CONFIDENCE = 0.5
+"""A lattice of a lower confidence is more probably wrong than right."""
 FOLLOWS_BENT = "symmetry: the detector follows bent lattices; choose another, or straighten the image first"
 
 
@@ -247,6 +253,59 @@ def follow_bent_lattice(
     from nrbench.displacement.bent_detection import find_deformation
 
     return find_deformation(image, lattice, detector_in(detector, parameters or {}), only_promising)
+
+
+def find_defects(image: Imagelike, lattice: Latticelike = None) -> tuple[PictureDefect, ...]:
+    """Find where a picture leaves its own lattice and look; an empty tuple says that nothing stands out.
+
+    Drifts of the lattice are followed, and a picture in which it is found only where it is straightened is straightened
+    first; the places are those in the picture itself.
+
+    Parameters
+    ----------
+    image
+        An :data:`Imagelike`.
+    lattice
+        Its lattice, or the detector that finds it, for a picture that is not bent; None: the default detector, if its
+        confidence is at least 0.5.
+
+    Returns
+    -------
+    tuple
+        The defects, the worst one first: place, kind, and size in s or in standard deviations from cell to cell.
+
+    Raises
+    ------
+    NoLatticeFound
+        If no lattice is found, or the picture shows fewer than twelve whole cells.
+    BadInput
+        For a bad image, lattice or detector.
+
+    Examples
+    --------
+    >>> from nrbench import find_defects, texture
+    >>> wall = texture("brick", shape=(160, 160), seed=1, color=0.1)
+    >>> len(find_defects(wall, wall.lattice))
+    0
+    >>> wall.image[70:80, 80:90] = 0
+    >>> len(find_defects(wall, wall.lattice))
+    1
+    """
+    from nrbench.displacement.bent_detection import recognize
+    from nrbench.displacement.defects import find_straight_defects
+    from nrbench.plugins.forms import NoLatticeFound
+
+    picture = image_in(image)
+    given = lattice_in(picture, lattice)
+    if given is not None:
+        return find_straight_defects(picture, given)
+    found, followed = recognize(picture, detector_in(None, {}))
+    if found.confidence < LEAST_CONFIDENCE:
+        raise NoLatticeFound(f"one of the confidence {found.confidence:.2f}, too low to call anything a defect")
+    if followed is None:
+        return find_straight_defects(picture, found.lattice)
+    known = followed.deformation
+    return find_straight_defects(*known.straighten(), lambda points: known.locate(points + known.corner))
 
 
 def synthesize(
@@ -485,12 +544,13 @@ MOST_SCORED = 2 * 2048 * 2048
 
 def score(
     sample: Picture,
-    output: Picture,
+    output: OtherPicture = None,
     lattice: Latticelike = None,
     metrics: Metrics = (),
     progress: Callable[[int, int, str], None] | None = None,
+    tileable: Repeats = False,
 ) -> Scores:
-    """Score any tool's output against its sample.
+    """Score any tool's output against its sample, or whether one picture repeats.
 
     Parameters
     ----------
@@ -508,6 +568,10 @@ def score(
         Their names, as a list or joined by commas; empty for all.
     progress
         Called after each metric with the number of metrics done, of all, and the name of the last one.
+    tileable
+        Judge whether one picture, SAMPLE, repeats without a seam along x and y.
+
+        The values are those of ``tileable``, see :func:`score_edges`; no metric is computed.
 
     Returns
     -------
@@ -531,6 +595,10 @@ def score(
     from nrbench.imaging.convert import match_channels
     from nrbench.plugins.forms import Observation, Texture
 
+    require(tileable == (output is None), "score: pass a sample and an output, or tileable and one picture")
+    if tileable:
+        require(not names_of(metrics), "score: tileable computes no metrics; leave them out")
+        return score_edges(sample, lattice)
     pair = stored_image(sample, "sample"), stored_image(output, "output")
     pair = match_channels(*pair), match_channels(*pair[::-1])
     height, width, _ = pair[1].shape
@@ -543,6 +611,57 @@ def score(
         given = sample.lattice
     truth = Texture(pair[0], given, (given,) if given else ())
     return score_observation_by(Observation(*pair, truth=truth, lattice_given=given), names_of(metrics), progress)
+
+
+def score_edges(picture: Picture, lattice: Latticelike = None) -> Scores:
+    """Judge whether a picture repeats along x and y, across its edges.
+
+    Parameters
+    ----------
+    picture
+        An :data:`Imagelike`.
+    lattice
+        Its lattice, or the detector that finds it; None: the default detector, if its confidence is at least 0.5.
+
+    Returns
+    -------
+    Scores
+        For each axis, here x: ``tileable.x.repeats``; ``tileable.x.score`` in [0, 1], at least 0.5 if it repeats;
+        ``tileable.x.worst``, the pixel along the edge with the largest step; and ``tileable.x.lattice``, ``step``,
+        ``place``, ``color``, ``sharpness`` and ``detail``, departures over what is allowed, see
+        :class:`~nrbench.imaging.wrapped_edges.WrappedEdge`. The picture ``tileable.seam`` is rolled by half, with the
+        seam drawn where it breaks.
+    """
+    from nrbench.imaging.wrapped_edges import FLOORS, SHORTEST, measure_edges
+    from nrbench.pictures.overlays import draw_seams
+    from nrbench.plugins.forms import NoLatticeFound
+
+    image = stored_image(picture, "picture")
+    require(image[..., 0].size <= MOST_SCORED, f"picture: at most {MOST_SCORED} px in all are scored: crop it")
+    found, silent = lattice_in(image, lattice), "no lattice is given"
+    if found is None and lattice is None:
+        try:
+            detection = detect_lattice(image)
+            found = detection.lattice if detection.confidence >= LEAST_CONFIDENCE else None
+            silent = f"the lattice has the confidence {detection.confidence:.2f}"
+        except NoLatticeFound as none:
+            silent = f"no lattice: {none.reason}"
+    edges = dict(zip("xy", measure_edges(image, found), strict=True))
+    values: dict[str, Value] = {}
+    reasons: dict[str, str] = {}
+    for axis, edge in edges.items():
+        own: dict[str, Value] = dict.fromkeys(("repeats", "score", "worst", *FLOORS))
+        if edge.ratios:
+            own |= {"repeats": edge.ratio <= 1, "score": edge.score, "worst": int(edge.profile.argmax())}
+            own |= edge.ratios
+        few = "the picture shows too few cells along the axis" if found else silent
+        short = f"cannot tell: the side is shorter than {SHORTEST} px"
+        values |= {f"tileable.{axis}.{name}": value for name, value in own.items()}
+        reasons |= {
+            f"tileable.{axis}.{name}": few if edge.ratios else short for name, value in own.items() if value is None
+        }
+    seams = [edge.profile if edge.ratio > 1 else None for edge in edges.values()]
+    return Scores(values, reasons, {"tileable.seam": draw_seams(image, *seams)})
 
 
 def score_observation_by(

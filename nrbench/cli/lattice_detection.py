@@ -34,7 +34,7 @@ from nrbench.api.picture_folders import (
     rank_candidates,
     vector_texts,
 )
-from nrbench.api.textures import FOLLOWS_BENT, follow_bent_lattice
+from nrbench.api.textures import FOLLOWS_BENT, find_defects, follow_bent_lattice
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.displacement.bent_detection import recognize
@@ -48,6 +48,7 @@ from nrbench.pictures.files import encode_png, read_image, write_image
 from nrbench.pictures.overlays import (
     COLOR,
     contact_sheet,
+    draw_outlines,
     draw_overlay,
     draw_vertices,
     stack,
@@ -210,7 +211,9 @@ def answer_question(options: LatticeQuestion) -> int:
     image = read_image(options.image)
     if options.every:
         return _compare_detectors(image, options)
-    if options.straighten:
+    if options.defects:
+        _show_defects(image, options, options.defects)
+    elif options.straighten:
         _straighten_picture(image, options, options.straighten)
     elif options.pick or options.lattice is not None:
         _show_given(image, options)
@@ -376,6 +379,24 @@ def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) ->
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
     LatticeResult.of_followed("" if options.lattice else name, followed, straight_lattice).finish(image, options)
+
+
+def _show_defects(image: Image, options: LatticeQuestion, output: Path) -> None:
+    """Print the defects of an image, or that there are none, and draw them."""
+    try:
+        with waiting("each cell is compared with all others"):
+            defects = find_defects(image, options.lattice or options.detector)
+    except NoLatticeFound as none:
+        click.echo(f"{output}: not written, there is no lattice to leave", err=True)
+        LatticeResult("", None, reason=none.reason).print(options.as_json)
+        return
+    write_image(output, draw_outlines(image, [each.outline for each in defects]))
+    if options.as_json:
+        print(json.dumps({"defects": [each.as_dict() for each in defects]}, indent=1))
+    elif not defects:
+        print("no defects: no cell stands out from the others")
+    for number, each in enumerate(() if options.as_json else defects, 1):
+        print(f"{number}: {each}")
 
 
 PANEL = (5.6, 4.8)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png|.tif|.webp|DIR", kind=Path)]
 All = Annotated[bool, Flag("--all", kind=bool)]
+SeamPicture = Annotated[Path | None, Flag("-o", "SEAM.png", kind=Path)]
 SomeMethod = Annotated[str | None, Flag("-m", METHOD)]
 SomeSize = Annotated[str | None, Flag("--size", "WxH")]
 Holes = Annotated[Path | None, Flag("--fill", "MASK", kind=Path)]
@@ -231,13 +232,15 @@ HEADLINES = ("regularity.preserved", "quality.score", *_PERILS)
 def score_command(
     call: Callable[..., Scores],
     sample: Path,
-    output: Path,
+    output: Path | None,
     lattice: str | None,
     metrics: str | None,
+    tileable: bool,
     every: All = False,
+    seam: SeamPicture = None,
     as_json: Json = False,
 ) -> None:
-    """Score any tool's OUTPUT against its SAMPLE.
+    """Score any tool's OUTPUT against its SAMPLE, or with --tileable whether one picture repeats.
 
     Print whether the lattice is preserved, the quality, and its four parts: regularity, integrity, randomness and
     appearance. "≤" marks a quality that is an upper bound, because a fault of one part may be there and "cannot tell"
@@ -248,11 +251,18 @@ def score_command(
     ----------
     every
         Compute all metrics.
+    seam
+        Of --tileable: the picture rolled by half, with the seams drawn where they break.
     as_json
         Print JSON on standard output; of all metrics by default.
     """
     from nrbench.pictures.files import read_image
 
+    if tileable:
+        require(not (output or metrics or every), "--tileable: judges one picture; pass no OUTPUT, --metrics or --all")
+        return _show_edges(call, sample, lattice, seam, as_json)
+    if output is None or seam:
+        raise BadInput("score: pass SAMPLE and OUTPUT, without -o; or --tileable and one picture")
     choose_one({"--metrics": metrics, "--all": every})
     pictures = read_image(sample), read_image(output)
     given = _given_lattice(pictures[0], lattice)
@@ -271,6 +281,43 @@ def score_command(
         print(f"{', '.join(missing)}: {reason}")
     if brief:
         print(f"{len(scores.values) - len(first)} more scores of these metrics, and the other metrics: --all")
+
+
+def _show_edges(
+    call: Callable[..., Scores], picture: Path, lattice: str | None, seam: Path | None, as_json: bool
+) -> None:
+    """Print whether a picture repeats along each axis, and draw the seams."""
+    from nrbench.imaging.wrapped_edges import FLOORS
+    from nrbench.pictures.files import WRITTEN, read_image, write_image
+
+    if seam is not None:
+        check_output(seam, *WRITTEN)
+        require(os.path.realpath(seam) != os.path.realpath(picture), f"-o {seam}: is the picture itself")
+    image = read_image(picture)
+    given = _given_lattice(image, lattice)
+    with waiting("the edges are compared"):
+        scores = call(sample=image, lattice=given)
+    if seam is not None:
+        write_image(seam, scores.pictures["tileable.seam"])
+    if as_json:
+        print(json.dumps({**scores.values, "reasons": dict(scores.reasons)}, indent=1))
+        return
+    for axis, edge in (("x", "right"), ("y", "lower")):
+        own = {name: scores.values[f"tileable.{axis}.{name}"] for name in ("repeats", "score", "worst", *FLOORS)}
+        if own["score"] is None:
+            print(f"{axis}: {scores.reasons[f'tileable.{axis}.score']}")
+            continue
+        state = (
+            "repeats"
+            if own["repeats"]
+            else f"breaks at the {edge} edge, most at {'yx'['xy'.index(axis)]} = {own['worst']}"
+        )
+        ratios = ", ".join(f"{name} {own[name]:.2f}" for name in FLOORS if own[name] is not None)
+        print(f"{axis}: {state}, score {own['score']:.2f} (departures over what is allowed: {ratios})")
+    silent = {scores.reasons[name] for name in scores.reasons if name.endswith("lattice")}
+    print(
+        f"judged by {'gradients and colors alone: ' + '; '.join(silent) if silent else 'lattice, gradients and colors'}"
+    )
 
 
 def _verdict_line(scores: Scores) -> str:
