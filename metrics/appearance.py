@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
@@ -27,13 +27,11 @@ from .perception.visible import (
     measure_levels,
     measure_looks,
     measure_plateaus,
-    perceive_sample,
 )
 from .registration.coarse_plane import CoarsePlane
 from .registration.lattice_net import (
     LatticeNet,
     Mask,
-    find_inside,
     fold_cells,
     sample_planes,
     split_cells,
@@ -143,7 +141,7 @@ class _Maps(NamedTuple):
         planes = np.concatenate([sample_planes(self.levels, thin / 2), sample_planes(self.looks, thin)[..., :3]], -1)
         parts = [row & column for row in net.cut_strips(1, rows) for column in net.cut_strips(0, columns)]
         border = min(_BORDER, min(net.shape) // 8)
-        inside = find_inside(net.points - border, (net.shape[0] - 2 * border, net.shape[1] - 2 * border))
+        inside = net.contains(net.points, border)
         known = [(inside & part)[::2, ::2] for part in parts]
         surface, contrast = (
             np.array(a) for a in zip(*(_measure_spread(planes, part, samples) for part in known), strict=True)
@@ -446,7 +444,8 @@ def _measure_draws(again: Again, shape: Shape) -> list[_Maps]:
 
 @lru_cache(maxsize=2)
 def _looks_of_sample(sample: SeenSample, lattice: Lattice | None) -> LooksModel:
-    return _learn_looks([_Maps.of(sample.lab)], _make_net(lattice, sample.shape), sample.shape, True)
+    net = replace(_make_net(lattice, sample.shape), known=sample.known)
+    return _learn_looks([_Maps.of(sample.lab)], net, sample.shape, True)
 
 
 @lru_cache(maxsize=2)
@@ -463,7 +462,7 @@ def _make_net(lattice: Lattice | None, shape: Shape) -> LatticeNet:
 def _compare_looks(observation: Observation) -> dict[str, float]:
     """Return the largest distances of an output, over those that are allowed."""
     lab, lattice = examine(observation).lab, examine(observation).known_lattice.lattice
-    sample, output = perceive_sample(observation.sample), observation.output
+    sample, output = examine(observation).sample, observation.output
     if observation.again is None:
         return _looks_of_sample(sample, lattice).measure(lab, {})
     shape = (min(max(output.shape[0], 128), 384), min(max(output.shape[1], 128), 384))

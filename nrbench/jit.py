@@ -231,7 +231,13 @@ def _lock(name: str, waits: bool) -> Iterator[bool]:
 def find_cache() -> Path:
     """Return the folder of all machine code: that of the user, or a temporary one, with a warning."""
     own = os.environ.get("NUMBA_CACHE_DIR")
-    return Path(own) if own else _writable(platformdirs.user_cache_path("nrbench", appauthor=False))
+    if own:
+        return Path(own)
+    try:
+        usual = platformdirs.user_cache_path("nrbench", appauthor=False)
+    except RuntimeError:  # a user without an entry in the system's list has no home at all
+        usual = Path()
+    return _writable(usual)
 
 
 @cache
@@ -260,8 +266,9 @@ def _writable(usual: Path) -> Path:
         return usual
     os.environ.setdefault("MPLCONFIGDIR", str(folder))  # else matplotlib has two lines of its own about it
     warnings.warn(
-        f"compiled kernels: {usual} cannot be written ({why}), so they are kept in {folder}; set XDG_CACHE_HOME to a "
-        "folder that lasts, else they may be compiled again, which takes up to some minutes",
+        f"compiled kernels: {usual if usual.name else 'the cache'} cannot be written ({why}), so they are kept in "
+        f"{folder}; set XDG_CACHE_HOME to a folder that lasts, else they may be compiled again, which takes up to some "
+        "minutes",
         stacklevel=2,
     )
     return folder

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
+from nrbench.imaging.light import describe_light, estimate_light
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Geometry, Refused, Synthesis, Synthesizer, Task, find_lattice
@@ -100,19 +101,20 @@ class Auto:
         }
         if found.lattice is None:
             warn_of_no_lattice("auto", found.reason)
+        light = describe_light(estimate_light(task.sample, found.lattice, task.known)) if found.lattice else ""
+        remarks = f"; {light}, which --flatten-light divides out" if light else ""
         seen = f"regularity {share:.2f}" if found.lattice else f"no lattice ({found.reason})"
         names = list(dict.fromkeys([name, *(("rsgf", "tile-set") if near_regular else ()), "ann-pixel"]))
-        refusals = ""
         for name in names:
             given = found.lattice if near_regular and name != "ann-pixel" else None
             try:
                 made = methods[name].synthesize(replace(task, lattice=given))
                 break
             except Refused as refused:
-                refusals += f"; {name} refused: {refused}"
+                remarks += f"; {name} refused: {refused}"
                 if name == names[-1]:
                     raise
-        note = f"picked {name}: {seen}{refusals}" + (f"; {made.note}" if made.note else "")
+        note = f"picked {name}: {seen}{remarks}" + (f"; {made.note}" if made.note else "")
         return replace(made, detection_seconds=found.seconds, note=note)
 
 

@@ -226,14 +226,13 @@ def _as_stored(pixels: Image, image: Imagelike) -> Image:
     return quantize(pixels, depth_of(pixels, 8 if isinstance(image, Texture) else 16))
 
 
-def picture_file(image: Imagelike, folder: Path) -> Path:
+def picture_file(image: Imagelike, folder: Path, name: str = "picture.png") -> Path:
     """Return the file of an :data:`Imagelike`, which is written into a folder if it is no file yet."""
     from nrbench.pictures.files import write_image
 
     if isinstance(image, str | os.PathLike):
         return Path(image)
-    write_image(folder / "picture.png", stored_image(image))
-    return folder / "picture.png"
+    return write_image(folder / name, stored_image(image))
 
 
 def detector_in(detector: Detectorlike, parameters: Mapping[str, Any]) -> Any:

@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nrbench import plugins
-from nrbench.displacement.bent_detection import recognize
+from nrbench.api.arguments import detect_among
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
+from nrbench.imaging.masks import MaskedImage
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.pictures.files import list_pictures, read_image, write_image
+from nrbench.pictures.files import list_pictures, read_image, read_masked, write_image
 from nrbench.pictures.overlays import contact_sheet, draw_overview, zoom_panels
 from nrbench.pictures.truth import (
     KNOWN_FILE,
@@ -249,19 +250,20 @@ class Survey:
         if not _is_unicode(path.name):
             return SurveyedPicture(path.name, reason="the name is no Unicode text; rename the file", failed=True), None
         try:
-            image = read_image(path)
+            masked = read_masked(path)
+            image = masked.image
             if known is not None:
                 return _read_row(path.name, known), image
-            return self._detect(path.name, image), image
+            return self._detect(path.name, masked), image
         except BadInput as error:
             reason = str(error).removeprefix(f"picture {path}: ")
         except Exception as error:
             reason = f"failed: {type(error).__name__}: {error}"
         return SurveyedPicture(path.name, reason=reason, failed=True, kept=known), image
 
-    def _detect(self, name: str, image: Image) -> SurveyedPicture:
+    def _detect(self, name: str, masked: MaskedImage) -> SurveyedPicture:
         try:
-            detection = recognize(image, self._detector)[0]
+            detection = detect_among(self._detector, masked, bent=True)
         except NoLatticeFound as none:
             if none.best is None:
                 return SurveyedPicture(name, reason=none.reason)

@@ -17,6 +17,7 @@ from nrbench.api.arguments import (
     Folder,
     Latticelike,
     LatticeSources,
+    Masklike,
     Methods,
     OutputFolder,
     Picture,
@@ -662,12 +663,15 @@ def sheet(
     size: SampleSize = "384x384",
     lattice: Latticelike = None,
     seed: Number = 0,
+    mask: Masklike = None,
+    flatten_light: Switch = False,
     progress: OnStep | None = None,
     options: Options | None = None,
 ) -> pd.DataFrame:
     """Show what all methods make of a photograph on one sheet, the best first.
 
-    The lattice is detected once and given to all methods that use one.
+    The lattice is detected once and given to all methods that use one. A photograph in perspective, of a round surface
+    or through a distorting lens is straightened first: methods and judge get it straight.
 
     Parameters
     ----------
@@ -689,6 +693,12 @@ def sheet(
         The lattice of PHOTO, or the detector that finds it, once for all methods.  [default: consensus]
     seed
         Equal seeds give equal outputs.
+    mask
+        A picture of the size of PHOTO, in which white counts, and black is left out.
+
+        Or an array, bool or in [0, 1]. Transparent pixels of PHOTO do not count either.
+    flatten_light
+        Divide uneven light out of PHOTO first: methods and judge get it in even light.
     progress, options
         As for :func:`~nrbench.run`.
 
@@ -713,12 +723,16 @@ def sheet(
     """
     import pandas as pd
 
-    from nrbench.api.photo_sheet import draw_sheet, photo_suite, rate_outputs
+    from nrbench.api.photo_sheet import draw_sheet, photo_suite, prepare_photo, rate_outputs
     from nrbench.pictures.files import write_image
     from nrbench.running.runner import execute
 
     with tempfile.TemporaryDirectory() as folder:
-        suite = photo_suite(picture_file(photo, Path(folder)), sample, size)
+        left, file = None, picture_file(photo, Path(folder))
+        if mask is not None:
+            left = picture_file(mask, Path(folder), "mask.png")
+        file, lattice = prepare_photo(file, lattice, flatten_light, Path(folder), left is not None)
+        suite = photo_suite(file, sample, size, left)
         sources = plugins.in_role("detector") if lattice is None else lattice
         cells, root = plan_cells(suite, methods, (), sources, Path(folder) / "run", seed=seed)
         rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)

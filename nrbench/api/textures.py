@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.imaging.wallpaper_group import FoundGroup
     from nrbench.lattice.geometry import Lattice
-    from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Texture, Value
+    from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Task, Texture, Value
     from nrbench.suites.suite import Suite
 
 
@@ -319,6 +319,7 @@ def synthesize(
     mask: Masklike = None,
     maps: Maps = (),
     keep_alpha: Switch = False,
+    flatten_light: Switch = False,
     **parameters: Any,
 ) -> Synthesis:
     """Synthesize a larger texture from a sample.
@@ -361,6 +362,11 @@ def synthesize(
         Give the output the alpha channel of the sample, in the layout of the color.
 
         For pictures with holes, such as fences. Else transparent pixels do not count.
+    flatten_light
+        Divide uneven light out of the sample first: shadows, dark corners, slopes.
+
+        ``extras["flattened"]`` is the sample in even light, from which the output is made, and to which ``source``
+        points. Without it, a warning names light that varies much. It needs a lattice.
     **parameters
         The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -375,7 +381,8 @@ def synthesize(
         When the method cannot be applied to the sample, or if a tileable output would need a larger strain.
     BadInput
         For a bad image, mask, lattice, method or parameter, or if the method cannot make tileable outputs, or cannot
-        leave out pixels, or lay out maps; the message names those that can.
+        leave out pixels, or lay out maps; the message names those that can. Also if light is to be divided out of a
+        sample without a lattice.
 
     Examples
     --------
@@ -387,15 +394,18 @@ def synthesize(
     plugin = plugin_in("synthesizers", method, parameters)
     along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
     make = partial(_make_output, plugin, shape_in(shape), lattice, seed, progress or (lambda fraction: None), along)
-    return make(image, mask, maps) if not keep_alpha else _make_transparent(make, image, mask, maps)
+    make = partial(make, flatten_light)
+    if keep_alpha:
+        require(mask is None and not flatten_light, "--keep-alpha: works neither with --mask nor with --flatten-light")
+        return _make_transparent(make, image, maps)
+    return make(image, mask, maps)
 
 
-def _make_transparent(make: Callable[..., Synthesis], image: Imagelike, mask: Masklike, maps: Maps) -> Synthesis:
+def _make_transparent(make: Callable[..., Synthesis], image: Imagelike, maps: Maps) -> Synthesis:
     """Return a synthesis with the alpha channel of an image; ``make`` gets it over a flat color."""
     from nrbench.calling.sample_maps import flatten_alpha, restore_alpha
     from nrbench.imaging.convert import depth_of
 
-    require(mask is None, "--keep-alpha and --mask: choose one of them")
     layers = layers_in(image)
     flat, hidden = flatten_alpha(layers)
     return restore_alpha(make(flat, None, [*hidden, *maps]), depth_of(layers))
@@ -408,22 +418,16 @@ def _make_output(
     seed: int,
     progress: Callable[[float], None],
     along: str,
+    flatten: bool,
     image: Imagelike,
     mask: Masklike,
     maps: Maps,
 ) -> Synthesis:
-    import numpy as np
-
-    from nrbench.calling.bent_samples import synthesize_in_geometry
-    from nrbench.calling.method_calls import briefly_prepared, synthesize_from_part
-    from nrbench.calling.sample_maps import synthesize_with_maps
-    from nrbench.calling.tileable import AXES, synthesize_tileable
     from nrbench.imaging.convert import match_ndim
     from nrbench.imaging.masks import MaskedImage
-    from nrbench.plugins.forms import Refused, Task
+    from nrbench.plugins.forms import Task
     from nrbench.streams import pixels_hash, stream
 
-    require(along in ("", *AXES), f"tileable {along!r}: give True, or one of {', '.join(AXES)}")
     sample, known = stored_masked(image, mask)
     wanted = {"wraps": bool(along), "masks": known is not None, "maps": len(maps) > 0}
     plugins.require_abilities("synthesizers", plugin, **wanted)
@@ -432,14 +436,37 @@ def _make_output(
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     given = lattice_in(MaskedImage(sample, known), lattice)
     task = Task(sample, shape, given, rng, progress, known=known)
-    if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
-        raise Refused("the sample is constant; there is nothing to synthesize from")
-    make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
-    with briefly_prepared(plugin, task, seed) as ready:
-        others = [map_in(each) for each in maps]
-        synthesis = synthesize_with_maps(partial(synthesize_from_part, make), plugin, ready, others)
+    synthesis = _synthesize_task(plugin, task, seed, along, flatten, [map_in(each) for each in maps])
     like = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))
+
+
+def _synthesize_task(
+    plugin: Any, task: Task, seed: int, along: str, flatten: bool, maps: Sequence[Any] = ()
+) -> Synthesis:
+    """Return the checked synthesis of a task, along the axes of an output that repeats, in even light if wanted."""
+    import numpy as np
+
+    from nrbench.calling.bent_samples import synthesize_in_geometry
+    from nrbench.calling.lighting import flatten_light, warn_of_light
+    from nrbench.calling.method_calls import briefly_prepared, synthesize_from_part
+    from nrbench.calling.sample_maps import synthesize_with_maps
+    from nrbench.calling.tileable import AXES, synthesize_tileable
+    from nrbench.plugins.forms import Refused
+
+    require(along in ("", *AXES), f"tileable {along!r}: give True, or one of {', '.join(AXES)}")
+    if float(np.ptp(task.sample, axis=(0, 1)).max()) == 0:
+        raise Refused("the sample is constant; there is nothing to synthesize from")
+    make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
+    task, lit = flatten_light(plugin, task) if flatten else (task, "")
+    with briefly_prepared(plugin, task, seed) as ready:
+        made = synthesize_with_maps(partial(synthesize_from_part, make), plugin, ready, maps)
+    if flatten:
+        note = "; ".join(filter(None, (made.note, lit)))
+        return dataclasses.replace(made, note=note, extras={**made.extras, "flattened": task.sample})
+    if made.lattice is not None:
+        warn_of_light(task.sample, made.lattice, task.known)
+    return made
 
 
 def fill(
@@ -548,6 +575,7 @@ def score(
     lattice: Latticelike = None,
     metrics: Metrics = (),
     progress: Callable[[int, int, str], None] | None = None,
+    mask: Masklike = None,
     tileable: Repeats = False,
 ) -> Scores:
     """Score any tool's output against its sample, or whether one picture repeats.
@@ -568,6 +596,10 @@ def score(
         Their names, as a list or joined by commas; empty for all.
     progress
         Called after each metric with the number of metrics done, of all, and the name of the last one.
+    mask
+        A picture of the size of the sample, in which white counts, and black is left out.
+
+        Or an array, True where a pixel counts. Transparent pixels of the sample do not count either.
     tileable
         Judge whether one picture, SAMPLE, repeats without a seam along x and y.
 
@@ -593,24 +625,27 @@ def score(
     True
     """
     from nrbench.imaging.convert import match_channels
+    from nrbench.imaging.masks import MaskedImage
     from nrbench.plugins.forms import Observation, Texture
 
     require(tileable == (output is None), "score: pass a sample and an output, or tileable and one picture")
     if tileable:
         require(not names_of(metrics), "score: tileable computes no metrics; leave them out")
         return score_edges(sample, lattice)
-    pair = stored_image(sample, "sample"), stored_image(output, "output")
+    image, known = stored_masked(sample, mask, "sample")
+    pair = image, stored_image(output, "output")
     pair = match_channels(*pair), match_channels(*pair[::-1])
     height, width, _ = pair[1].shape
     if height * width > MOST_SCORED:
         raise BadInput(f"output: {width}x{height} px; at most {MOST_SCORED} px in all are scored: crop it")
     if pair[0].shape[2] != pair[1].shape[2]:
         raise BadInput(f"output: has {pair[1].shape[2]} channels, the sample {pair[0].shape[2]}; convert one of them")
-    given = lattice_in(pair[0], lattice)
+    given = lattice_in(MaskedImage(pair[0], known), lattice)
     if given is None and isinstance(sample, Texture):
         given = sample.lattice
     truth = Texture(pair[0], given, (given,) if given else ())
-    return score_observation_by(Observation(*pair, truth=truth, lattice_given=given), names_of(metrics), progress)
+    seen = Observation(*pair, truth=truth, lattice_given=given, known=known)
+    return score_observation_by(seen, names_of(metrics), progress)
 
 
 def score_edges(picture: Picture, lattice: Latticelike = None) -> Scores:

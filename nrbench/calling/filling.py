@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
+import scipy
 
 from nrbench.calling.bent_samples import MOST_WEIGHT, survey_sample
 from nrbench.displacement.deformation_field import Deformation, map_points, pixel_places, read_spline
 from nrbench.displacement.free_form import FreeForm
 from nrbench.imaging.convert import depth_of, quantize
-from nrbench.imaging.masks import known_at
+from nrbench.imaging.masks import Mask, known_at
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Synthesis, Task
 
+Map = Callable[[Points], Points]
 _AROUND: Final = 512
 """px around the holes of a large picture from which they are filled."""
 _MUCH: Final = 0.5
@@ -54,7 +58,8 @@ def fill_picture(method: Any, task: Task) -> Synthesis:
     source[..., :2] = pixel_places(*task.shape)
     image[part][~known], source[part][~known] = made.image[~known], made.source[~known] + (left, top, 0)
     lattice = None if made.lattice is None else made.lattice.shifted((left, top))
-    return replace(made, image=image, source=source, lattice=lattice, extras={})
+    note = "; ".join(filter(None, (f"{100 * share:.2g} % of the picture filled", made.note)))
+    return replace(made, image=image, source=source, lattice=lattice, extras={}, note=note)
 
 
 def _fill_part(method: Any, task: Task) -> Synthesis:
@@ -67,7 +72,8 @@ def _fill_part(method: Any, task: Task) -> Synthesis:
         note = "; ".join(filter(None, (made.note, survey.note)))
         return replace(made, detection_seconds=made.detection_seconds + survey.seconds, note=note)
     made = _fill_bent(method, task, survey.bent)
-    return replace(made, detection_seconds=survey.seconds, note=f"{made.note}; {survey.note}, and filled as it is bent")
+    note = "; ".join(filter(None, (made.note, f"{survey.note}, and filled as it is bent")))
+    return replace(made, detection_seconds=survey.seconds, note=note)
 
 
 def _filled(method: Any, task: Task) -> Synthesis:
@@ -78,10 +84,11 @@ def _filled(method: Any, task: Task) -> Synthesis:
 def _fill_bent(method: Any, task: Task, bent: Deformation) -> Synthesis:
     """Fill the holes of a bent picture on the plane of its mean lattice."""
     assert task.known is not None
-    hole, plane = ~task.known, _places_on_plane(bent, task.shape)
+    hole, (to_plane, to_picture) = ~task.known, _maps(bent, task.known)
+    plane = to_plane(pixel_places(*task.shape))
     low = np.floor(plane.min((0, 1)))
     columns, rows = (np.ceil(plane.max((0, 1))) - low).astype(int) + 1
-    places = bent.locate(pixel_places(int(rows), int(columns)) + low)
+    places = to_picture(pixel_places(int(rows), int(columns)) + low)
     last = np.array(task.shape[::-1]) - 1
     known = known_at(task.known, places) & ((places >= 0) & (places <= last)).all(-1)
     straight = quantize(read_spline(task.sample, np.clip(places, 0, last)), depth_of(task.sample))
@@ -97,9 +104,17 @@ def _fill_bent(method: Any, task: Task, bent: Deformation) -> Synthesis:
     return replace(made, image=image, source=source, lattice=bent.lattice)
 
 
-def _places_on_plane(bent: Deformation, shape: tuple[int, int]) -> Points:
-    """Return the point of the mean lattice's plane that each pixel of a bent picture shows, ``(h, w, 2)``."""
-    pixels, points = pixel_places(*shape), bent.lattice.from_cell(bent.cells)
+def _maps(bent: Deformation, known: Mask) -> tuple[Map, Map]:
+    """Return the maps from a bent picture to the plane of its mean lattice, and back.
+
+    They are the homography if there is one, else smooth maps through the knots that do not lie in or at a hole, where
+    nothing was there to be followed.
+    """
     if bent.homography is not None:
-        return map_points(np.asarray(np.linalg.inv(bent.homography)), pixels)
-    return pixels + FreeForm.fit(bent.places, points - bent.places, bent.lattice.s / 2).at(pixels)
+        inverse = np.asarray(np.linalg.inv(bent.homography))
+        return partial(map_points, inverse), partial(map_points, bent.homography)
+    columns, rows = np.clip(np.rint(bent.places), 0, np.array(known.shape[::-1]) - 1).astype(np.intp).T
+    sound = scipy.ndimage.distance_transform_edt(known)[rows, columns] > bent.lattice.s / 2
+    places, points = bent.places[sound], bent.lattice.from_cell(bent.cells[sound])
+    forms = [FreeForm.fit(a, b - a, bent.lattice.s / 2) for a, b in ((places, points), (points, places))]
+    return (lambda at: at + forms[0].at(at)), (lambda at: at + forms[1].at(at))

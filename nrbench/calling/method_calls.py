@@ -20,7 +20,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.errors import require
 from nrbench.imaging.convert import Image, depth_of, quantize, shrink
+from nrbench.imaging.masks import Mask
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import NoLatticeFound, Shape, SourceMap, Synthesis, Synthesizer, Task
 from nrbench.plugins.registry import NamedDetector
@@ -116,14 +118,16 @@ class InvalidOutput(Exception):
     """A method returned something that is no valid :class:`~nrbench.plugins.forms.Synthesis` of its task."""
 
 
-def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
+def checked_synthesis(synthesis: Any, sample: Image, shape: Shape, known: Mask | None = None) -> Synthesis:
     """Return what a method returned, checked, with its image rounded to the bits of the sample.
+
+    ``known`` tells which pixels of the sample count; None: all.
 
     Raises
     ------
     InvalidOutput
         When it is no :class:`~nrbench.plugins.forms.Synthesis`, its image is not finite or of another shape, its
-        source map is not true, or a field is not of its declared type.
+        source map is not true or has pixels that do not count, or a field is not of its declared type.
     """
     if not isinstance(synthesis, Synthesis):
         raise InvalidOutput(f"returned {type(synthesis).__name__} instead of a Synthesis")
@@ -131,6 +135,11 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
     source = None if synthesis.source is None else _numbers(synthesis.source, "source map").astype(np.float32)
     if source is not None:
         check_source(source, image, sample)
+        if known is not None:
+            places = np.rint(source[np.isfinite(source).all(-1)][:, :2]).astype(int)
+            x, y = np.clip(places, 0, np.array(known.shape[::-1]) - 1).T
+            if not known[y, x].all():
+                raise InvalidOutput(f"copied {int((~known[y, x]).sum())} pixels that the mask leaves out")
     blended = None if synthesis.blended is None else _numbers(synthesis.blended, "array of blended sources")
     if blended is not None and (blended.ndim != 4 or blended.shape[:2] + blended.shape[3:] != (*shape, 3)):
         raise InvalidOutput(
@@ -252,6 +261,8 @@ def synthesize_from_part(
     method, task
         The method and its task.
     """
+    few = task.known is not None and task.lattice is not None and task.known.sum() < 2 * task.lattice.area
+    require(not few, "mask: leaves less than two periods of the lattice; leave out less, or take a larger picture")
     shape = task.sample.shape[:2]
     finder = getattr(method, "finder", "")
     if max(shape) <= LARGE or not finder or getattr(method, "reference", False):

@@ -41,7 +41,7 @@ def synthesize_with_maps(
     """
     sample, values = task.sample, [as_layers_of_map(each, task.sample.shape) for each in maps]
     if not maps or getattr(method, "maps", "") != "joint":
-        made = checked_synthesis(make(method, task), sample, task.shape)
+        made = checked_synthesis(make(method, task), sample, task.shape, task.known)
         return replace(_name_able(made), maps=tuple(map(made.apply, maps)))
     low, span = ([change(each) for each in values] for change in (np.min, lambda each: max(np.ptp(each), 1e-12)))
     units = [(each - first) / length for each, first, length in zip(values, low, span, strict=True)]
@@ -50,7 +50,7 @@ def synthesize_with_maps(
     ends = np.cumsum([sample.shape[2], *(each.shape[2] for each in values)])
     image, *parts = np.split(np.asarray(made.image, np.float64), ends[:-1], -1)
     restored = [part * length + first for part, length, first in zip(parts, span, low, strict=True)]
-    made = checked_synthesis(replace(made, image=image.astype(np.float32)), sample, task.shape)
+    made = checked_synthesis(replace(made, image=image.astype(np.float32)), sample, task.shape, task.known)
     return replace(
         _name_able(made), maps=tuple(like_map(each, other, each) for each, other in zip(restored, maps, strict=True))
     )

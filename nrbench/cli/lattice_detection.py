@@ -23,7 +23,7 @@ import click
 import numpy as np
 
 from nrbench import plugins
-from nrbench.api.arguments import as_lattice
+from nrbench.api.arguments import as_lattice, masked_in
 from nrbench.api.picture_folders import (
     SHOWN,
     Survey,
@@ -40,11 +40,12 @@ from nrbench.cli.progress import live_progress, waiting
 from nrbench.displacement.bent_detection import recognize
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
+from nrbench.imaging.masks import MaskedImage
 from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
 from nrbench.jit import load_kernels, work_clock
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.lattice.vertices import Vertex, lay_vertices
-from nrbench.pictures.files import encode_png, read_image, write_image
+from nrbench.pictures.files import encode_png, write_image
 from nrbench.pictures.overlays import (
     COLOR,
     contact_sheet,
@@ -54,7 +55,7 @@ from nrbench.pictures.overlays import (
     stack,
 )
 from nrbench.pictures.truth import vertices_text
-from nrbench.plugins.forms import Alternative, Curve, Detection, NoLatticeFound, Surface
+from nrbench.plugins.forms import Alternative, Curve, Detection, NoLatticeFound, Surface, detect_known
 from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_aside, write_text
 
@@ -74,7 +75,8 @@ class LatticeResult:
     comparison. ``failed`` marks a detector that raised an error. ``deformation`` is that of a bent image, of which
     ``lattice`` is the mean lattice, and ``detection`` what the detector found in the straightened image, whose own
     lattice is ``straightened`` if it was written. ``detector`` is empty if a lattice was given that was followed.
-    ``symmetry`` is that of the image, or of the straightened one, if it was looked for.
+    ``symmetry`` is that of the image, or of the straightened one, if it was looked for. ``superposed`` are the lattices
+    of an image that has several.
     """
 
     detector: str
@@ -87,6 +89,7 @@ class LatticeResult:
     deformation: Deformation | None = None
     straightened: Lattice | None = None
     symmetry: FoundGroup | None = None
+    superposed: tuple[Lattice, ...] = ()
 
     @classmethod
     def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> LatticeResult:
@@ -157,7 +160,8 @@ class LatticeResult:
     def as_dict(self) -> dict[str, Any]:
         """Return the lattice for JSON, with the alternatives and the probabilities of a detector; or the reason."""
         if self.lattice is None:
-            return {"lattice": None, "reason": self.reason}
+            several = {"lattices": [known_vectors(each, False) for each in self.superposed]} if self.superposed else {}
+            return {"lattice": None, "reason": self.reason, **several}
         found: dict[str, Any] = dict(known_vectors(self.lattice, self.has_origin))
         if self.detector:
             found |= {"detector": self.detector, "confidence": self.detection and self.detection.confidence}
@@ -208,9 +212,10 @@ def answer_question(options: LatticeQuestion) -> int:
     """Print and draw the answer; return the exit code, which is 1 if a detector failed."""
     if options.image.is_dir():
         return _survey_folder(options)
-    image = read_image(options.image)
+    masked = masked_in(options.image, options.mask)
+    image = masked.image
     if options.every:
-        return _compare_detectors(image, options)
+        return _compare_detectors(masked, options)
     if options.defects:
         _show_defects(image, options, options.defects)
     elif options.straighten:
@@ -218,7 +223,7 @@ def answer_question(options: LatticeQuestion) -> int:
     elif options.pick or options.lattice is not None:
         _show_given(image, options)
     else:
-        _show_detection(image, options)
+        _show_detection(masked, options)
     return 0
 
 
@@ -267,20 +272,23 @@ def _print_numbers(lattice: Lattice) -> None:
     click.echo(f"for other verbs: --lattice {lattice_text(lattice, has_origin=True)}", err=True)
 
 
-def _show_detection(image: Image, options: LatticeQuestion) -> None:
+def _show_detection(masked: MaskedImage, options: LatticeQuestion) -> None:
     """Print and draw the lattice that one detector finds; the default detector also that of a bent image."""
-    spec = options.spec
+    image, spec = masked.image, options.spec
     name, parameters = parse_spec(spec)
     detector = plugins.build("detectors", name, parameters)
     detection: Detection | None
     try:
         with waiting(f"{name} looks for the lattice"):
+            plugins.require_abilities("detectors", detector, masks=masked.known is not None)
             usual = options.detector is None
-            detection, bent = recognize(image, detector) if usual else (detector.detect(image), None)
-        result = LatticeResult.of_followed(name, bent) if bent else LatticeResult.of_detection(name, detection)
-        title = f"{spec}: {result.vectors}, confidence {detection.confidence:.3f}{', straightened' if bent else ''}"
+            found, bent = recognize(image, detector, masked.known) if usual else (detect_known(detector, *masked), None)
+        result = LatticeResult.of_followed(name, bent) if bent else LatticeResult.of_detection(name, found)
+        detection = found
+        title = f"{spec}: {result.vectors}, confidence {found.confidence:.3f}{', straightened' if bent else ''}"
     except NoLatticeFound as none:
-        result, detection = LatticeResult(name, None, reason=none.reason), none.best
+        result = LatticeResult(name, None, reason=none.reason, superposed=none.lattices)
+        detection = none.best
         title = f"{spec}: no lattice: {none.reason}"
     result = result.with_symmetry(image, options)
     if options.diagnostics is not None:
@@ -317,17 +325,20 @@ def _draw_diagnostics(diagnostics: Mapping[str, Any], title: str, output: Path) 
         write_aside(output, lambda file: figure.savefig(file, dpi=110, format=output.suffix.lstrip(".") or "png"))
 
 
-def _compare_detectors(image: Image, options: LatticeQuestion) -> int:
+def _compare_detectors(masked: MaskedImage, options: LatticeQuestion) -> int:
     """Print and draw the lattices of all detectors; return 1 if one of them failed, else 0."""
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
     results = []
+    unable = [name for name in names if not getattr(plugins.find("detectors", name).cls, "masks", False)]
+    if masked.known is not None:
+        click.echo(f"{', '.join(unable)}: cannot leave pixels out; they see them filled", err=True)
     with live_progress(patience=True) as progress:
         for number, name in enumerate(names, 1):
-            results.append(_run_detector(image, name))
+            results.append(_run_detector(masked, name))
             progress(number, len(names), name)
     if options.output is not None:
-        _draw_comparison(image, results, options.output)
+        _draw_comparison(masked.image, results, options.output)
     if options.as_json:
         print(json.dumps([result.comparison_dict() for result in results], indent=1))
     else:
@@ -336,12 +347,12 @@ def _compare_detectors(image: Image, options: LatticeQuestion) -> int:
     return int(any(result.failed for result in results))
 
 
-def _run_detector(image: Image, name: str) -> LatticeResult:
+def _run_detector(masked: MaskedImage, name: str) -> LatticeResult:
     """Return the result of a detector; an error of the detector is a failed result."""
     detector = plugins.build("detectors", name)
     start = work_clock()
     try:
-        detection = detector.detect(image)
+        detection = detect_known(detector, *masked)
     except NoLatticeFound as none:
         return LatticeResult(name, None, reason=none.reason, seconds=work_clock() - start)
     except BadInput:

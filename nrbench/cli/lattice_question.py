@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from nrbench import plugins
+from nrbench.api.arguments import Masklike
 from nrbench.cli.verbs import check_output, choose_one
 from nrbench.errors import BadInput
 from nrbench.flags import ARGUMENT, Flag, Json, Switch
@@ -39,6 +40,8 @@ class LatticeQuestion:
         Pick a lattice in the browser by three clicks.
     lattice
         Use this lattice; -o draws it.
+    mask
+        For one picture: a picture of its size, in which white counts, and black is left out.
     output
         Draw the lattice over the image. For a folder: the directory of truth.csv.  [default: FOLDER]
     diagnostics
@@ -66,6 +69,7 @@ class LatticeQuestion:
     every: All = False
     pick: Switch = False
     lattice: LatticeText = None
+    mask: Masklike = None
     output: OverlayOrFolder = None
     diagnostics: OutputPicture = None
     least: Confidence = LEAST
@@ -90,7 +94,7 @@ class LatticeQuestion:
     def _check_folder(self) -> None:
         given: dict[str, object] = {"--all": self.every, "--pick": self.pick, "--lattice": self.lattice}
         given |= {"--diagnostics": self.diagnostics, "--straighten": self.straighten, "--vertices": self.vertices}
-        given |= {"--symmetry": self.symmetry, "--defects": self.defects}
+        given |= {"--symmetry": self.symmetry, "--defects": self.defects, "--mask": self.mask}
         for name in filter(given.get, given):
             raise BadInput(f"{name}: needs one picture, and {self.image} is a folder; pass a picture in it")
         choose_one({"--keep": self.keep, "--force": self.force})

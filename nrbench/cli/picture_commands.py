@@ -83,8 +83,9 @@ def synth_command(
     from nrbench import plugins
     from nrbench.api.arguments import layers_in, masked_in, plugin_in
     from nrbench.calling.sample_maps import flatten_alpha
+    from nrbench.imaging.convert import depth_of, to_integers
     from nrbench.imaging.masks import MaskedImage
-    from nrbench.pictures.files import WRITTEN, read_map, write_image, write_map
+    from nrbench.pictures.files import WRITTEN, read_map, write_map
     from nrbench.plugins.parameters import parse_size
 
     unused = {"--size": shape, "--mask": mask, "--tileable": tileable, "--with": maps, "--keep-alpha": keep_alpha}
@@ -115,7 +116,7 @@ def synth_command(
             maps=[values for values, _ in read],
             progress=progress,
         )
-    write_image(output, synthesis.image)
+    write_map(output, to_integers(synthesis.image, depth_of(synthesis.image)))
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
     for path, values, (_, profile) in zip(others if maps else (), synthesis.maps, read, strict=True):
         click.echo(f"{write_map(path, values, profile)}", err=True)
@@ -127,13 +128,15 @@ def synth_command(
 def _write_extras(synthesis: Synthesis, output: Path, extras: bool) -> None:
     """Write the pictures and texts that a method returned beside the output, or print their names."""
     from nrbench.calling.method_calls import is_picture
+    from nrbench.imaging.convert import depth_of, quantize
     from nrbench.pictures.files import write_image
 
     pictures = {title: array for title, array in synthesis.extras.items() if is_picture(array)}
     if pictures and not extras:
         click.echo(f"not written: {', '.join([*pictures, *synthesis.files])}; --extras writes them", err=True)
     for title, array in pictures.items() if extras else ():
-        click.echo(f"{write_image(output.with_name(f'{output.stem}-{title}.png'), array)} ({title})", err=True)
+        picture = quantize(array, depth_of(synthesis.image))
+        click.echo(f"{write_image(output.with_name(f'{output.stem}-{title}.png'), picture)} ({title})", err=True)
     for name, describe in synthesis.files.items() if extras else ():
         write_text(output.with_name(f"{output.stem}-{name}"), describe(f"{output.stem}-"))
         click.echo(f"{output.with_name(f'{output.stem}-{name}')} ({name})", err=True)
@@ -234,6 +237,7 @@ def score_command(
     sample: Path,
     output: Path | None,
     lattice: str | None,
+    mask: Path | None,
     metrics: str | None,
     tileable: bool,
     every: All = False,
@@ -256,6 +260,7 @@ def score_command(
     as_json
         Print JSON on standard output; of all metrics by default.
     """
+    from nrbench.api.arguments import masked_in
     from nrbench.pictures.files import read_image
 
     if tileable:
@@ -264,12 +269,14 @@ def score_command(
     if output is None or seam:
         raise BadInput("score: pass SAMPLE and OUTPUT, without -o; or --tileable and one picture")
     choose_one({"--metrics": metrics, "--all": every})
-    pictures = read_image(sample), read_image(output)
+    pictures = masked_in(sample, mask), read_image(output)
     given = _given_lattice(pictures[0], lattice)
     brief = not (metrics or every or as_json)
     names = list(dict.fromkeys(name.partition(".")[0] for name in HEADLINES)) if brief else names_of(metrics or "")
     with live_progress(patience=True) as progress:
-        scores = call(sample=pictures[0], output=pictures[1], lattice=given, metrics=names, progress=progress)
+        scores = call(
+            sample=pictures[0], output=pictures[1], lattice=given, mask=None, metrics=names, progress=progress
+        )
     if as_json:
         print(json.dumps({**scores.values, "reasons": dict(scores.reasons)}, indent=1))
         return

@@ -151,7 +151,7 @@ def check_output(path: Path, *suffixes: str) -> None:
     files.
     """
     if path.suffix.lower() not in suffixes:
-        raise BadInput(f"{path}: outputs are {suffixes[0][1:].upper()}; end the name in {' or '.join(suffixes)}")
+        raise BadInput(f"{path}: cannot be written in this format; end the name in {' or '.join(suffixes)}")
     if not path.absolute().parent.is_dir():
         raise BadInput(f"{path}: its directory does not exist; make it first")
     if path.is_dir():

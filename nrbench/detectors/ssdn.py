@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.peak_kernels import inner_relief
 from nrbench.detectors.autocorrelation.peaks import find_vertex, quantize_correlation
-from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
+from nrbench.detectors.autocorrelation.pixel_structure import detect_content
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import FLAT, Correlation, half_autocorrelation
@@ -99,7 +100,7 @@ class Ssdn:
     surrogates: int = 30
     false_alarms: float = 0.01
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"depth": 0.8, "overlap": 0.1, "subpixel": False, "primitive": False, "reject": "none"}
     }
@@ -130,7 +131,10 @@ class Ssdn:
             If the image is constant, if an axis has no period or none better than chance, or if the lattice is not
             rectangular along the axes.
         """
-        require_texture(image)
+        return detect_content(self._detect, image)
+
+    def _detect(self, image: Image) -> Detection:
+        """Return the lattice of an image that is not constant, of any range."""
         curves = [shift_ssdn(image, axis) for _, axis in AXES]
         x, y = (self._period(*curve) for curve in curves)
         if x is None or y is None:
@@ -147,7 +151,7 @@ class Ssdn:
         return find_period(likeness[: int(len(g) * (1 - self.overlap)) + 1], self.depth, self.subpixel)
 
     def _detection(self, periods: tuple[Period, Period], curves: list[Sequence]) -> Detection:
-        lattice = Lattice((periods[0].length, 0.0), (0.0, periods[1].length)).reduced()
+        lattice = Lattice((periods[0].length, 0.0), (0.0, periods[1].length)).oriented()
         diagnostics = {
             f"ssdn_{name}": Curve(np.arange(len(g), dtype=np.float64), g, period.peaks, f"lag along {name}, px")
             for (name, _), g, period in zip(AXES, curves, periods, strict=True)

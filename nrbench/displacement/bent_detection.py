@@ -106,7 +106,7 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
     try:
         return detect_known(detector, image, known), None
     except NoLatticeFound as none:
-        followed = find_bent_lattice(image)
+        followed = None if none.lattices else find_bent_lattice(image)
         if followed is None or followed.detection is None:
             raise none from None
     found = followed.deformation

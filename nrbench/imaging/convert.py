@@ -51,6 +51,7 @@ def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Imag
     (16, 24, 1)
     """
     pixels = np.asarray(array)
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
     pixels = pixels[..., np.newaxis] if pixels.ndim == 2 else pixels
     _check_shape(pixels, where, smallest)
     if pixels.shape[2] in (2, 4):

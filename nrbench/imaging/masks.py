@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import require
 from nrbench.imaging.convert import MIN_SIDE, OPAQUE, Image, as_image, is_opaque
+from nrbench.lattice.geometry import Lattice
 
 Mask = NDArray[np.bool_]
 """``bool (H, W)``: True where a pixel of an image counts."""
@@ -87,6 +88,29 @@ def known_at(known: Mask, points: NDArray[np.floating[Any]]) -> Mask:
     sure = scipy.ndimage.binary_erosion(known, np.ones((5, 5), bool), border_value=1)
     x, y = np.moveaxis(np.clip(np.rint(points), 0, np.array(known.shape[::-1]) - 1).astype(int), -1, 0)
     return np.asarray(sure[y, x])
+
+
+def fill_periodically(image: Image, known: Mask, lattice: Lattice) -> Image:
+    """Return an image in which pixels that do not count show those that count a lattice vector away, the nearest first.
+
+    Those for which there is none stay as they are.
+    """
+    image, found = image.copy(), known.copy()
+    sides = np.array(known.shape[::-1])
+    reach = np.ceil(np.abs(sides @ np.abs(np.linalg.inv(lattice.matrix)))).astype(int)
+    numbers = np.stack(np.meshgrid(*(np.arange(-n, n + 1) for n in reach)), -1).reshape(-1, 2)
+    steps = np.rint(numbers @ lattice.matrix).astype(int)
+    steps = steps[(np.abs(steps) < sides).all(-1) & steps.any(-1)]
+    for x, y in steps[np.argsort(np.hypot(*steps.T), kind="stable")]:
+        rows, columns = np.nonzero(~found)
+        if not rows.size:
+            break
+        inside = (rows + y >= 0) & (rows + y < sides[1]) & (columns + x >= 0) & (columns + x < sides[0])
+        rows, columns = rows[inside], columns[inside]
+        there = known[rows + y, columns + x]
+        rows, columns = rows[there], columns[there]
+        image[rows, columns], found[rows, columns] = image[rows + y, columns + x], True
+    return image
 
 
 def fill_unknown(image: NDArray[Any], known: Mask) -> NDArray[Any]:

@@ -179,6 +179,7 @@ def _read(path: str | Path, smallest: int, convert: Callable[[NDArray[Any], str,
             pixels, space = _pixels(picture, file, head, where, notes)
     pixels = pixels if pixels.ndim == 3 else pixels[..., np.newaxis]
     if pixels.dtype.kind == "f":
+        pixels = pixels.astype(np.float32) if pixels.dtype == np.float16 else pixels
         convert(pixels, where, smallest)  # the range of floats is checked before the conversion
         if space is None:
             notes.append("float values without a profile are read as linear light; store other quantities with 16 bits")
@@ -466,7 +467,7 @@ def write_image(path: str | Path, image: Image) -> Path:
         The path; its name must end in ``.png``, ``.tif``, ``.tiff`` or ``.webp``. An existing file is replaced. All
         pixels are kept, but that WebP has only 8 bits; then there is a warning.
     image
-        float32 ``(H, W, C)`` in [0, 1]; values outside are clipped. With 2 or 4 channels the last one is alpha.
+        uint8, uint16, or float in [0, 1], ``(H, W)`` or ``(H, W, C)``; floats outside are clipped. Alpha is opaque.
 
     Returns
     -------
@@ -488,6 +489,8 @@ def write_image(path: str | Path, image: Image) -> Path:
     >>> read_image(path).shape
     (64, 96, 3)
     """
+    image = np.asarray(image)
+    image = as_image(np.clip(image, 0, 1) if image.dtype.kind == "f" else image, f"picture {path}", 1)
     return write_map(path, to_integers(image, depth_of(image)))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -63,6 +63,8 @@ class Texture:
     vertices
         Where the points of the lattice lie in a photograph, as a person set them; empty if nobody did. Those of a model
         follow from ``lattice`` and ``displacement``.
+    known
+        ``bool (H, W)``: which pixels of a photograph count, see :class:`Task`; None: all.
 
     Examples
     --------
@@ -85,6 +87,7 @@ class Texture:
     region: Region | None = None
     draw_seed: int | None = None
     vertices: tuple[Vertex, ...] = ()
+    known: Mask | None = field(default=None, repr=False)
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""
@@ -279,6 +282,8 @@ class NoLatticeFound(Exception):
         One sentence that says which test failed.
     best
         The best candidate that was rejected, or None.
+    lattices
+        The lattices of an image in which several are superposed; empty otherwise.
 
     Examples
     --------
@@ -291,13 +296,14 @@ class NoLatticeFound(Exception):
     None
     """
 
-    def __init__(self, reason: str, best: Detection | None = None) -> None:
+    def __init__(self, reason: str, best: Detection | None = None, lattices: Sequence[Lattice] = ()) -> None:
         super().__init__(reason)
         self.reason = reason
         self.best = best
+        self.lattices = tuple(lattices)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.reason, self.best)
+        return type(self), (self.reason, self.best, self.lattices)
 
 
 @runtime_checkable
@@ -688,6 +694,8 @@ class Observation:
         cells ran at the same time.
     detected
         The answer of the detector that the lattice comes from; None if it comes from no detector.
+    known
+        As in :class:`Task`: which pixels of the sample count; None: all.
 
     Examples
     --------
@@ -710,6 +718,7 @@ class Observation:
     rng: np.random.Generator = field(default_factory=np.random.default_rng)
     cost: Mapping[str, float] = field(default_factory=dict)
     detected: FoundLattice | None = None
+    known: Mask | None = field(default=None, repr=False)
     _shared: dict[Callable[[Observation], Any], Any] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )

@@ -166,8 +166,10 @@ def add_file(path: str | Path) -> None:
     for plugin in found:
         if wrong := fault(plugin.kind, plugin.cls):
             raise BadInput(f"plugin {path}: {wrong}")
-        if plugin.name in names(plugin.kind):
+        if plugin.name in names(plugin.kind) and plugin.name not in _session:
             raise BadInput(f"plugin {path}: the name {plugin.name!r} is taken; give the class another `name`")
+    for plugin in found:  # a class that moves from a notebook to a file keeps its name
+        _session.pop(plugin.name, None)
     _files[file] = found
 
 

@@ -219,7 +219,7 @@ class _Runner:
         assert cell.detector is not None
         where.clear()
         where.path.mkdir(parents=True, exist_ok=True)
-        write_image(where.sample, sample.image())
+        _write_sample(where, sample)
         name, version, parameters = cell.detector
         write_json(where.cell_file, {"detector": name, "version": version, "parameters": parameters})
         return self._job("detect", where)
@@ -331,11 +331,17 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
     return dataclasses.replace(cell, fault=f"{cell.lattice_source}: no lattice: {why}", fault_status="refused")
 
 
+def _write_sample(where: CellFolder, sample: PlannedSample) -> None:
+    write_image(where.sample, sample.image())
+    if sample.known is not None:
+        write_image(where.known, sample.known[..., None].astype("float32"))
+
+
 def _prepare(where: CellFolder, cell: Cell, sample: PlannedSample) -> None:
     """Write the files that a cell's child processes read. What is there may be damaged."""
     where.path.mkdir(parents=True, exist_ok=True)
     if sample.size is not None:
-        write_image(where.sample, sample.image())
+        _write_sample(where, sample)
     again = sample.again() if cell.reference else None
     if again is not None:
         write_image(where.again, again)

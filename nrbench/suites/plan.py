@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
 from nrbench.imaging.convert import Image, as_image, depth_of, quantize, to_integers
+from nrbench.imaging.masks import Mask
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape, Texture
 from nrbench.plugins.parameters import PRESET, list_parameters, match_pattern, parse_spec, take_label
@@ -226,8 +227,10 @@ class Sample:
 
     @cached_property
     def hash(self) -> str:
-        """Hash of the sample's pixels; empty if drawing failed."""
-        return pixels_hash(self.texture.image) if self.texture else ""
+        """Hash of the sample's pixels, and of those that count; empty if drawing failed."""
+        if self.texture is None or self.texture.known is None:
+            return pixels_hash(self.texture.image) if self.texture else ""
+        return pixels_hash(np.dstack([self.texture.image, self.texture.known]).astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,6 +250,8 @@ class PlannedSample:
     kept
         The pixels of the sample and of the region that does not touch it, where drawing again might give others:
         of pictures, and of third-party plugins.
+    known
+        Which pixels of the sample count; None: all.
     """
 
     recipe: Recipe
@@ -254,6 +259,7 @@ class PlannedSample:
     size: Shape | None
     log: str
     kept: tuple[NDArray[Any] | None, NDArray[Any] | None]
+    known: Mask | None = None
 
     @classmethod
     def of(cls, sample: Sample) -> PlannedSample:
@@ -264,7 +270,8 @@ class PlannedSample:
             None if redrawn or each is None else to_integers(each, depth_of(each)) for each in (image, sample.region)
         ]
         size = image.shape[:2] if image is not None else None
-        return cls(sample.recipe, sample.shape, size, sample.log, (pixels[0], pixels[1]))
+        known = sample.texture.known if sample.texture else None
+        return cls(sample.recipe, sample.shape, size, sample.log, (pixels[0], pixels[1]), known)
 
     def image(self) -> Image:
         """Return the pixels of the sample. Those of the last samples are kept; the others are drawn again."""
@@ -529,6 +536,11 @@ def _make_cell(suite: Suite, sample: Sample, method: PlannedMethod, source: Latt
         return dataclasses.replace(cell, fault=sample.fault, fault_status="error")
     if method.fault or source.fault:
         return dataclasses.replace(cell, fault=method.fault or source.fault, fault_status="error")
+    if texture.known is not None:
+        used = [("synthesizers", method.name), *([("detectors", source.detector[0])] if source.detector else [])]
+        classes = ((kind, plugins.find(kind, name).cls) for kind, name in used)
+        lacks = (plugins.describe_lack(kind, cls, "masks") for kind, cls in classes if cls is not None)
+        cell = dataclasses.replace(cell, fault=next(filter(None, lacks), ""))
     if source.name != "given":
         return dataclasses.replace(cell, lattice_given=source.lattice)
     if texture.lattice is None:

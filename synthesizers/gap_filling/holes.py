@@ -230,8 +230,7 @@ def fill_task(task: Task, finder: str = "", block: int = 40, keep: bool = True) 
     tolerance = 0.0 if found.lattice is None else min(3.0, TOLERANCE * found.lattice.s)
     filler = HoleFiller(task.sample, task.known, found.lattice, task.rng, tolerance, block, keep)
     image, source = filler.fill(task.progress)
-    note = f"{100 * (1 - task.known.mean()):.2g} % of the picture filled"
-    note += "" if found.lattice else f" with patches from anywhere: no lattice found ({found.reason})"
+    note = "" if found.lattice else f"holes filled with patches from anywhere: no lattice found ({found.reason})"
     return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note)
 
 
@@ -251,7 +250,8 @@ def leaves_out(method: Method) -> Method:
         found = FoundLattice(filled.lattice, reason="" if filled.lattice else filled.note)
         detected = filled.image, NamedDetector(getattr(self, "finder", "") or in_role("detector")), found
         made = synthesize(self, replace(task, sample=filled.image, known=None, detected=detected))
-        note = "; ".join(filter(None, (made.note, filled.note)))
+        share = f"{100 * (1 - task.known.mean()):.2g} % of the sample left out"
+        note = "; ".join(filter(None, (made.note, share, filled.note)))
         seconds = made.detection_seconds + filled.detection_seconds
         source = filled.source
         assert source is not None

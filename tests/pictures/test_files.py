@@ -191,6 +191,16 @@ def test_values_of_no_file_are_written_with_8_bits(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(write_image(tmp_path / "a.png", image)), quantize(image))
 
 
+@pytest.mark.parametrize("dtype", ["u1", "<u2", ">u2"])
+@pytest.mark.parametrize("channels", [(), (1,), (3,)])
+def test_arrays_of_whole_numbers_are_written(tmp_path: Path, dtype: str, channels: tuple[int, ...]) -> None:
+    """``uint8`` and ``uint16`` of any order of bytes, with or without an axis of channels, are images."""
+    pixels = (RAMP.reshape(*RAMP.shape, *(1,) * len(channels)) * np.ones(channels)).astype(dtype)
+    again = read_image(write_image(tmp_path / "a.png", pixels))
+    peak = 255 if dtype == "u1" else 65535
+    np.testing.assert_allclose(again, (pixels if channels else pixels[..., np.newaxis]) / peak, atol=1e-7)
+
+
 @pytest.mark.parametrize("bits", [8, 16])
 def test_gray_tiff_with_alpha_stays_gray(tmp_path: Path, bits: int) -> None:
     """A TIFF of gray with opaque alpha has one channel; a transparent pixel is refused."""
