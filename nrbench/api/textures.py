@@ -393,8 +393,7 @@ def synthesize(
     """
     plugin = plugin_in("synthesizers", method, parameters)
     along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
-    make = partial(_make_output, plugin, shape_in(shape), lattice, seed, progress or (lambda fraction: None), along)
-    make = partial(make, flatten_light)
+    make = partial(_make_output, plugin, shape_in(shape), lattice, seed, progress, along, flatten_light)
     if keep_alpha:
         require(mask is None and not flatten_light, "--keep-alpha: works neither with --mask nor with --flatten-light")
         return _make_transparent(make, image, maps)
@@ -416,7 +415,7 @@ def _make_output(
     shape: Shape,
     lattice: Latticelike,
     seed: int,
-    progress: Callable[[float], None],
+    progress: Callable[[float], None] | None,
     along: str,
     flatten: bool,
     image: Imagelike,
@@ -435,7 +434,7 @@ def _make_output(
     require(not (along and joint), "--tileable with other maps: needs a method with a source map, such as tile-set")
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     given = lattice_in(MaskedImage(sample, known), lattice)
-    task = Task(sample, shape, given, rng, progress, known=known)
+    task = Task(sample, shape, given, rng, progress or (lambda fraction: None), known=known)
     synthesis = _synthesize_task(plugin, task, seed, along, flatten, [map_in(each) for each in maps])
     like = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))

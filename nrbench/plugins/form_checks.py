@@ -50,7 +50,7 @@ FORMS: Mapping[str, Form] = {
     "synthesizers": Form(
         "method",
         {"synthesize": 1},
-        ("method", "image", "shape", "lattice", "seed", "progress", "mask", "maps", "keep_alpha"),
+        ("method", "image", "shape", "lattice", "seed", "progress", "mask", "maps", "keep_alpha", "flatten_light"),
     ),
     "metrics": Form("metric", {"score": 1}),
     "reports": Form("report", {"write": 2}),
