@@ -71,6 +71,7 @@ class Auto:
     finder: ClassVar[str] = "consensus"
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "choice by the sample"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"threshold": 0.1, "regular": "tile-set:preset=paper", "other": "ann-pixel", "geometry": "as-is"}
