@@ -57,6 +57,7 @@ class AnnPixel(SearchParameters):
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "pixels without a lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {"neighborhood": 8, **SEARCH_OF_THE_PAPER}}
     paper: ClassVar[str] = Frdft.paper

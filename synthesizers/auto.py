@@ -71,6 +71,7 @@ class Auto:
     finder: ClassVar[str] = "consensus"
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "choice by the sample"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"threshold": 0.1, "regular": "tile-set:preset=paper", "other": "ann-pixel", "geometry": "as-is"}
@@ -100,7 +101,9 @@ class Auto:
         }
         if found.lattice is None:
             warn_of_no_lattice("auto", found.reason)
-        light = describe_light(estimate_light(task.sample, found.lattice, task.known)) if found.lattice else ""
+        light = (
+            describe_light(estimate_light(task.sample, found.lattice, task.known, edges=False)) if found.lattice else ""
+        )
         remarks = f"; {light}, which --flatten-light divides out" if light else ""
         seen = f"regularity {share:.2f}" if found.lattice else f"no lattice ({found.reason})"
         names = list(dict.fromkeys([name, *(("rsgf", "tile-set") if near_regular else ()), "ann-pixel"]))

@@ -107,6 +107,7 @@ class FftmPatch(MaskParameters):
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches and pixels under a mask"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -100,6 +100,7 @@ class FftmPixel(MaskParameters, SearchParameters):
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches and pixels under a mask"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -78,6 +78,7 @@ class Gpnn:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "all patches at once"
+    maps: ClassVar[str] = "joint"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"patch": 7, "alpha": 0.005, "iterations": 10, "first_iterations": 1, "noise": 0.75}

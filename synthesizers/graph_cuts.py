@@ -105,6 +105,7 @@ class GraphCuts:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches without a lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -144,9 +145,9 @@ class GraphCuts:
         """
         work, patches = self.prepare(task)
         patches.assemble_output(self.passes, task.progress, lambda heat: self._choose_region(heat, task.rng), True)
-        image, source = work.feathered(self.feather)
+        image, source, blended = work.feathered(self.feather)
         task.progress(1.0)
-        return Synthesis(image, source=source)
+        return Synthesis(image, source=source, blended=blended)
 
     def prepare(self, task: Task) -> tuple[Patchwork, WholePatches]:
         """Return the empty output, and what lays patches over it. Exceptions are those of :meth:`synthesize`."""

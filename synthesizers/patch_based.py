@@ -99,6 +99,7 @@ class PatchBased:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches without a lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"zone": 4, "epsilon": 0.2, "search": "kdtree"},

@@ -71,6 +71,7 @@ class Quilting:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches without a lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {"overlap": 0, "tolerance": 0.1}}
     patch_shape: ClassVar[str] = "user defined, square block"

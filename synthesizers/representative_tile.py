@@ -131,6 +131,7 @@ class RepresentativeTile:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     family: ClassVar[str] = "tiles and patches on the lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -139,6 +139,7 @@ class Rsgf:
     reference: ClassVar[bool] = False
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "tiles and patches on the lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -201,7 +202,8 @@ class Rsgf:
             f"block={block},border={border}: the sample allows no larger ones" if (block, border) != sizes[0] else ""
         )
         note = "; ".join(filter(None, [self._note(found), smaller]))
-        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note)
+        blended = filler.placer.canvas.blended()
+        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note, blended=blended)
 
     def _sizes(self) -> list[tuple[int, int]]:
         """Return the sizes of blocks and borders that are tried, the largest first."""

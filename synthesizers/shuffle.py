@@ -41,6 +41,7 @@ class Shuffle(LatticeBaseline):
     """
 
     wraps: ClassVar[bool] = True
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
 
     def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:

@@ -69,6 +69,7 @@ class TextureOptimization:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "all patches at once"
+    maps: ClassVar[str] = "joint"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"neighborhood": 32, "levels": 3, "iterations": 5, "exponent": 0.8}

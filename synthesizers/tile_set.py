@@ -180,6 +180,7 @@ class TileSet:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     family: ClassVar[str] = "tiles and patches on the lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "5"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -236,7 +237,9 @@ class TileSet:
         notes = ["the lattice has no origin: tiles are anchored where their borders are quiet"] if unanchored else []
         if self.symmetry == "own" and not laying.stock.images.copies:
             notes.append("no symmetry of the texture is certain: the sample is used as it is")
-        return Synthesis(image, lattice, source, detection_seconds=seconds, note="; ".join(notes))
+        return Synthesis(
+            image, lattice, source, detection_seconds=seconds, note="; ".join(notes), blended=laying.canvas.blended()
+        )
 
     def _require_within_s(self, s: float) -> None:
         most = max(s, FEATHER)

@@ -52,6 +52,8 @@ Suitelike = Annotated["str | os.PathLike[str] | Suite", Flag(ARGUMENT)]
 Masklike = Annotated[Any, Flag("--mask", "FILE", kind=Path)]
 """Which pixels of an image count: an array, bool or in [0, 1], or the path of a picture; white counts, and black is
 left out. None: all count that are not transparent."""
+Maps = Annotated[Sequence[Any], Flag("--with", "MAP", kind=Path, many=True)]
+"""Other maps of a sample: arrays, or paths of pictures."""
 Picture = Annotated[Imagelike, Flag(ARGUMENT, kind=Path)]
 """An :data:`Imagelike`; on the command line the path of a picture."""
 OutputFolder = Annotated["str | os.PathLike[str]", Flag("-o --output", "DIR", kind=Path)]
@@ -186,6 +188,21 @@ def _pixels_of(image: Imagelike, where: str) -> Any:
         found = type(image).__name__
         raise BadInput(f"{where}: is of type {found}; pass an array, the path of a picture, or a Texture")
     return image
+
+
+def layers_in(image: Imagelike) -> Image:
+    """Return an :data:`Imagelike` with its alpha channel as the last of 2 or 4 channels; raise BadInput without one."""
+    from nrbench.imaging.convert import as_layers
+    from nrbench.pictures.files import read_layers
+
+    return read_layers(Path(image)) if isinstance(image, str | os.PathLike) else as_layers(_pixels_of(image, "image"))
+
+
+def map_in(image: Any) -> Any:
+    """Return the values of another map of a sample: an array as it is, those of a picture file as they are stored."""
+    from nrbench.pictures.files import read_map
+
+    return read_map(Path(image))[0] if isinstance(image, str | os.PathLike) else _pixels_of(image, "map")
 
 
 def stored_image(image: Imagelike, where: str = "image") -> Image:

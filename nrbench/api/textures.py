@@ -14,6 +14,7 @@ from nrbench.api.arguments import (
     Detectorlike,
     Imagelike,
     Latticelike,
+    Maps,
     Masklike,
     Method,
     OutputFolder,
@@ -25,7 +26,9 @@ from nrbench.api.arguments import (
     detector_in,
     image_in,
     lattice_in,
+    layers_in,
     list_of,
+    map_in,
     masked_in,
     names_of,
     plugin_in,
@@ -314,6 +317,8 @@ def synthesize(
     progress: Callable[[float], None] | None = None,
     tileable: Tileable = False,
     mask: Masklike = None,
+    maps: Maps = (),
+    keep_alpha: Switch = False,
     flatten_light: Switch = False,
     **parameters: Any,
 ) -> Synthesis:
@@ -348,6 +353,15 @@ def synthesize(
         A picture of the size of the sample, in which white counts, and black is left out.
 
         Or an array, True where a pixel counts. Transparent pixels do not count. The output holds nothing of the others.
+    maps
+        Another map of the sample, of its size, such as normals, heights or roughness; it gets the layout of the output.
+
+        A list of arrays, of bool, whole numbers or floats of any range, or of the paths of pictures, whose values are
+        taken as they are stored. ``maps`` of the result holds them; see also :meth:`Synthesis.apply`.
+    keep_alpha
+        Give the output the alpha channel of the sample, in the layout of the color.
+
+        For pictures with holes, such as fences. Else transparent pixels do not count.
     flatten_light
         Divide uneven light out of the sample first: shadows, dark corners, slopes.
 
@@ -367,8 +381,8 @@ def synthesize(
         When the method cannot be applied to the sample, or if a tileable output would need a larger strain.
     BadInput
         For a bad image, mask, lattice, method or parameter, or if the method cannot make tileable outputs, or cannot
-        leave out pixels; the message names those that can. Also if light is to be divided out of a sample without a
-        lattice.
+        leave out pixels, or lay out maps; the message names those that can. Also if light is to be divided out of a
+        sample without a lattice.
 
     Examples
     --------
@@ -377,30 +391,65 @@ def synthesize(
     >>> synthesize("quilting:block=24", brick, "160x128", seed=1).image.shape
     (128, 160, 3)
     """
+    plugin = plugin_in("synthesizers", method, parameters)
+    along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
+    make = partial(_make_output, plugin, shape_in(shape), lattice, seed, progress, along, flatten_light)
+    if keep_alpha:
+        require(mask is None and not flatten_light, "--keep-alpha: works neither with --mask nor with --flatten-light")
+        return _make_transparent(make, image, maps)
+    return make(image, mask, maps)
+
+
+def _make_transparent(make: Callable[..., Synthesis], image: Imagelike, maps: Maps) -> Synthesis:
+    """Return a synthesis with the alpha channel of an image; ``make`` gets it over a flat color."""
+    from nrbench.calling.sample_maps import flatten_alpha, restore_alpha
+    from nrbench.imaging.convert import depth_of
+
+    layers = layers_in(image)
+    flat, hidden = flatten_alpha(layers)
+    return restore_alpha(make(flat, None, [*hidden, *maps]), depth_of(layers))
+
+
+def _make_output(
+    plugin: Any,
+    shape: Shape,
+    lattice: Latticelike,
+    seed: int,
+    progress: Callable[[float], None] | None,
+    along: str,
+    flatten: bool,
+    image: Imagelike,
+    mask: Masklike,
+    maps: Maps,
+) -> Synthesis:
     from nrbench.imaging.convert import match_ndim
     from nrbench.imaging.masks import MaskedImage
     from nrbench.plugins.forms import Task
     from nrbench.streams import pixels_hash, stream
 
-    plugin = plugin_in("synthesizers", method, parameters)
     sample, known = stored_masked(image, mask)
-    along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
-    plugins.require_abilities("synthesizers", plugin, wraps=bool(along), masks=known is not None)
+    wanted = {"wraps": bool(along), "masks": known is not None, "maps": len(maps) > 0}
+    plugins.require_abilities("synthesizers", plugin, **wanted)
+    joint = wanted["maps"] and getattr(plugin, "maps", "") == "joint"
+    require(not (along and joint), "--tileable with other maps: needs a method with a source map, such as tile-set")
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     given = lattice_in(MaskedImage(sample, known), lattice)
-    task = Task(sample, shape_in(shape), given, rng, progress or (lambda fraction: None), known=known)
-    synthesis = _synthesize_task(plugin, task, seed, along, flatten_light)
+    task = Task(sample, shape, given, rng, progress or (lambda fraction: None), known=known)
+    synthesis = _synthesize_task(plugin, task, seed, along, flatten, [map_in(each) for each in maps])
     like = image if hasattr(image, "ndim") else sample
     return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))
 
 
-def _synthesize_task(plugin: Any, task: Task, seed: int, along: str, flatten: bool) -> Synthesis:
+def _synthesize_task(
+    plugin: Any, task: Task, seed: int, along: str, flatten: bool, maps: Sequence[Any] = ()
+) -> Synthesis:
     """Return the checked synthesis of a task, along the axes of an output that repeats, in even light if wanted."""
     import numpy as np
 
     from nrbench.calling.bent_samples import synthesize_in_geometry
     from nrbench.calling.lighting import flatten_light, warn_of_light
-    from nrbench.calling.method_calls import briefly_prepared, checked_synthesis, synthesize_from_part
+    from nrbench.calling.method_calls import briefly_prepared, synthesize_from_part
+    from nrbench.calling.sample_maps import synthesize_with_maps
     from nrbench.calling.tileable import AXES, synthesize_tileable
     from nrbench.plugins.forms import Refused
 
@@ -410,7 +459,7 @@ def _synthesize_task(plugin: Any, task: Task, seed: int, along: str, flatten: bo
     make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
     task, lit = flatten_light(plugin, task) if flatten else (task, "")
     with briefly_prepared(plugin, task, seed) as ready:
-        made = checked_synthesis(synthesize_from_part(make, plugin, ready), task.sample, task.shape, task.known)
+        made = synthesize_with_maps(partial(synthesize_from_part, make), plugin, ready, maps)
     if flatten:
         note = "; ".join(filter(None, (made.note, lit)))
         return dataclasses.replace(made, note=note, extras={**made.extras, "flattened": task.sample})

@@ -484,7 +484,8 @@ def verify_source_map(method: Subject) -> str:
         raise Refused("gives no source map")
     source = np.asarray(made.source, np.float32)
     check_source(source, quantize(np.asarray(made.image, np.float32)), task.sample)
-    return f"{np.mean(source[..., 2] > 1 - 1e-6):.0%} of the pixels are copies, all equal to their sources"
+    copied = (source[..., 2] > 1 - 1e-6) & (source[..., :2] == np.rint(source[..., :2])).all(-1)
+    return f"{copied.mean():.0%} of the pixels are copies, all equal to their sources"
 
 
 def verify_refusals(method: Subject) -> str:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nrbench.calling.method_calls import synthesize_exactly
+from nrbench.calling.method_calls import move_sources, synthesize_exactly
 from nrbench.displacement.bent_detection import find_bent_lattice, find_deformation
 from nrbench.displacement.deformation_field import LEAST_AMPLITUDE, Deformation, pixel_places, read_spline
 from nrbench.displacement.free_form import REPEATS, FreeForm
@@ -37,7 +36,7 @@ _LEAST_PERIODS = 2.0
 """Periods along both vectors that the straightened sample must show."""
 _MARGIN = 3
 """px of the straight output beyond the outermost point that the deformed output shows."""
-_MOST_WEIGHT = 0.999
+MOST_WEIGHT = 0.999
 """Largest weight in the source map of a pixel that was interpolated."""
 
 
@@ -163,10 +162,9 @@ def _synthesize_bent(method: Synthesizer, task: Task, bent: Deformation, geometr
     # The output continues the phase of the straightened sample, whose corner is elsewhere on the plane.
     places = places - low + bent.lattice.wrap(low - bent.corner)
     image = read_spline(made.image, places)
-    source = None if made.source is None else _trace(bent, made.source, places)
-    return replace(
-        made, image=image, lattice=bent.lattice, source=source, extras={**made.extras, "straightened": sample}
-    )
+    made = replace(made, image=image, source=_show(made.source, places), blended=_show(made.blended, places))
+    made = trace_sources(made, lambda points: bent.locate(points + bent.corner), task.sample.shape)
+    return replace(made, lattice=bent.lattice, extras={**made.extras, "straightened": sample})
 
 
 def find_bend(sample: Image, lattice: Lattice | None, given: bool) -> tuple[Deformation | None, str]:
@@ -211,29 +209,28 @@ def _follow(sample: Image, lattice: Lattice, given: bool) -> Deformation | None:
     return None
 
 
-def _trace(bent: Deformation, source: SourceMap, places: Points) -> SourceMap:
-    """Return the source map of a deformed output, to about a pixel, from that of the straight output."""
+def _show(source: SourceMap | None, places: Points) -> SourceMap | None:
+    """Return the sources of an output that shows places (x, y) of another one: those of the nearest pixels, moved."""
+    if source is None:
+        return None
     pixels = np.rint(places).astype(np.intp)
-    near = source[pixels[..., 1], pixels[..., 0]]
-    points = near[..., :2] + (places - pixels) + bent.corner
-    traced = trace_points(bent.locate(np.nan_to_num(points)), bent.image.shape, near[..., 2])
-    traced[~np.isfinite(near).all(-1)] = np.nan
-    return traced
+    shown: SourceMap = source[pixels[..., 1], pixels[..., 0]]
+    moved = (places - pixels).reshape(*places.shape[:2], *[1] * (shown.ndim - 3), 2)
+    shown[..., :2] += moved
+    return shown
 
 
-def trace_points(points: Points, shape: tuple[int, ...], weight: NDArray[np.floating[Any]]) -> SourceMap:
-    """Return the source map of pixels that were interpolated at points of a sample.
+def trace_sources(made: Synthesis, locate: Callable[[Points], Points], shape: tuple[int, ...]) -> Synthesis:
+    """Return a synthesis from a deformed sample, with its sources in the sample itself; no pixel is a copy of one.
 
     Parameters
     ----------
-    points
-        ``(..., 2)``: (x, y) px.
+    made, locate
+        As for :func:`~nrbench.calling.method_calls.move_sources`.
     shape
         Height and width of the sample.
-    weight
-        ``(...)``: the weight of the value that was read there.
     """
-    nearest = np.clip(np.rint(points), 0, np.array(shape[1::-1]) - 1)
-    share = np.clip(1 - np.abs(points - nearest), 0, 1).prod(-1) * weight
-    traced = np.concatenate([nearest, np.clip(share, 1e-6, _MOST_WEIGHT)[..., np.newaxis]], -1)
-    return np.asarray(traced, np.float32)
+    last = np.array(shape[1::-1]) - 0.5
+    made = move_sources(made, lambda points: np.clip(locate(points), -0.5, last))
+    weight = np.array([1, 1, MOST_WEIGHT], np.float32)
+    return made if made.source is None else replace(made, source=made.source * weight)

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 import scipy
 
-from nrbench.calling.bent_samples import survey_sample, trace_points
+from nrbench.calling.bent_samples import MOST_WEIGHT, survey_sample
 from nrbench.displacement.deformation_field import Deformation, map_points, pixel_places, read_spline
 from nrbench.displacement.free_form import FreeForm
 from nrbench.imaging.convert import depth_of, quantize
@@ -99,8 +99,8 @@ def _fill_bent(method: Any, task: Task, bent: Deformation) -> Synthesis:
     near = made.source[*np.rint(at).astype(np.intp).T[::-1]]
     image, source = task.sample.copy(), np.ones((*task.shape, 3), np.float32)
     image[hole] = read_spline(made.image, at)
-    points = near[:, :2] + (at - np.rint(at)) + low
-    source[hole] = trace_points(bent.locate(points), task.sample.shape, near[:, 2])
+    points = bent.locate(near[:, :2] + (at - np.rint(at)) + low)
+    source[hole] = np.column_stack([np.clip(points, -0.5, last + 0.5), MOST_WEIGHT * near[:, 2]])
     return replace(made, image=image, source=source, lattice=bent.lattice)
 
 

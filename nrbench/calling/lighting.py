@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from nrbench.displacement.deformation_field import Deformation, pixel_places
 from nrbench.errors import BadInput
@@ -52,12 +51,14 @@ def flatten_light(method: Synthesizer | None, task: Task) -> tuple[Task, str]:
 
 def warn_of_light(sample: Image, lattice: Lattice, known: Mask | None = None) -> None:
     """Warn if the light on a sample varies much from cell to cell of its lattice."""
-    if said := describe_light(estimate_light(sample, lattice, known)):
+    if said := describe_light(estimate_light(sample, lattice, known, edges=False)):
         warnings.warn(f"{said}, so the output may be patchy; --flatten-light divides it out", stacklevel=2)
 
 
 def _estimate_bent(bent: Deformation) -> NDArray[np.float64]:
     """Return the light on a bent image, estimated on the straight one."""
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator  # not for light that is only named
+
     straight, lattice = bent.straighten()
     step = max(round(lattice.s / 4), 1)
     light = estimate_light(straight, lattice)[::step, ::step].ravel()

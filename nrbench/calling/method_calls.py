@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from nrbench.errors import require
 from nrbench.imaging.convert import Image, depth_of, quantize, shrink
 from nrbench.imaging.masks import Mask
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import NoLatticeFound, Shape, SourceMap, Synthesis, Synthesizer, Task
 from nrbench.plugins.registry import NamedDetector
 from nrbench.storage import read_json, remove, temporary_folder, write_json
@@ -136,9 +136,15 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape, known: Mask |
     if source is not None:
         check_source(source, image, sample)
         if known is not None:
-            x, y = np.moveaxis(np.rint(source[np.isfinite(source).all(-1)][:, :2]).astype(int), -1, 0)
+            places = np.rint(source[np.isfinite(source).all(-1)][:, :2]).astype(int)
+            x, y = np.clip(places, 0, np.array(known.shape[::-1]) - 1).T
             if not known[y, x].all():
                 raise InvalidOutput(f"copied {int((~known[y, x]).sum())} pixels that the mask leaves out")
+    blended = None if synthesis.blended is None else _numbers(synthesis.blended, "array of blended sources")
+    if blended is not None and (blended.ndim != 4 or blended.shape[:2] + blended.shape[3:] != (*shape, 3)):
+        raise InvalidOutput(
+            f"returned blended sources of the wrong shape: expected {(*shape, 'K', 3)}, got {blended.shape}"
+        )
     if not (synthesis.lattice is None or isinstance(synthesis.lattice, Lattice)):
         raise InvalidOutput(
             f"returned a lattice of the wrong type: expected Lattice or None, got {synthesis.lattice!r}"
@@ -150,6 +156,7 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape, known: Mask |
     return dataclasses.replace(
         synthesis,
         image=image,
+        sample=sample,
         source=source,
         extras=extras,
         detection_seconds=float(seconds),
@@ -230,6 +237,8 @@ def _count_wrong(source: SourceMap, image: Image, sample: Image) -> int:
     return int((np.abs(image[known][copy] - pixels) > COPY_TOLERANCE).any(-1).sum())
 
 
+_ROWS = 256
+"""Rows whose sources are moved at a time."""
 LARGE: Final = 1024
 """px: smaller samples are used whole."""
 PERIODS: Final = 16
@@ -267,14 +276,33 @@ def synthesize_from_part(
     lattice = None if task.lattice is None else task.lattice.shifted((-left, -top))
     made = synthesize(method, replace(task, sample=np.ascontiguousarray(part), lattice=lattice, known=known))
     note = "; ".join(filter(None, (made.note, f"from the middle {part.shape[1]}x{part.shape[0]} px of the sample")))
-    source = None if made.source is None else made.source + np.array([left, top, 0], np.float32)
+    made = move_sources(made, lambda places: places + np.array((left, top)))
     return replace(
         made,
         lattice=None if made.lattice is None else made.lattice.shifted((left, top)),
-        source=source,
         detection_seconds=made.detection_seconds + seconds,
         note=note if max(shape) > side else made.note,
     )
+
+
+def move_sources(made: Synthesis, locate: Callable[[Points], Points]) -> Synthesis:
+    """Return a synthesis from a part of a sample, or from a deformed one, with its sources in the sample itself.
+
+    Parameters
+    ----------
+    made
+        The synthesis.
+    locate
+        Returns the places (x, y) in the sample of those that the method saw, ``(..., 2)``.
+    """
+    moved: dict[str, Any] = {}
+    for name in ("source", "blended", "tints"):
+        if (before := getattr(made, name)) is not None:
+            moved[name] = np.array(before, np.float32)
+            for rows in (moved[name][top : top + _ROWS] for top in range(0, len(before), _ROWS)):
+                places = locate(np.nan_to_num(rows[..., :2].astype(np.float64)))
+                rows[..., :2] = np.where(np.isfinite(rows[..., :2]), places, np.nan)
+    return replace(made, **moved)
 
 
 def _longest_period(task: Task, finder: str) -> float:

@@ -20,14 +20,12 @@ from nrbench.imaging.masks import known_at
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task
 
-from .bent_samples import recognize_sample, trace_points
+from .bent_samples import recognize_sample, trace_sources
 
 _LITTLE = 0.0025
 """Strain at which the note names no better size."""
 _NEAR = 0.2
 """Largest change of a side, as a share of it, to a size that needs little strain."""
-_ROWS = 256
-"""Rows of an output whose sources are traced at a time."""
 AXES: Final[dict[str, tuple[int, ...]]] = {"both": (0, 1), "x": (0,), "y": (1,)}
 """The axes along which an output can repeat: x to the right, y down."""
 _BEYOND = 48
@@ -76,17 +74,13 @@ def synthesize_tileable(method: Synthesizer, task: Task, along: str = "both") ->
         places = strained.locate(pixel_places(*strained.image.shape[:2]))
         wrapped = replace(wrapped, known=known if strained.image is sample else known_at(known, places))
     made = _cut(synthesize_exactly(method, wrapped), task.shape)
-    source = made.source
-    if source is not None and (strained.image is not sample or bent is not None):
-        source = source.copy()
-        for rows in (source[top : top + _ROWS] for top in range(0, len(source), _ROWS)):
-            points = strained.locate(np.nan_to_num(rows[..., :2]))
-            if bent is not None:
-                points = bent.locate(points + bent.corner)
-            rows[:] = np.where(np.isfinite(rows), trace_points(points, task.sample.shape, rows[..., 2]), np.nan)
+    if bent is not None:
+        made = trace_sources(made, lambda at: bent.locate(strained.locate(at) + bent.corner), task.sample.shape)
+    elif strained.image is not sample:
+        made = trace_sources(made, strained.locate, task.sample.shape)
     note = "; ".join(filter(None, (made.note, bending, describe_strain(lattice, task.shape, axes))))
     seconds = made.detection_seconds + (0.0 if task.lattice else survey.seconds)
-    return replace(made, lattice=found.lattice, source=source, detection_seconds=seconds, note=note)
+    return replace(made, lattice=found.lattice, detection_seconds=seconds, note=note)
 
 
 def _lengthened(lattice: Lattice | None, shape: Shape, axes: tuple[int, ...]) -> Shape:
@@ -108,8 +102,8 @@ def _cut(made: Synthesis, shape: Shape) -> Synthesis:
         return made
     kept = {name: array for name, array in made.extras.items() if name != "tileable"}
     extras = {name: array[part] if np.shape(array)[:2] == whole else array for name, array in kept.items()}
-    source = None if made.source is None else made.source[part]
-    return replace(made, image=made.image[part], source=source, extras=extras)
+    source, blended = (each if each is None else each[part] for each in (made.source, made.blended))
+    return replace(made, image=made.image[part], source=source, blended=blended, extras=extras)
 
 
 def describe_strain(lattice: Lattice, shape: Shape, axes: tuple[int, ...] = (0, 1)) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +17,7 @@ from nrbench.cli.progress import live_progress, waiting
 from nrbench.cli.verbs import check_output, choose_one, verb
 from nrbench.errors import BadInput, require
 from nrbench.flags import Flag, Json, Switch
-from nrbench.storage import write_text
+from nrbench.storage import make_writable, write_text
 
 # The help of a command imports no more than this.
 if TYPE_CHECKING:
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
     from nrbench.imaging.masks import MaskedImage
     from nrbench.lattice.geometry import Lattice
+    from nrbench.plugins.forms import Synthesis
 
-OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png|.tif|.webp", kind=Path)]
+OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png|.tif|.webp|DIR", kind=Path)]
 All = Annotated[bool, Flag("--all", kind=bool)]
 SeamPicture = Annotated[Path | None, Flag("-o", "SEAM.png", kind=Path)]
 SomeMethod = Annotated[str | None, Flag("-m", METHOD)]
@@ -41,6 +42,8 @@ def synth_command(
     lattice: str | None,
     seed: int,
     mask: Path | None,
+    maps: tuple[Path, ...],
+    keep_alpha: bool,
     tileable: str | None,
     output: OutputPicture,
     method: SomeMethod = None,
@@ -59,10 +62,14 @@ def synth_command(
     Some methods return pictures beside the output: a tile, a mask, the elements. --extras writes them as OUT-NAME.png;
     without it, their names are printed. Files that describe them are written too, as OUT-NAME.
 
+    A material has several maps: give the one of colors as IMAGE, and each other one with --with, which may be repeated.
+    All get one layout, and are written into the folder of -o under their own names. Values of maps are not converted;
+    16 bits, gray, floats and profiles stay. The vectors of a normal map get length 1 where they are interpolated.
+
     Parameters
     ----------
     output
-        The output, with the 8 or 16 bits a channel of IMAGE; WebP has 8.
+        The output, with the 8 or 16 bits a channel of IMAGE; WebP has 8. With --with, a folder.
     method
         The method.  [required; with --fill: rsgf]
     shape
@@ -74,18 +81,23 @@ def synth_command(
         Also write the pictures that the method returns beside the output.
     """
     from nrbench import plugins
-    from nrbench.api.arguments import masked_in, plugin_in
-    from nrbench.calling.method_calls import is_picture
-    from nrbench.imaging.convert import depth_of, quantize
-    from nrbench.pictures.files import WRITTEN, write_image
+    from nrbench.api.arguments import layers_in, masked_in, plugin_in
+    from nrbench.calling.sample_maps import flatten_alpha
+    from nrbench.imaging.convert import depth_of, to_integers
+    from nrbench.imaging.masks import MaskedImage
+    from nrbench.pictures.files import WRITTEN, read_map, write_map
     from nrbench.plugins.parameters import parse_size
 
+    unused = {"--size": shape, "--mask": mask, "--tileable": tileable, "--with": maps, "--keep-alpha": keep_alpha}
+    for name, value in unused.items() if fill is not None else ():
+        require(not value, f"{name}: has no effect with --fill, which returns a picture of the size of IMAGE")
+    read = [read_map(path) for path in maps]
+    if maps:
+        output, *others = _name_outputs(output, [image, *maps], [False, *(each.dtype.kind == "f" for each, _ in read)])
     check_output(output, *WRITTEN)
     if os.path.realpath(output) == os.path.realpath(image):
         raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
     if fill is not None:
-        for name, value in (("--size", shape), ("--mask", mask), ("--tileable", tileable)):
-            require(not value, f"{name}: has no effect with --fill, which returns a picture of the size of IMAGE")
         _fill(image, fill, method, lattice, seed, output)
         return
     if method is None or shape is None:
@@ -93,12 +105,32 @@ def synth_command(
     finder = getattr(plugin_in("synthesizers", method, {}), "finder", "")
     size = parse_size(shape)
     require(max(size) < 1 << 14 or output.suffix.lower() != ".webp", f"-o {output}: WebP has at most 16383 px; use PNG")
-    sample = masked_in(image, mask)
+    sample = MaskedImage(flatten_alpha(layers_in(image))[0]) if keep_alpha else masked_in(image, mask)
     given = _given_lattice(sample, lattice)
     with waiting(f"{method.partition(':')[0]}, {shape}") as progress:
-        synthesis = call(image=sample, shape=size, lattice=given, mask=None, progress=progress)
-    write_image(output, synthesis.image)
+        synthesis = call(
+            image=image if keep_alpha else sample,
+            shape=size,
+            lattice=given,
+            mask=mask if keep_alpha else None,
+            maps=[values for values, _ in read],
+            progress=progress,
+        )
+    write_map(output, to_integers(synthesis.image, depth_of(synthesis.image)))
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
+    for path, values, (_, profile) in zip(others if maps else (), synthesis.maps, read, strict=True):
+        click.echo(f"{write_map(path, values, profile)}", err=True)
+    _write_extras(synthesis, output, extras)
+    if given is None and synthesis.lattice is not None and finder != plugins.in_role("detector"):
+        _warn_of_another_lattice(sample, method.partition(":")[0], synthesis.lattice)
+
+
+def _write_extras(synthesis: Synthesis, output: Path, extras: bool) -> None:
+    """Write the pictures and texts that a method returned beside the output, or print their names."""
+    from nrbench.calling.method_calls import is_picture
+    from nrbench.imaging.convert import depth_of, quantize
+    from nrbench.pictures.files import write_image
+
     pictures = {title: array for title, array in synthesis.extras.items() if is_picture(array)}
     if pictures and not extras:
         click.echo(f"not written: {', '.join([*pictures, *synthesis.files])}; --extras writes them", err=True)
@@ -108,8 +140,33 @@ def synth_command(
     for name, describe in synthesis.files.items() if extras else ():
         write_text(output.with_name(f"{output.stem}-{name}"), describe(f"{output.stem}-"))
         click.echo(f"{output.with_name(f'{output.stem}-{name}')} ({name})", err=True)
-    if given is None and synthesis.lattice is not None and finder != plugins.in_role("detector"):
-        _warn_of_another_lattice(sample, method.partition(":")[0], synthesis.lattice)
+
+
+def _name_outputs(folder: Path, pictures: Sequence[Path], floats: Sequence[bool]) -> list[Path]:
+    """Return the files in a folder, which is made, to which the maps are written, by the names of the pictures.
+
+    Raises
+    ------
+    BadInput
+        If two maps would have one name, or a picture would be replaced.
+    """
+    from nrbench.pictures.files import WRITTEN
+
+    kept = [WRITTEN[1:3] if whole else WRITTEN for whole in floats]
+    named = [
+        folder / (path.name if path.suffix.lower() in endings else f"{path.stem}{endings[0]}")
+        for path, endings in zip(pictures, kept, strict=True)
+    ]
+    for number, path in enumerate(named):
+        same = [
+            str(other) for other, name in zip(pictures, named, strict=True) if name.name.lower() == path.name.lower()
+        ]
+        require(len(same) == 1, f"{' and '.join(same)}: would both be written to {path}; rename one of them")
+        lost = os.path.realpath(path) in map(os.path.realpath, pictures)
+        require(not lost, f"-o {folder}: {pictures[number]} would be replaced; choose another folder")
+    require(folder.is_dir() or not folder.exists(), f"-o {folder}: is a file; with --with, give a folder")
+    make_writable(folder.absolute(), "choose another directory")
+    return named
 
 
 def _fill(image: Path, mask: Path, method: str | None, lattice: str | None, seed: int, output: Path) -> None:

@@ -60,6 +60,15 @@ def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Imag
     return _scale_to_unit(pixels, where)
 
 
+def as_layers(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> NDArray[np.float32]:
+    """Convert an image with an alpha channel as :func:`as_image` does, with alpha as the last of 2 or 4 channels."""
+    pixels = np.asarray(array)
+    if pixels.ndim != 3 or pixels.shape[2] not in (2, 4):
+        raise BadInput(f"{where}: has no alpha channel to keep; leave out --keep-alpha")
+    _check_shape(pixels, where, smallest)
+    return _scale_to_unit(pixels, where)
+
+
 def _check_shape(pixels: NDArray[Any], where: str, smallest: int) -> None:
     if pixels.ndim != 3 or pixels.shape[2] not in (1, 2, 3, 4):
         raise BadInput(f"{where}: shape {pixels.shape} is no image; pass (H, W), (H, W, 1) or (H, W, 3)")

@@ -48,7 +48,9 @@ FORMS: Mapping[str, Form] = {
     "datasets": Form("dataset", {"render": 2, "again": 3}, ("model", "shape", "seed")),
     "detectors": Form("detector", {"detect": 1}, ("image", "detector", "mask")),
     "synthesizers": Form(
-        "method", {"synthesize": 1}, ("method", "image", "shape", "lattice", "seed", "progress", "mask")
+        "method",
+        {"synthesize": 1},
+        ("method", "image", "shape", "lattice", "seed", "progress", "mask", "maps", "keep_alpha", "flatten_light"),
     ),
     "metrics": Form("metric", {"score": 1}),
     "reports": Form("report", {"write": 2}),

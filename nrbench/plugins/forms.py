@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, runtim
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.masks import Mask
 from nrbench.jit import work_clock
@@ -322,8 +323,9 @@ class Detector(Protocol):
 Again = Callable[[Shape, int], Texture | None]
 """``again(shape, k)`` returns the k-th independent draw of the sample's texture, of the same lattice and origin."""
 SourceMap = NDArray[np.float32]
-"""``float32 (H, W, 3)``: for each output pixel the (x, y) of the sample pixel that it was copied from, and the weight
-of that pixel in (0, 1]. Where several pixels were blended, the one of the largest weight. NaN where none was copied."""
+"""``float32 (H, W, 3)``: for each output pixel the place (x, y) in the sample that it shows, and the weight of that
+place in (0, 1]. A place between pixels is interpolated; a pixel whose place is whole and whose weight is 1 is a copy.
+Where several places were blended, the one of the largest weight. NaN where the sample is not shown."""
 Value = float | bool | None
 Better = Literal["higher", "lower", "one", "none"]
 T = TypeVar("T")
@@ -420,6 +422,18 @@ class Synthesis:
         The lattice that the method used, in coordinates of the sample; None if it used none.
     source
         A :data:`SourceMap`, if the method copies pixels.
+    blended
+        ``float32 (H, W, K, 3)``: the next K places of each pixel that is blended, in the order of their weights; weight
+        0 where there is none. None if no pixel is blended.
+    tints
+        ``float32 (h, w, 2 + C)``: places (x, y) in the sample, and the part of its color there that the method drew
+        anew; None if it drew none. Then the output differs from its sources, and other maps follow by regression.
+    sample
+        The sample; nrbench adds it.
+    maps
+        The maps of the call, in the layout of the output; nrbench adds them.
+    able
+        The names of the methods that give source maps, for a message; nrbench adds them if there is none.
     extras
         Pictures or arrays by name; they are kept beside the output.
     detection_seconds
@@ -445,6 +459,53 @@ class Synthesis:
     detection_seconds: float = 0.0
     note: str = ""
     files: Mapping[str, Callable[[str], str]] = field(default_factory=dict, repr=False)
+    blended: NDArray[np.float32] | None = field(default=None, repr=False)
+    tints: NDArray[np.float32] | None = field(default=None, repr=False)
+    sample: Image | None = field(default=None, repr=False)
+    maps: tuple[NDArray[Any], ...] = field(default=(), repr=False)
+    able: str = field(default="", repr=False)
+
+    def apply(self, other: NDArray[Any]) -> NDArray[Any]:
+        """Return another map of the sample, such as heights, in the layout of the output.
+
+        Copies are exact. Between pixels the map is interpolated, and where the output is blended, so is the map. The
+        vectors of a normal map, which is recognized by their lengths, get length 1 again. Truth values are those of the
+        nearest pixel of the largest weight.
+
+        Parameters
+        ----------
+        other
+            ``(h, w)`` or ``(h, w, C)``, of the size of the sample: bool, whole numbers, or finite floats of any range.
+
+        Returns
+        -------
+        NDArray
+            ``(H, W)`` or ``(H, W, C)``, of the same dtype.
+
+        Raises
+        ------
+        BadInput
+            If the method gives no source map, the map is not finite, or it has another size than the sample.
+
+        Examples
+        --------
+        >>> from nrbench import synthesize, texture
+        >>> brick = texture("brick", shape=(96, 96))
+        >>> made = synthesize("quilting:block=24", brick, (80, 60))
+        >>> heights = brick.image[..., 1] ** 2
+        >>> bool((made.apply(heights) == made.image[..., 1] ** 2).all())
+        True
+        """
+        from nrbench.imaging.source_maps import as_layers_of_map, follow_tints, lay_out, like_map, read_nearest
+
+        if self.source is None or self.sample is None or not np.isfinite(self.source).all():
+            raise BadInput(f"apply: the method gives no complete source map; {self.able or 'others'} do")
+        values = as_layers_of_map(other, self.sample.shape)
+        laid, nearest = lay_out(values, self.source, self.blended), read_nearest(values, self.source)
+        if self.tints is not None:
+            copies = lay_out(self.sample.astype(np.float64), self.source, self.blended)
+            laid += follow_tints(values, self.tints, self.image.reshape(copies.shape) - copies)
+        return like_map(laid, other, nearest)
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""

@@ -361,9 +361,10 @@ class NamedDetector:
 ABILITIES: Final = {
     "wraps": "--tileable: {} cannot make an output that repeats without a seam",
     "masks": "{} cannot leave out transparent or masked pixels",
+    "maps": "--with, --keep-alpha: {} cannot lay out other maps as its output",
     "fills": "--fill: {} cannot fill holes",
 }
-"""What a plugin lacks whose class variable of this name is not True."""
+"""What a plugin lacks whose class variable of this name is not true."""
 
 
 def describe_lack(kind: str, cls: type[Any], ability: str) -> str:

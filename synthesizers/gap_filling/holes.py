@@ -11,8 +11,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from nrbench.calling.method_calls import move_sources
 from nrbench.imaging.convert import Image, box_sums
-from nrbench.lattice.geometry import Lattice
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Refused, SourceMap, Synthesis, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector, in_role
 
@@ -24,6 +25,8 @@ from ..patch_laying.raster_order import draw_within
 Method = TypeVar("Method", bound=type[Any])
 _REACH = 1.5
 """Sides of a patch, in the extents of a cell along x and along y: it shows an element whole, with what is around it."""
+_BESIDE = 0.49
+"""px: largest distance of a place from the pixel that filled a hole, so that the pixel is the nearest one."""
 _LEAST = 12
 """px: least side of a patch, if the picture holds such patches; else patches are halved, down to a pixel."""
 _PARTS: Final = (1.0, 0.5, 0.3)
@@ -250,18 +253,18 @@ def leaves_out(method: Method) -> Method:
         share = f"{100 * (1 - task.known.mean()):.2g} % of the sample left out"
         note = "; ".join(filter(None, (made.note, share, filled.note)))
         seconds = made.detection_seconds + filled.detection_seconds
-        assert filled.source is not None
-        source = None if made.source is None else trace_source(made.source, filled.source)
-        return replace(made, source=source, detection_seconds=seconds, note=note)
+        source = filled.source
+        assert source is not None
+        made = move_sources(made, lambda places: trace_places(places, source))
+        return replace(made, detection_seconds=seconds, note=note)
 
     method.synthesize, method.masks = synthesize_filled, True
     return method
 
 
-def trace_source(source: SourceMap, filled: SourceMap) -> SourceMap:
-    """Return the source map of an output whose sample was filled, from that of the filled sample."""
-    x, y = np.rint(np.nan_to_num(source[..., :2])).astype(np.intp).reshape(-1, 2).T
-    place = filled[y, x].reshape(source.shape)
-    moved = source + np.where(np.isfinite(source), place, np.nan) - np.rint(source) * (1, 1, 0)
-    moved[..., 2] = source[..., 2]
-    return np.asarray(moved, np.float32)
+def trace_places(places: Points, filled: SourceMap) -> Points:
+    """Return the places (x, y) in a sample of places ``(..., 2)`` in the sample with its holes filled."""
+    pixels = np.rint(places).astype(np.intp).clip(0, np.array(filled.shape[1::-1]) - 1)
+    moved = filled[pixels[..., 1], pixels[..., 0], :2]
+    beside = moved + np.clip(places - pixels, -_BESIDE, _BESIDE)
+    return np.where((moved == pixels).all(-1, keepdims=True), places, beside)

@@ -10,7 +10,7 @@ from nrbench.displacement.deformation_field import read_spline
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Refused, Task
-from nrbench.synthesizers.gap_filling.holes import HoleFiller, trace_source
+from nrbench.synthesizers.gap_filling.holes import HoleFiller, trace_places
 
 LATTICE = Lattice((24, 0), (12, 16))
 ABLE = [one.name for one in plugins.inventory("synthesizers") if one.built_in and getattr(one.cls, "masks", False)]
@@ -129,13 +129,13 @@ def test_the_needed_methods_leave_pixels_out() -> None:
     assert not {"oracle", "copier", "planted"} & {*ABLE}
 
 
-def test_a_source_map_is_traced_through_a_filled_sample() -> None:
-    """A copy of a filled pixel names the pixel that filled it; what names none names none; weights stay."""
+def test_places_are_traced_through_a_filled_sample() -> None:
+    """The place of a filled pixel is that of the pixel that filled it, moved as far from its middle; others stay."""
     filled = np.ones((4, 4, 3), np.float32)
     filled[..., 0], filled[..., 1] = np.arange(4), np.arange(4)[:, np.newaxis]
     filled[1, 2] = (0, 3, 1)
-    source = np.array([[(2, 1, 0.5), (3, 3, 1), (np.nan,) * 3]], np.float32)
-    np.testing.assert_array_equal(trace_source(source, filled), np.array([[(0, 3, 0.5), (3, 3, 1), (np.nan,) * 3]]))
+    places = np.array([(2, 1), (3, 3), (2.25, 0.75), (3.5, -0.5)])
+    np.testing.assert_array_equal(trace_places(places, filled), [(0, 3), (3, 3), (0.25, 2.75), (3.5, -0.5)])
 
 
 def test_a_method_gets_the_filled_sample_only_if_pixels_do_not_count() -> None:
