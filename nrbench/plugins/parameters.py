@@ -7,7 +7,6 @@ import dataclasses
 import difflib
 import fnmatch
 import inspect
-import itertools
 import os
 import re
 import sys
@@ -182,12 +181,7 @@ def prepare_conversion(cls: type[Any] | None) -> None:
 def _adapter(cls: type[Any], name: str) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
 
-    return TypeAdapter(_types(cls)[name])  # type: ignore[arg-type]
-
-
-@cache
-def _types(cls: type[Any]) -> dict[str, Any]:
-    return get_type_hints(cls)
+    return TypeAdapter(get_type_hints(cls)[name])
 
 
 def _convert(cls: type[Any], key: str, value: Any, where: str) -> Any:
@@ -287,16 +281,11 @@ def nearest(word: str, known: Iterable[str]) -> str:
     returned, of the others up to three.
     """
     options = list(known)
-    begun = [each for each in options if _shared_start(word, each) >= max(3, min(4, len(word), len(each)))]
+    begun = [each for each in options if len(word) > 2 and each.startswith(word[: max(3, min(4, len(each)))])]
     close = difflib.get_close_matches(word, options, n=1, cutoff=0.66) or begun
     if 0 < len(close) <= 3:
         return f" (did you mean {' or '.join(map(repr, close))}?)"
     return f" (known: {', '.join(options)})" if options else " (there are none)"
-
-
-def _shared_start(first: str, second: str) -> int:
-    """Return the number of letters at the beginning that two words have in common."""
-    return sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], zip(first, second, strict=False)))
 
 
 def fields_by_call(cls: type[Any]) -> list[dataclasses.Field[Any]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import json
 import os
 import tempfile
@@ -53,7 +52,7 @@ from nrbench.running.guard import MIB, Message, cpu_seconds, peak_bytes
 from nrbench.runs.store import CellFolder, Result, metric_key
 from nrbench.storage import read_arrays, read_json, write_arrays, write_json, write_text
 from nrbench.streams import pixels_hash, stream
-from nrbench.suites.cell import RESULTS_VERSION, Cell, Recipe, reader_of
+from nrbench.suites.cell import RESULTS_VERSION, Cell, Recipe, hash_content, reader_of
 from nrbench.suites.plan import draw_texture
 
 T = TypeVar("T")
@@ -572,8 +571,7 @@ def _survey_key(cell: Cell) -> str:
     """Return a hash of all that a survey depends on."""
     given = cell.lattice_given.as_dict() if cell.lattice_given else None
     versions = [plugins.find("detectors", name).full_version for name in bent_finders()]
-    text = json.dumps([RESULTS_VERSION, cell.sample_hash, given, cell.finder, versions], sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+    return hash_content([RESULTS_VERSION, cell.sample_hash, given, cell.finder, versions])
 
 
 def _read_survey(file: Path) -> KeptSurvey | None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import itertools
-import json
 import signal
 import threading
 from collections import Counter, defaultdict
@@ -34,7 +32,7 @@ from nrbench.running.supervisor import RequestRunner, Supervisor, third_party
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
 from nrbench.storage import remove, temporary_folder, write_json, write_text
-from nrbench.suites.cell import Cell, Recipe, reader_of
+from nrbench.suites.cell import Cell, Recipe, hash_content, reader_of
 from nrbench.suites.plan import Plan, PlannedSample, make_plan
 from nrbench.suites.suite import Suite
 
@@ -104,7 +102,7 @@ def plan_run(
     limits
         The limits of the drawing of one texture.
     """
-    with Supervisor(warm=False) as supervisor:  # it starts a process when it is first used
+    with contextlib.closing(Supervisor(warm=False)) as supervisor:  # it starts a process when it is first used
         return make_plan(suite, textures, partial(draw_guarded, supervisor, limits), progress)
 
 
@@ -314,8 +312,7 @@ def _interleave(cells: list[tuple[Cell, PlannedSample]], slots: int) -> list[tup
 
 
 def _detection_key(cell: Cell) -> str:
-    text = json.dumps([cell.sample_hash, cell.detector], sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+    return hash_content([cell.sample_hash, cell.detector])
 
 
 def _with_lattice(cell: Cell, result: Result) -> Cell:
@@ -429,9 +426,9 @@ class Pace:
         self._counts.update(done=1, cached=int(seconds is None), failed=int(status in FAILED))
         if seconds is not None:
             self._seconds[cell.label].append(seconds)
-        counts = {name: self._counts[name] for name in ("done", "cached", "failed")}
+        done, cached, failed = (self._counts[name] for name in ("done", "cached", "failed"))
         what = (cell.texture, cell.label, cell.lattice_source, status)
-        return Step(counts["done"], len(self.cells), counts["cached"], counts["failed"], *what, self._remaining(slots))
+        return Step(done, len(self.cells), cached, failed, *what, self._remaining(slots))
 
     def _remaining(self, slots: int) -> float | None:
         """Return the seconds left: each method's mean for its own cells, the mean of all for an unknown method."""

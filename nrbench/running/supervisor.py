@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Protocol
 
 import numpy as np
@@ -165,7 +164,7 @@ class Supervisor:
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
-        self._ended = False
+        self.ended = False
         self._stack = contextlib.ExitStack()
 
     def run(self, request: Request) -> Reply:
@@ -197,7 +196,7 @@ class Supervisor:
         return Reply({"status": "crash", "message": message})
 
     def _check_open(self) -> None:
-        if self._ended:
+        if self.ended:
             self.close()
             raise Closed
 
@@ -242,20 +241,9 @@ class Supervisor:
         stack, self._stack = self._stack, contextlib.ExitStack()
         stack.close()
 
-    @property
-    def ended(self) -> bool:
-        """Whether :meth:`end` was called."""
-        return self._ended
-
     def end(self) -> None:
         """Kill the worker for good: a running job raises :class:`Closed`, and no further one starts."""
-        self._ended = True
-        self.close()
-
-    def __enter__(self) -> Supervisor:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.ended = True
         self.close()
 
 

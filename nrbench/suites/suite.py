@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import math
 import re
 import tomllib
@@ -21,7 +19,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput
 from nrbench.plugins.parameters import match_pattern, nearest
 from nrbench.storage import decode_text, find_path
-from nrbench.suites.cell import Recipe, Size
+from nrbench.suites.cell import Recipe, Size, hash_content
 from nrbench.suites.installed import builtin as builtin
 
 
@@ -326,20 +324,15 @@ class Suite(BaseModel):
     @property
     def hash(self) -> str:
         """Hexadecimal hash of the suite's whole content."""
-        content = json.dumps(self.model_dump(mode="json", exclude=self._unset), sort_keys=True)
-        return hashlib.blake2b(content.encode(), digest_size=8).hexdigest()
-
-    @property
-    def _unset(self) -> dict[str, Any]:
-        """The unused keys that older versions did not have. The hash leaves them out, so that it stays the same."""
-        rows = {
-            i: {key for key in ("departure", "level") if getattr(row, key) in ("", None)}
-            for i, row in enumerate(self.texture)
+        # Unused keys that older versions did not have are left out, so that the hash stays the same.
+        unset: dict[str, Any] = {
+            key: True for key in ("fresh_seed", "metrics", "references_once", "claim") if not getattr(self, key)
         }
-        return {
-            "texture": rows,
-            **{key: True for key in ("fresh_seed", "metrics", "references_once", "claim") if not getattr(self, key)},
+        unset["texture"] = {
+            number: {key for key in ("departure", "level") if getattr(row, key) in ("", None)}
+            for number, row in enumerate(self.texture)
         }
+        return hash_content(self.model_dump(mode="json", exclude=unset), 8)
 
     @property
     def all_methods(self) -> tuple[str, ...]:
