@@ -20,7 +20,7 @@ from ..perception.visible import Lab, SeenSample, perceive_sample
 from ..registration.coherence import SampleMatches
 from ..registration.lattice_net import LatticeNet, Values, fold_cells, sample_planes, split_cells
 
-Origin = Literal["model", "given", "dominance", "detected"]
+Origin = Literal["model", "given", "dominance"]
 NO_LATTICE = "not applicable: no lattice in the truth"
 _DIGITS = 9
 """Decimals to which the origin of a lattice, px, is rounded."""
@@ -40,7 +40,6 @@ class KnownLattice:
     origin
         Source of the lattice. ``"model"``: the model of the texture. ``"given"``: the user, for a photograph; the
         lattice is then uncertain. ``"dominance"``: the detector of that name, applied to the sample.
-        ``"detected"``: the detector whose lattice all methods got.
     reason
         Reason why there is no lattice.
     """
@@ -58,9 +57,7 @@ def find_known_lattice(observation: Observation) -> KnownLattice:
     lattice may be a supercell; it is then replaced by the smallest lattice by which the sample repeats.
 
     The detector is ``dominance`` because no synthesizer uses it by default (``rsgf`` and ``tile-set`` use
-    ``consensus``). A score should not use the detector of a method that it ranks. Where ``dominance`` finds none, it is
-    the lattice that was detected once for all methods of a sheet or a run, if it is more probable than not: without any
-    lattice, ruined outputs would have no score.
+    ``consensus``). A score must not use the detector of a method that it ranks.
     """
     truth, again = observation.truth, observation.again
     if truth is not None and truth.lattice is not None:
@@ -75,10 +72,6 @@ def find_known_lattice(observation: Observation) -> KnownLattice:
             canonical_lattice(Dominance().detect(observation.sample, observation.known).lattice), "dominance"
         )
     except NoLatticeFound as none:
-        found = observation.detected
-        if found is not None and found.lattice is not None and (found.confidence or 0) > 0.5:
-            sample = perceive_masked(observation, found.lattice)
-            return KnownLattice(split_supercell(sample, canonical_lattice(found.lattice)), "detected")
         reason = f"not applicable: no lattice is given, and the detector dominance finds none in the sample: {none}"
         return KnownLattice(None, "dominance", reason)
 

@@ -18,7 +18,7 @@ from nrbench.metrics.judgment.known_lattice import canonical_lattice, find_known
 from nrbench.metrics.perception.limits import JND
 from nrbench.metrics.perception.visible import measure_detail, measure_looks, perceive, perceive_sample
 from nrbench.metrics.quality import Quality
-from nrbench.plugins.forms import FoundLattice, Observation, Texture
+from nrbench.plugins.forms import Texture
 
 from .conftest import Case, case, scored
 
@@ -113,16 +113,6 @@ def test_a_lattice_that_nobody_gives_is_detected() -> None:
     assert lattice_error(known.lattice, case("hexagon").lattice, (128, 128)).relation == "exact"
     noise = Texture(observation.sample, kind="stochastic")
     assert find_known_lattice(replace(observation, truth=noise)).lattice is None
-
-
-def test_the_lattice_of_all_methods_counts_where_the_judge_finds_none() -> None:
-    """It counts if it is more probable than not."""
-    grain = quantize(np.random.default_rng(0).random((64, 64, 3), np.float32))
-    lattice = Lattice((16.0, 0.0), (0.0, 16.0))
-    for confidence, origin in ((0.9, "detected"), (0.4, "dominance")):
-        observation = Observation(grain, grain, detected=FoundLattice(lattice, confidence=confidence))
-        known = find_known_lattice(observation)
-        assert known.origin == origin and (known.lattice is not None) == (origin == "detected")
 
 
 @pytest.mark.parametrize("model", [True, False])
