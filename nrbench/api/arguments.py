@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.flags import ARGUMENT, Flag
 from nrbench.plugins.parameters import LARGEST_SIDE, nearest, parse_size, parse_spec, take_label, validated
 
@@ -200,9 +200,15 @@ def layers_in(image: Imagelike) -> Image:
 
 def map_in(image: Any) -> Any:
     """Return the values of another map of a sample: an array as it is, those of a picture file as they are stored."""
+    import numpy as np
+
     from nrbench.pictures.files import read_map
 
-    return read_map(Path(image))[0] if isinstance(image, str | os.PathLike) else _pixels_of(image, "map")
+    if isinstance(image, str | os.PathLike):
+        return read_map(Path(image))[0]
+    pixels = np.asarray(_pixels_of(image, "map"))
+    require(pixels.dtype.kind in "buif", f"map: dtype {pixels.dtype}; pass truth values, whole numbers or floats")
+    return pixels
 
 
 def stored_image(image: Imagelike, where: str = "image") -> Image:

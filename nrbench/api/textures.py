@@ -394,6 +394,7 @@ def synthesize(
     plugin = plugin_in("synthesizers", method, parameters)
     along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
     make = partial(_make_output, plugin, shape_in(shape), lattice, seed, progress, along, flatten_light)
+    maps = maps if isinstance(maps, list | tuple) else [maps]
     if keep_alpha:
         require(mask is None and not flatten_light, "--keep-alpha: works neither with --mask nor with --flatten-light")
         return _make_transparent(make, image, maps)
@@ -630,6 +631,7 @@ def score(
     require(tileable == (output is None), "score: pass a sample and an output, or tileable and one picture")
     if tileable:
         require(not names_of(metrics), "score: tileable computes no metrics; leave them out")
+        require(mask is None, "score: tileable judges all pixels of a picture; leave the mask out")
         return score_edges(sample, lattice)
     image, known = stored_masked(sample, mask, "sample")
     pair = image, stored_image(output, "output")

@@ -145,6 +145,8 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape, known: Mask |
         raise InvalidOutput(
             f"returned blended sources of the wrong shape: expected {(*shape, 'K', 3)}, got {blended.shape}"
         )
+    if blended is not None and not (np.isfinite(blended).all() and (blended[..., 2] >= 0).all()):
+        raise InvalidOutput("returned blended sources with NaN, infinity or negative weights")
     if not (synthesis.lattice is None or isinstance(synthesis.lattice, Lattice)):
         raise InvalidOutput(
             f"returned a lattice of the wrong type: expected Lattice or None, got {synthesis.lattice!r}"

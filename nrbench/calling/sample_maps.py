@@ -46,7 +46,7 @@ def synthesize_with_maps(
     low, span = ([change(each) for each in values] for change in (np.min, lambda each: max(np.ptp(each), 1e-12)))
     units = [(each - first) / length for each, first, length in zip(values, low, span, strict=True)]
     stack = quantize(np.concatenate([sample, *units], -1), 16)
-    made = make(method, replace(task, sample=stack))
+    made = checked_synthesis(make(method, replace(task, sample=stack)), stack, task.shape, task.known)
     ends = np.cumsum([sample.shape[2], *(each.shape[2] for each in values)])
     image, *parts = np.split(np.asarray(made.image, np.float64), ends[:-1], -1)
     restored = [part * length + first for part, length, first in zip(parts, span, low, strict=True)]

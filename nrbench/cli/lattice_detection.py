@@ -217,6 +217,7 @@ def answer_question(options: LatticeQuestion) -> int:
     if options.every:
         return _compare_detectors(masked, options)
     if options.defects:
+        require(masked.known is None, "--defects: compares all cells, so none can be left out; see synth --fill")
         _show_defects(image, options, options.defects)
     elif options.straighten:
         _straighten_picture(image, options, options.straighten)

@@ -45,6 +45,7 @@ def synth_command(
     maps: tuple[Path, ...],
     keep_alpha: bool,
     tileable: str | None,
+    flatten_light: bool,
     output: OutputPicture,
     method: SomeMethod = None,
     shape: SomeSize = None,
@@ -88,15 +89,17 @@ def synth_command(
     from nrbench.pictures.files import WRITTEN, read_map, write_map
     from nrbench.plugins.parameters import parse_size
 
-    unused = {"--size": shape, "--mask": mask, "--tileable": tileable, "--with": maps, "--keep-alpha": keep_alpha}
+    unused: dict[str, object] = {"--size": shape, "--mask": mask, "--tileable": tileable, "--with": maps}
+    unused |= {"--keep-alpha": keep_alpha, "--flatten-light": flatten_light, "--extras": extras}
     for name, value in unused.items() if fill is not None else ():
         require(not value, f"{name}: has no effect with --fill, which returns a picture of the size of IMAGE")
     read = [read_map(path) for path in maps]
     if maps:
         output, *others = _name_outputs(output, [image, *maps], [False, *(each.dtype.kind == "f" for each, _ in read)])
     check_output(output, *WRITTEN)
-    if os.path.realpath(output) == os.path.realpath(image):
-        raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
+    for path in filter(None, (image, mask, fill)):
+        if os.path.realpath(output) == os.path.realpath(path):
+            raise BadInput(f"-o {output}: is {path} itself, which would be lost; choose another name")
     if fill is not None:
         _fill(image, fill, method, lattice, seed, output)
         return
@@ -264,7 +267,8 @@ def score_command(
     from nrbench.pictures.files import read_image
 
     if tileable:
-        require(not (output or metrics or every), "--tileable: judges one picture; pass no OUTPUT, --metrics or --all")
+        given = output or metrics or every or mask
+        require(not given, "--tileable: judges one whole picture; pass no OUTPUT, --mask, --metrics or --all")
         return _show_edges(call, sample, lattice, seam, as_json)
     if output is None or seam:
         raise BadInput("score: pass SAMPLE and OUTPUT, without -o; or --tileable and one picture")

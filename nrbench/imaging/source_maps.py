@@ -131,5 +131,5 @@ def like_map(laid: Floats, other: NDArray[Any], nearest: Floats) -> NDArray[Any]
         laid[..., :3] = half * (vectors + 1)
         low, high = np.minimum(low, 0), np.maximum(high, 2 * half)
     laid = np.clip(laid[..., :channels], low, high)
-    laid = nearest if other.dtype == np.bool_ else np.rint(laid) if other.dtype.kind in "iu" else laid
+    laid = nearest > 0.5 if other.dtype == np.bool_ else np.rint(laid) if other.dtype.kind in "iu" else laid
     return laid.astype(other.dtype).reshape(*laid.shape[:2], *other.shape[2:])
