@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import operator
 import os
 import secrets
@@ -27,6 +28,7 @@ from nrbench.api.arguments import (
     Suitelike,
     SuiteSeed,
     Textures,
+    as_lattice,
     lattice_source_texts,
     list_of,
     method_text,
@@ -42,6 +44,7 @@ from nrbench.storage import make_writable, read_json
 if TYPE_CHECKING:
     import pandas as pd
 
+    from nrbench.lattice.geometry import Lattice
     from nrbench.running.guard import Limits
     from nrbench.running.options import Options
     from nrbench.running.runner import OnStep
@@ -732,14 +735,28 @@ def sheet(
         if mask is not None:
             left = picture_file(mask, Path(folder), "mask.png")
         file, lattice = prepare_photo(file, lattice, flatten_light, Path(folder), left is not None)
-        suite = photo_suite(file, sample, size, left)
-        sources = plugins.in_role("detector") if lattice is None else lattice
-        cells, root = plan_cells(suite, methods, (), sources, Path(folder) / "run", seed=seed)
-        rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)
+        root, make_suite = Path(folder) / "run", functools.partial(photo_suite, file, sample, size, left)
+        planned = _plan_sheet(make_suite, methods, lattice, root, seed)
+        rated = rate_outputs(execute(planned, root, options, progress or (lambda step: None)).cells)
         made = [pair for pair in rated if pair[0].status == "ok"]
         if made:
             write_image(Path(output), draw_sheet(made))
     return pd.DataFrame([row for _, row in rated])
+
+
+def _plan_sheet(
+    make_suite: Callable[[Lattice | None], Suite], methods: Methods, lattice: Latticelike, root: Path, seed: int
+) -> Plan:
+    """Return the cells of a sheet. A lattice that is given, or that the judge does not find, is the judge's, too."""
+    from nrbench.api.photo_sheet import find_unjudged_lattice
+
+    source, known = plugins.in_role("detector") if lattice is None else lattice, None
+    if isinstance(source, str) and parse_spec(source)[0] in plugins.names("detectors"):
+        planned, _ = plan_cells(make_suite(None), methods, (), source, root, seed=seed)
+        known = find_unjudged_lattice(planned.cells[0][1]) if lattice is None else None
+    else:
+        known = as_lattice(source)
+    return planned if known is None else plan_cells(make_suite(known), methods, (), "given", root, seed=seed)[0]
 
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:

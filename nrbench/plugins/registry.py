@@ -249,8 +249,9 @@ def in_role(role: str) -> str:
     ----------
     role
         ``detector``, which finds a lattice where no detector is named; ``quick-detector``, which proposes lattices of
-        bent pictures; ``pictures``, which reads files; ``comparison``, which compares two runs; ``run-site``;
-        ``tables``, which has the frames of a run; ``plot``, which has the plot of a run.
+        bent pictures; ``judge-detector``, which finds a lattice for scores; ``pictures``, which reads files;
+        ``comparison``, which compares two runs; ``run-site``; ``tables``, which has the frames of a run; ``plot``,
+        which has the plot of a run.
     """
     declared = entry_points(group="nrbench.roles", name=role)
     value = next(point.value for point in declared if _name_and_version(point.dist)[0] == "nrbench")
