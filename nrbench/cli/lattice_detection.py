@@ -582,8 +582,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Take the answer."""
         with self._of_page():
             size = int(self.headers.get("Content-Length") or 0)
-            if not 0 < size <= MOST_BYTES:
-                raise BadInput(f"an answer of {size} bytes; at most {MOST_BYTES} are read")
+            require(0 < size <= MOST_BYTES, f"an answer of {size} bytes; at most {MOST_BYTES} are read")
             text = self.server.answer(self.rfile.read(size))
             self._send(200, "text/plain; charset=utf-8", text.encode())
             self.server.shutdown()

@@ -18,9 +18,9 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,10 @@ PROBE = 1.0
 LIBRARIES = ("numpy", "scipy", "scikit-image", "numba")
 """Packages whose versions may decide the last bits of a result."""
 WINGS = ("nrbench.synthesizers", "nrbench.metrics", "nrbench.datasets_procedural", "nrbench.reports")
+
+
+_one_thread: Callable[[], AbstractContextManager[Any]] = partial(threadpool_limits, 1)
+"""Limits libraries to one thread, as in a worker: sums over several threads round otherwise."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +81,7 @@ def _run_now(job: Request) -> Future[Result]:
 
 def synthesize_here(job: Request) -> None:
     """Do the part of a job that needs its method, in the caller's thread; whoever runs the job then does the rest."""
-    limit_threads: Any = threadpool_limits
-    with limit_threads(1):  # as in a worker: sums over several threads round otherwise
+    with _one_thread():
         _run_now(dataclasses.replace(job, metrics=())).result()
 
 
@@ -152,8 +155,7 @@ def executor(
         with connect(scheduler, worker_wait, tell) as cluster:
             yield Executor(cluster.submit, lambda: cluster.slots, cluster.check)
     elif jobs == 0:
-        limit_threads: Any = threadpool_limits
-        with limit_threads(1):  # as in a worker: sums over several threads round otherwise
+        with _one_thread():
             yield Executor(_run_now, lambda: 0)
     else:
         threads = _GroupedThreads(jobs, tell)
@@ -304,9 +306,9 @@ def _finish(job: Request, task: Future[Result], future: Future[Result]) -> None:
             future.set_exception(BadInput(why))
 
 
-def _record_loss(job: Request, why: str = "each worker of the cluster that ran it died") -> Result:
+def _record_loss(job: Request) -> Result:
     """Record that a job has no result, or that scores of its output are missing."""
-    where = CellFolder(Path(job.folder))
+    where, why = CellFolder(Path(job.folder)), "each worker of the cluster that ran it died"
     known = where.result()
     if known is None or known["status"] != "ok":
         return where.write_result({"status": "crash", "message": why, "phase": "synthesize"})
