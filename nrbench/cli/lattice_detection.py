@@ -123,12 +123,10 @@ class LatticeResult:
 
     def finish(self, image: Image, options: LatticeQuestion) -> None:
         """Print the result on standard output, and write a file of the points of the lattice if one is named."""
-        vertices = self.vertices
-        if self.lattice is not None and not vertices:
-            vertices = lay_vertices(self.lattice, image.shape[:2])
-        if options.vertices is not None and vertices:
-            write_text(options.vertices, vertices_text(vertices))
         if options.vertices is not None:
+            vertices = self.vertices or (lay_vertices(self.lattice, image.shape[:2]) if self.lattice else ())
+            if vertices:
+                write_text(options.vertices, vertices_text(vertices))
             state = f"{len(vertices)} vertices" if vertices else "not written, there is no lattice in the picture"
             click.echo(f"{options.vertices}: {state}", err=True)
         self.print(options.as_json)

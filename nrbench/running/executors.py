@@ -30,7 +30,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
 from nrbench.running.options import print_notice
 from nrbench.running.phases import Request
-from nrbench.running.supervisor import InProcessRunner, close_all, own_supervisor, run_job
+from nrbench.running.supervisor import close_all, own_supervisor, run_here, run_job
 from nrbench.runs.store import CellFolder, Result
 
 CONNECT = 10.0
@@ -73,7 +73,7 @@ def _run_now(job: Request) -> Future[Result]:
     """Run a job in the caller's thread, for the debugger; return its finished future."""
     future: Future[Result] = Future()
     try:
-        future.set_result(run_job(job, InProcessRunner()))
+        future.set_result(run_job(job, run_here))
     except Exception as error:
         future.set_exception(error)
     return future
@@ -121,7 +121,7 @@ class _GroupedThreads:
             self._groups[thread] = job.group
         if future.set_running_or_notify_cancel():
             try:
-                future.set_result(run_job(job, own_supervisor(self._tell)))
+                future.set_result(run_job(job, own_supervisor(self._tell).run))
             except BaseException as error:
                 future.set_exception(error)
 
@@ -370,7 +370,7 @@ def run_on_worker(job: Request, code: str) -> Result:
             plugins.add_file(file)
         for kind, name in job.imports:
             plugins.find(kind, name)
-        return run_job(job, own_supervisor())
+        return run_job(job, own_supervisor().run)
 
 
 @contextmanager
