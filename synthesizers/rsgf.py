@@ -223,10 +223,10 @@ class Rsgf:
         Refused
             If no pixel that counts is equal to one that does not.
         """
-        made = fill_task(task, self.finder, self.block or _BLOCKS[0])
-        if made.lattice is None:
-            warn_of_no_lattice("rsgf", made.note.partition("found (")[2].removesuffix(")"))
-        return made
+        found = find_lattice(task, NamedDetector(self.finder))
+        if found.lattice is None:
+            warn_of_no_lattice("rsgf", found.reason)
+        return fill_task(task, found, self.block or _BLOCKS[0])
 
     def block_grid(self, task: Task) -> BlockGrid:
         """Return the blocks of the output. Those of a tileable one are as large as its sides require."""

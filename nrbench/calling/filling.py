@@ -66,19 +66,14 @@ def _fill_part(method: Any, task: Task) -> Synthesis:
     """Return a picture with its holes filled, on its followed lattice if that is bent."""
     survey = survey_sample(method, task)
     if survey is None:
-        return _filled(method, task)
+        made: Synthesis = method.fill(task)
+        return made
     if survey.bent is None:
-        made = _filled(method, replace(task, lattice=survey.found.lattice))
-        note = "; ".join(filter(None, (made.note, survey.note)))
-        return replace(made, detection_seconds=made.detection_seconds + survey.seconds, note=note)
-    made = _fill_bent(method, task, survey.bent)
-    note = "; ".join(filter(None, (made.note, f"{survey.note}, and filled as it is bent")))
-    return replace(made, detection_seconds=survey.seconds, note=note)
-
-
-def _filled(method: Any, task: Task) -> Synthesis:
-    made: Synthesis = method.fill(task)
-    return made
+        made, note = method.fill(replace(task, lattice=survey.found.lattice)), survey.note
+    else:
+        made, note = _fill_bent(method, task, survey.bent), f"{survey.note}, and filled as it is bent"
+    note = "; ".join(filter(None, (made.note, note)))
+    return replace(made, detection_seconds=made.detection_seconds + survey.seconds, note=note)
 
 
 def _fill_bent(method: Any, task: Task, bent: Deformation) -> Synthesis:
@@ -93,7 +88,7 @@ def _fill_bent(method: Any, task: Task, bent: Deformation) -> Synthesis:
     known = known_at(task.known, places) & ((places >= 0) & (places <= last)).all(-1)
     straight = quantize(read_spline(task.sample, np.clip(places, 0, last)), depth_of(task.sample))
     flat = replace(task, sample=straight, known=known, shape=known.shape, lattice=bent.lattice.shifted(-low))
-    made = _filled(method, flat)
+    made: Synthesis = method.fill(flat)
     assert made.source is not None
     at = plane[hole] - low
     near = made.source[*np.rint(at).astype(np.intp).T[::-1]]

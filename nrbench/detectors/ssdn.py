@@ -10,8 +10,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from skimage.morphology import reconstruction
 
-from nrbench.detectors.autocorrelation.peak_kernels import inner_relief
 from nrbench.detectors.autocorrelation.peaks import find_vertex, quantize_correlation
 from nrbench.detectors.autocorrelation.pixel_structure import detect_content
 from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
@@ -341,5 +341,34 @@ def inner_repetition(gamma: Correlation, width: float, height: float, reach: tup
     tile = fold(right[..., np.newaxis], Lattice((width, 0), (0, height), (0, y_end)), others).values[..., 0]
     heights = quantize_correlation(tile.astype(np.float32))
     rows, columns = (np.abs(np.fft.fftfreq(n)) > CORNER for n in tile.shape)
-    order = np.argsort(-heights.ravel(), kind="stable")
-    return inner_relief(heights, rows[:, np.newaxis] | columns, order)
+    return inner_relief(heights, rows[:, np.newaxis] | columns)
+
+
+def inner_relief(tile: NDArray[np.int32], inside: NDArray[np.bool_]) -> float:
+    """Return the relief of the most prominent inner peak of a periodic tile, relative to that of the corner peak.
+
+    The relief of an inner peak is its height above the highest pass to the corner peak. It is divided by the height of
+    the corner peak above the same pass. The passes are a morphological reconstruction of the corner peak.
+
+    Parameters
+    ----------
+    tile
+        One rectangle of a surface, ``(H, W)``, with periodic borders.
+    inside
+        ``(H, W)``: the pixels that are not near a corner. The corner peak is the highest of the other pixels.
+
+    Returns
+    -------
+    float
+        The largest ratio over all inner peaks; 0 if there is no inner peak, infinite if the corners have no peak.
+    """
+    corner = np.unravel_index(np.where(inside, tile.min() - 1, tile).argmax(), tile.shape)
+    before, passes = tile, np.full_like(tile, tile.min())
+    passes[corner] = tile[corner]
+    while (passes != before).any():
+        before, (seed, mask) = passes, (np.pad(each, 1, mode="wrap") for each in (passes, tile))
+        passes = reconstruction(seed, mask, footprint=np.ones((3, 3)))[1:-1, 1:-1]  # type: ignore[no-untyped-call]
+    peaks = inside & (tile > passes)
+    with np.errstate(divide="ignore"):
+        ratios = (tile - passes)[peaks] / (tile[corner] - passes)[peaks]
+    return float(ratios.max(initial=0.0))

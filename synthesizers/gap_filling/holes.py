@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final, TypeVar
 
@@ -110,8 +110,7 @@ class HoleFiller:
             self._fill_next()
             progress(0.5 - 0.5 * left / holes)
         for number, part in enumerate(_PARTS):
-            for window in self._windows((max(round(part * self.size[0]), 3), max(round(part * self.size[1]), 3))):
-                self._improve(window, part)
+            self._improve((max(round(part * self.size[0]), 3), max(round(part * self.size[1]), 3)), part)
             progress(0.5 + 0.5 * (number + 1) / len(_PARTS))
         return self.canvas.output()
 
@@ -123,7 +122,7 @@ class HoleFiller:
         row, column = divmod(int(np.where(rim, share, -1).argmax()), known.shape[1])
         while True:
             window = self._window_around(row, column, size)
-            seen = self.canvas.known[window[0] : window[1], window[2] : window[3]]
+            seen = known[self.canvas.pixels(window)]
             whole = box_sums(~self.known, seen.shape) == 0
             places, differences = self._rate_places(window, seen, whole)
             if len(places):
@@ -138,27 +137,24 @@ class HoleFiller:
 
     def _window_around(self, row: int, column: int, size: tuple[int, int]) -> Window:
         """Return the window of a size around a pixel, moved into the picture."""
-        ends: list[int] = []
-        for middle, length, side in zip((row, column), size, self.shape, strict=True):
-            start = min(max(middle - length // 2, 0), max(side - length, 0))
-            ends += [start, min(start + length, side)]
-        return ends[0], ends[1], ends[2], ends[3]
+        (height, width), (down, across) = self.shape, np.minimum(size, self.shape).tolist()
+        y, x = min(max(row - size[0] // 2, 0), height - down), min(max(column - size[1] // 2, 0), width - across)
+        return y, y + down, x, x + across
 
-    def _windows(self, size: tuple[int, int]) -> Iterator[Window]:
-        """Yield windows half a side apart that show a part of a hole."""
+    def _improve(self, size: tuple[int, int], part: float) -> None:
+        """Lay patches over windows half a side apart, as far as they make the seams of a hole less visible.
+
+        Small ones, of a ``part`` of the first size, are laid only at the border of a hole.
+        """
         for row in range(0, self.shape[0], max(size[0] // 2, 1)):
             for column in range(0, self.shape[1], max(size[1] // 2, 1)):
                 window = self._window_around(row, column, size)
-                if not self._kept[window[0] : window[1], window[2] : window[3]].all():
-                    yield window
-
-    def _improve(self, window: Window, part: float) -> None:
-        """Lay patches over a window, as far as they make its seams less visible; small ones only at a hole's border."""
-        near = self._near[window[0] : window[1], window[2] : window[3]]
-        if part == 1 or near.any():
-            anywhere = np.ones(np.subtract(self.shape, near.shape) + 1, np.bool_)
-            for place in self._rate_places(window, near, anywhere)[0]:
-                self._lay(window, place)
+                pixels = self.canvas.pixels(window)
+                near = self._near[pixels]
+                if not self._kept[pixels].all() and (part == 1 or near.any()):
+                    anywhere = np.ones(np.subtract(self.shape, near.shape) + 1, np.bool_)
+                    for place in self._rate_places(window, near, anywhere)[0]:
+                        self._lay(window, place)
 
     def _rate_places(self, window: Window, seen: Mask, allowed: Mask) -> tuple[Pixels, NDArray[np.float64]]:
         """Return the places whose patches agree best with a window where it is ``seen``, and their differences.
@@ -213,20 +209,19 @@ class HoleFiller:
         self.canvas.seams[:, *pixels] = seams
 
 
-def fill_task(task: Task, finder: str = "", block: int = 40, keep: bool = True) -> Synthesis:
+def fill_task(task: Task, found: FoundLattice, block: int = 40, keep: bool = True) -> Synthesis:
     """Return the sample of a task with its holes filled: on its lattice, or with patches from anywhere if it has none.
 
     Parameters
     ----------
     task
         Its ``known`` leaves pixels out. The shape of the output does not count.
-    finder
-        Detector that finds the lattice if none is given; that of the role ``detector`` if empty.
+    found
+        The lattice of the sample.
     block, keep
         See :class:`HoleFiller`.
     """
     assert task.known is not None
-    found = find_lattice(task, NamedDetector(finder or in_role("detector")))
     tolerance = 0.0 if found.lattice is None else min(3.0, TOLERANCE * found.lattice.s)
     filler = HoleFiller(task.sample, task.known, found.lattice, task.rng, tolerance, block, keep)
     image, source = filler.fill(task.progress)
@@ -246,10 +241,12 @@ def leaves_out(method: Method) -> Method:
     def synthesize_filled(self: Any, task: Task) -> Synthesis:
         if task.known is None:
             return synthesize(self, task)
-        filled = fill_task(task, getattr(self, "finder", ""), keep=False)
-        found = FoundLattice(filled.lattice, reason="" if filled.lattice else filled.note)
-        detected = filled.image, NamedDetector(getattr(self, "finder", "") or in_role("detector")), found
-        made = synthesize(self, replace(task, sample=filled.image, known=None, detected=detected))
+        detector = NamedDetector(getattr(self, "finder", "") or in_role("detector"))
+        found = find_lattice(task, detector)
+        filled = fill_task(task, found, keep=False)
+        made = synthesize(
+            self, replace(task, sample=filled.image, known=None, detected=(filled.image, detector, found))
+        )
         share = f"{100 * (1 - task.known.mean()):.2g} % of the sample left out"
         note = "; ".join(filter(None, (made.note, share, filled.note)))
         seconds = made.detection_seconds + filled.detection_seconds

@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from nrbench.detectors.autocorrelation.peaks import find_vertex
 from nrbench.imaging.convert import Image, crop_middle
 from nrbench.lattice.geometry import Lattice, Points
 
@@ -87,17 +88,11 @@ def _find_peaks(image: Image) -> tuple[Points, NDArray[np.float64], float]:
     kept = kept[np.argsort(-energy[rows[kept], columns[kept]], kind="stable")[:PEAKS]]
     rows, columns, x, y = rows[kept], columns[kept], x[kept], y[kept]
     logs = np.log(power + 1e-12 * power.max() + 1e-30)
-    along = _vertices(logs[rows, np.abs(columns - 1)], logs[rows, columns], logs[rows, columns + 1])
-    down = _vertices(logs[rows - 1, columns], logs[rows, columns], logs[rows + 1, columns])
+    along, _ = find_vertex(logs[rows, np.abs(columns - 1)], logs[rows, columns], logs[rows, columns + 1])
+    down, _ = find_vertex(logs[rows - 1, columns], logs[rows, columns], logs[rows + 1, columns])
     places = np.stack([(x + np.where(x > 0, along, 0)) / width, (y + down) / height], 1)
     strongest = 9 * np.asarray(energy[rows, columns], np.float64)
     return places, strongest, float(strongest.sum() / (power.sum() + 1e-30))
-
-
-def _vertices(left: NDArray[np.float32], middle: NDArray[np.float32], right: NDArray[np.float32]) -> Points:
-    """Return the places of the vertices of parabolas through peaks and their neighbors, from -0.5 to 0.5."""
-    bend = np.minimum(left - 2 * middle + right, -1e-6)
-    return np.asarray(np.clip((left - right) / (2 * bend), -0.5, 0.5), np.float64)
 
 
 def _find_lattice(waves: Points, energies: NDArray[np.float64], size: Points) -> tuple[Points, NDArray[np.bool_]]:
