@@ -663,8 +663,8 @@ def score_edges(picture: Picture, lattice: Latticelike = None) -> Scores:
 
     image = stored_image(picture, "picture")
     require(image[..., 0].size <= MOST_SCORED, f"picture: at most {MOST_SCORED} px in all are scored: crop it")
-    found, silent = lattice_in(image, lattice), "no lattice is given"
-    if found is None and lattice is None:
+    found = lattice_in(image, lattice)
+    if found is None:
         try:
             detection = detect_lattice(image)
             found = detection.lattice if detection.confidence >= LEAST_CONFIDENCE else None

@@ -107,15 +107,9 @@ def synth_command(
     require(max(size) < 1 << 14 or output.suffix.lower() != ".webp", f"-o {output}: WebP has at most 16383 px; use PNG")
     sample = MaskedImage(flatten_alpha(layers_in(image))[0]) if keep_alpha else masked_in(image, mask)
     given = _given_lattice(sample, lattice)
+    masked = {} if keep_alpha else {"image": sample, "mask": None}
     with waiting(f"{method.partition(':')[0]}, {shape}") as progress:
-        synthesis = call(
-            image=image if keep_alpha else sample,
-            shape=size,
-            lattice=given,
-            mask=mask if keep_alpha else None,
-            maps=[values for values, _ in read],
-            progress=progress,
-        )
+        synthesis = call(shape=size, lattice=given, maps=[each for each, _ in read], progress=progress, **masked)
     write_map(output, to_integers(synthesis.image, depth_of(synthesis.image)))
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
     for path, values, (_, profile) in zip(others if maps else (), synthesis.maps, read, strict=True):
