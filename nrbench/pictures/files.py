@@ -148,14 +148,7 @@ def read_map(path: str | Path) -> tuple[NDArray[Any], bytes]:
         If there is no such file, or it is no image.
     """
     where, notes = f"picture {path}", list[str]()
-    with _opened(path, where) as (picture, file, head):
-        if isinstance(picture, tifffile.TiffPage):
-            values, profile = _page_pixels(picture, where, notes)[0], picture.iccprofile
-        else:
-            values = _pixels(picture, file, head, where, notes, stored=True)[0]
-            profile = picture.info.get("icc_profile")
-            if picture.mode == "P" and values.ndim == 3 and not np.ptp(values, axis=2).any():
-                values = values[..., 0]
+    values, _, profile = _load(path, where, notes, stored=True)
     if notes:
         warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=2)
     return values, profile or b""
@@ -170,11 +163,7 @@ def read_mask(path: str | Path, shape: tuple[int, int]) -> Mask:
 def _read(path: str | Path, smallest: int, convert: Callable[[NDArray[Any], str, int], Read]) -> Read:
     """Return what ``convert`` makes of the pixels of a file, which may have alpha, and warn of what is odd."""
     where, notes = f"picture {path}", list[str]()
-    with _opened(path, where) as (picture, file, head):
-        if isinstance(picture, tifffile.TiffPage):
-            pixels, space = _page_pixels(picture, where, notes)
-        else:
-            pixels, space = _pixels(picture, file, head, where, notes)
+    pixels, space, _ = _load(path, where, notes)
     pixels = pixels if pixels.ndim == 3 else pixels[..., np.newaxis]
     if pixels.dtype.kind == "f":
         pixels = pixels.astype(np.float32) if pixels.dtype == np.float16 else pixels
@@ -190,6 +179,22 @@ def _read(path: str | Path, smallest: int, convert: Callable[[NDArray[Any], str,
     if notes:
         warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=3)
     return read
+
+
+def _load(
+    path: str | Path, where: str, notes: list[str], stored: bool = False
+) -> tuple[NDArray[Any], ColorSpace | None, bytes | None]:
+    """Return the pixels of a file, the color space from which they must be converted, and its profile; add notes.
+
+    ``stored``: the values as they are stored, without a color space.
+    """
+    with _opened(path, where) as (picture, file, head):
+        if isinstance(picture, tifffile.TiffPage):
+            return *_page_pixels(picture, where, notes), picture.iccprofile
+        pixels, space = _pixels(picture, file, head, where, notes, stored)
+        if stored and picture.mode == "P" and pixels.ndim == 3 and not np.ptp(pixels, axis=2).any():
+            pixels = pixels[..., 0]
+        return pixels, space, picture.info.get("icc_profile")
 
 
 def _range_remark(image: Image) -> list[str]:
