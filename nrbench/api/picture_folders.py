@@ -377,7 +377,8 @@ def write_textures(samples: Iterable[Sample], directory: Path) -> list[Path]:
     by_name = _by_name(samples)
     for name, (_, texture) in by_name.items():
         existing.check_replaceable(directory / name, texture.image)
-    existing.check_sheet(directory)
+    if (directory / SHEET).exists() and not (directory / KNOWN_FILE).is_file():
+        raise BadInput(f"{directory / SHEET}: exists, and was not written by `nrbench render`; {_ELSEWHERE}")
     rendered = dataclasses.replace(
         existing,
         rows={**existing.rows, **{name: _row(name, *pair) for name, pair in by_name.items()}},
@@ -452,11 +453,6 @@ class _Rendered:
         recipe = self.textures.get(path.name, {}).get("recipe")
         if path.exists() and not recipe and not (path.is_file() and _holds(path, image)):
             raise BadInput(f"{path}: exists, and no model drew it; {_ELSEWHERE}, or rename the texture")
-
-    def check_sheet(self, folder: Path) -> None:
-        """Raise BadInput if the contact sheet would replace a file of another origin."""
-        if (folder / SHEET).exists() and not (folder / KNOWN_FILE).is_file():
-            raise BadInput(f"{folder / SHEET}: exists, and was not written by `nrbench render`; {_ELSEWHERE}")
 
     def write(self, folder: Path) -> None:
         """Write both truth files, each atomically."""

@@ -42,12 +42,10 @@ from nrbench.plugins.parameters import parse_spec
 
 # The help of a command imports no array library.
 if TYPE_CHECKING:
-    from nrbench.displacement.bent_detection import Followed
     from nrbench.displacement.defects import PictureDefect
     from nrbench.displacement.deformation_field import Deformation
     from nrbench.imaging.convert import Image
     from nrbench.imaging.wallpaper_group import FoundGroup
-    from nrbench.lattice.geometry import Lattice
     from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Texture, Value
     from nrbench.suites.suite import Suite
 
@@ -231,28 +229,10 @@ def track_lattice(
     (True, True)
     >>> straight, mean = bent.straighten()
     """
-    return follow_bent_lattice(image_in(image), lattice_in(image, lattice), detector, parameters).deformation
-
-
-def follow_bent_lattice(
-    image: Image,
-    lattice: Lattice | None = None,
-    detector: Detectorlike = None,
-    parameters: Mapping[str, Any] | None = None,
-    only_promising: bool = False,
-) -> Followed:
-    """Return the deformation of an image as :func:`track_lattice`, with the detection in the straightened image.
-
-    Parameters
-    ----------
-    image, lattice, only_promising
-        As for :func:`nrbench.displacement.bent_detection.find_deformation`.
-    detector, parameters
-        As for :func:`track_lattice`.
-    """
     from nrbench.displacement.bent_detection import find_deformation
 
-    return find_deformation(image, lattice, detector_in(detector, parameters or {}), only_promising)
+    image, known = image_in(image), lattice_in(image, lattice)
+    return find_deformation(image, known, detector_in(detector, parameters)).deformation
 
 
 def find_defects(image: Imagelike, lattice: Latticelike = None) -> tuple[PictureDefect, ...]:

@@ -34,10 +34,10 @@ from nrbench.api.picture_folders import (
     rank_candidates,
     vector_texts,
 )
-from nrbench.api.textures import FOLLOWS_BENT, find_defects, follow_bent_lattice
+from nrbench.api.textures import FOLLOWS_BENT, find_defects
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
-from nrbench.displacement.bent_detection import recognize
+from nrbench.displacement.bent_detection import find_deformation, recognize
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.masks import MaskedImage
@@ -379,7 +379,8 @@ def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Pat
 def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) -> None:
     """Print the mean lattice, the deformation and the short list, and write the image with its deformation undone."""
     name, parameters = parse_spec(options.spec)
-    followed = follow_bent_lattice(image, as_lattice(options.lattice), name, parameters)
+    detector = plugins.build("detectors", name, parameters)
+    followed = find_deformation(image, as_lattice(options.lattice), detector)
     straight, straight_lattice = followed.deformation.straighten()
     write_image(output, quantize(straight, depth_of(image)))
     if options.output is not None:
