@@ -12,12 +12,12 @@ import scipy
 from numpy.typing import NDArray
 from skimage.morphology import reconstruction
 
-from nrbench.detectors.autocorrelation.peaks import find_vertex, quantize_correlation
+from nrbench.detectors.autocorrelation.peaks import quantize_correlation
 from nrbench.detectors.autocorrelation.pixel_structure import detect_content
 from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
-from nrbench.imaging.correlation import FLAT, Correlation, half_autocorrelation
+from nrbench.imaging.correlation import FLAT, Correlation, find_vertex, half_autocorrelation
 from nrbench.imaging.mean_tile import Values, fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Curve, Detection, NoLatticeFound
@@ -302,7 +302,7 @@ def _follow_multiples(curve: Sequence, level: float, lag: int, subpixel: bool) -
     while abs(period - lag) <= MAX_SHIFT * lag and (k := len(peaks) + 1) * period <= len(curve) - 2:
         low = max(round(k * period - near), 1)
         peak = low + int(curve[low : min(round(k * period + near) + 1, len(curve) - 1)].argmax())
-        peaks.append(peak + float(find_vertex(*curve[peak - 1 : peak + 2])[0]) if subpixel else float(peak))
+        peaks.append(peak + float(find_vertex(*curve[peak - 1 : peak + 2])) if subpixel else float(peak))
         heights.append(float(curve[peak]))
         products, squares = products + k * peaks[-1], squares + k * k
         period = products / squares if subpixel else peaks[-1] / k
