@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import scipy
+import skimage
 from numpy.typing import NDArray
-from skimage.morphology import reconstruction
 
 from nrbench.detectors.autocorrelation.peaks import quantize_correlation
 from nrbench.detectors.autocorrelation.pixel_structure import detect_content
@@ -367,7 +367,7 @@ def inner_relief(tile: NDArray[np.int32], inside: NDArray[np.bool_]) -> float:
     passes[corner] = tile[corner]
     while (passes != before).any():
         before, (seed, mask) = passes, (np.pad(each, 1, mode="wrap") for each in (passes, tile))
-        passes = reconstruction(seed, mask, footprint=np.ones((3, 3)))[1:-1, 1:-1]  # type: ignore[no-untyped-call]
+        passes = skimage.morphology.reconstruction(seed, mask)[1:-1, 1:-1]  # type: ignore[no-untyped-call]
     peaks = inside & (tile > passes)
     with np.errstate(divide="ignore"):
         ratios = (tile - passes)[peaks] / (tile[corner] - passes)[peaks]
