@@ -53,6 +53,12 @@ class PictureDefect:
         Displacement in s, or departure in standard deviations from cell to cell.
     outline
         Corners (x, y) px of the convex outline of the windows that stand out.
+
+    Examples
+    --------
+    >>> from nrbench import PictureDefect
+    >>> print(PictureDefect(31.0, 40.0, "out of place", 0.31, ()))
+    out of place by 0.31 s at x = 31, y = 40
     """
 
     x: float
@@ -67,7 +73,13 @@ class PictureDefect:
         return f"{self.kind} by {size} at x = {self.x:.0f}, y = {self.y:.0f}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return a mapping that can be written as JSON."""
+        """Return a mapping that can be written as JSON.
+
+        Returns
+        -------
+        dict
+            The values by the names of the parameters.
+        """
         return asdict(self)
 
 

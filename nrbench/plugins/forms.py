@@ -422,6 +422,15 @@ class Synthesis:
         The lattice that the method used, in coordinates of the sample; None if it used none.
     source
         A :data:`SourceMap`, if the method copies pixels.
+    extras
+        Pictures or arrays by name; they are kept beside the output.
+    detection_seconds
+        Wall seconds of the detection of the lattice.
+    note
+        One sentence that the tables show beside the row, for example about a fallback.
+    files
+        Functions by the names of text files, which are kept beside the pictures of ``extras``. Each takes a prefix of
+        the names of these pictures, and returns the text: "" in a run, "OUT-" for ``nrbench synth -o OUT.png``.
     blended
         ``float32 (H, W, K, 3)``: the next K places of each pixel that is blended, in the order of their weights; weight
         0 where there is none. None if no pixel is blended.
@@ -434,15 +443,6 @@ class Synthesis:
         The maps of the call, in the layout of the output; nrbench adds them.
     able
         The names of the methods that give source maps, for a message; nrbench adds them if there is none.
-    extras
-        Pictures or arrays by name; they are kept beside the output.
-    detection_seconds
-        Wall seconds of the detection of the lattice.
-    note
-        One sentence that the tables show beside the row, for example about a fallback.
-    files
-        Functions by the names of text files, which are kept beside the pictures of ``extras``. Each takes a prefix of
-        the names of these pictures, and returns the text: "" in a run, "OUT-" for ``nrbench synth -o OUT.png``.
 
     Examples
     --------
