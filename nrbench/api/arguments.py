@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.flags import ARGUMENT, Flag
 from nrbench.plugins.parameters import LARGEST_SIDE, nearest, parse_size, parse_spec, take_label, validated
 
@@ -250,8 +250,7 @@ def plugin_in(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> A
     form = plugins.FORMS[kind]
     is_class = isinstance(plugin, type)
     fault = plugins.fault(kind, plugin if is_class else type(plugin))
-    if fault:
-        raise BadInput(f"{fault}. Pass the name of a {form.noun}, its class, or an instance")
+    require(not fault, f"{fault}. Pass the name of a {form.noun}, its class, or an instance")
     if is_class:
         return validated(plugin, parameters, f"{form.noun} {plugin.__name__}")
     if parameters:

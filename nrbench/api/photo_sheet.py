@@ -18,7 +18,7 @@ from nrbench.displacement.bent_detection import LARGEST_FOLLOWED
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.pictures.files import read_image, read_mask, read_masked, write_image
+from nrbench.pictures.files import read_image, read_mask, read_masked, read_shape, write_image
 from nrbench.pictures.overlays import contact_sheet, draw_lattice
 from nrbench.plugins.forms import Task, describe_silence
 from nrbench.plugins.parameters import parse_size, size_text
@@ -70,8 +70,7 @@ def prepare_photo(
 
 def photo_suite(photo: Path, sample: Any, size: Any, mask: Path | None = None) -> Suite:
     """Return a suite of one photograph with all methods that are no references and need no parameter."""
-    with warnings.catch_warnings(action="ignore"):  # the plan reads it again
-        height, width = map(min, read_masked(photo).image.shape[:2], parse_size(sample))
+    height, width = map(min, read_shape(photo), parse_size(sample))
     files = {"path": str(photo.absolute())} | ({} if mask is None else {"mask": str(mask.absolute())})
     row = {"name": "photo", "dataset": plugins.in_role("pictures"), "parameters": files}
     content = {

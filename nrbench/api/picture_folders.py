@@ -15,7 +15,7 @@ import numpy as np
 
 from nrbench import plugins
 from nrbench.api.arguments import detect_among
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image
 from nrbench.imaging.masks import MaskedImage
 from nrbench.lattice.geometry import Lattice, Vector
@@ -207,9 +207,9 @@ class Survey:
         self.directory = self.folder if self.output is None else self.output
         self.table = self.directory / TRUTH_FILE
         self._detector: Detector = plugins.build("detectors", *parse_spec(self.detector))
-        self._pictures = [path for path in list_pictures(self.folder) if not self._is_rendered_sheet(path)]
-        if not self._pictures:
-            raise BadInput(f"directory {self.folder}: has no picture; put PNG, JPEG or TIFF files into it")
+        sheet = SHEET if (self.folder / KNOWN_FILE).is_file() else ""  # that of a render
+        self._pictures = [path for path in list_pictures(self.folder) if path.name != sheet]
+        require(bool(self._pictures), f"directory {self.folder}: has no picture; put PNG, JPEG or TIFF files into it")
         if self.table.exists() and self.existing == "refuse":
             raise BadInput(
                 f"{self.table}: exists, and may hold your corrections; pass --keep to keep its lines and add the "
@@ -218,9 +218,6 @@ class Survey:
         keeps = self.existing == "keep" and self.table.exists()
         self._known = TruthTable.read(self.directory) if keeps else TruthTable(FIELDS, {})
         self._waiting: list[tuple[list[Image], list[str]]] = []
-
-    def _is_rendered_sheet(self, path: Path) -> bool:
-        return path.name == SHEET and (self.folder / KNOWN_FILE).is_file()
 
     def run(self, progress: OnPicture) -> None:
         """Detect all lattices, and write the table and the contact sheets. What was found is written if it is stopped.
@@ -437,8 +434,7 @@ class _Rendered:
         BadInput
             When ``folder`` is a file, or a truth file in it is malformed or was not written by a render.
         """
-        if folder.exists() and not folder.is_dir():
-            raise BadInput(f"{folder}: is a file; pass a directory as -o")
+        require(folder.is_dir() or not folder.exists(), f"{folder}: is a file; pass a directory as -o")
         try:
             table = TruthTable.read(folder)
         except BadInput as error:
