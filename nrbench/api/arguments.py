@@ -256,8 +256,7 @@ def plugin_in(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> A
     form = plugins.FORMS[kind]
     is_class = isinstance(plugin, type)
     fault = plugins.fault(kind, plugin if is_class else type(plugin))
-    if fault:
-        raise BadInput(f"{fault}. Pass the name of a {form.noun}, its class, or an instance")
+    require(not fault, f"{fault}. Pass the name of a {form.noun}, its class, or an instance")
     if is_class:
         return validated(plugin, parameters, f"{form.noun} {plugin.__name__}")
     if parameters:

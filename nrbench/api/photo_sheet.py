@@ -19,7 +19,7 @@ from nrbench.displacement.bent_detection import LARGEST_FOLLOWED
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.pictures.files import read_image, read_mask, read_masked, write_image
+from nrbench.pictures.files import read_image, read_mask, read_masked, read_shape, write_image
 from nrbench.pictures.overlays import contact_sheet, draw_lattice
 from nrbench.plugins.forms import Task, describe_silence, find_lattice
 from nrbench.plugins.parameters import parse_size, size_text
@@ -88,8 +88,7 @@ def photo_suite(photo: Path, sample: Any, size: Any, mask: Path | None = None, l
 
     ``lattice``, if it is known, is given to methods and judge.
     """
-    with warnings.catch_warnings(action="ignore"):  # the plan reads it again
-        height, width = map(min, read_masked(photo).image.shape[:2], parse_size(sample))
+    height, width = map(min, read_shape(photo), parse_size(sample))
     files: dict[str, Any] = {"path": str(photo.absolute())}
     files |= {} if mask is None else {"mask": str(mask.absolute())}
     files |= {} if lattice is None else {"t1": lattice.t1, "t2": lattice.t2, "origin": lattice.origin}

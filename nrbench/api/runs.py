@@ -192,7 +192,8 @@ def plan_cells(
     chosen = find_suite(suite)
     specs = [method_text(method) for method in list_of(methods)]
     sources = lattice_source_texts(lattice)
-    root = run_directory(out, chosen, seed)
+    usual = Path("runs") / (chosen.name + ("-fresh" if seed == "fresh" else ""))
+    root = usual if out is None else Path(out)
     changes |= choose_seed(seed, root)
     return plan_run(changed(chosen, specs, sources, **changes), list_of(textures), limits or LIMITS, progress), root
 
@@ -391,11 +392,6 @@ def choose_seed(seed: int | str | None, root: Path) -> dict[str, Any]:
     content = ((read_json(root / RUN_FILE) or {}).get("suite") or {}).get("content") or {}
     drawn = content["seed"] if content.get("fresh_seed") is True else secrets.randbelow(10**12)
     return {"seed": drawn, "fresh_seed": True}
-
-
-def run_directory(out: str | os.PathLike[str] | None, suite: Suite, seed: int | str | None) -> Path:
-    """Return the directory of a run: ``out``, or ``runs/SUITE``, or ``runs/SUITE-fresh`` for a fresh seed."""
-    return Path(out) if out is not None else Path("runs") / (suite.name + ("-fresh" if seed == "fresh" else ""))
 
 
 def changed(suite: Suite, methods: Sequence[str] = (), lattice: Sequence[str] = (), **changes: Any) -> Suite:
@@ -731,9 +727,8 @@ def sheet(
     from nrbench.running.runner import execute
 
     with tempfile.TemporaryDirectory() as folder:
-        left, file = None, picture_file(photo, Path(folder))
-        if mask is not None:
-            left = picture_file(mask, Path(folder), "mask.png")
+        file = picture_file(photo, Path(folder))
+        left = None if mask is None else picture_file(mask, Path(folder), "mask.png")
         file, lattice = prepare_photo(file, lattice, flatten_light, Path(folder), left is not None)
         root, make_suite = Path(folder) / "run", functools.partial(photo_suite, file, sample, size, left)
         planned = _plan_sheet(make_suite, methods, lattice, root, seed)

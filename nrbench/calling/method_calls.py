@@ -80,9 +80,7 @@ def prepare_method(method: Any, task: Task, folder: Path, seed: int) -> tuple[Ta
 @contextlib.contextmanager
 def briefly_prepared(method: Any, task: Task, seed: int) -> Iterator[Task]:
     """Yield the task of a method outside of a run, for which it has prepared; the folder does not last."""
-    with contextlib.ExitStack() as stack:
-        lasting = hasattr(method, "prepare")
-        folder = stack.enter_context(temporary_folder()) if lasting else Path()
+    with temporary_folder() if hasattr(method, "prepare") else contextlib.nullcontext(Path()) as folder:
         yield prepare_method(method, task, folder / "prepared", seed)[0]
 
 

@@ -110,15 +110,9 @@ def synth_command(
     require(max(size) < 1 << 14 or output.suffix.lower() != ".webp", f"-o {output}: WebP has at most 16383 px; use PNG")
     sample = MaskedImage(flatten_alpha(layers_in(image))[0]) if keep_alpha else masked_in(image, mask)
     given = _given_lattice(sample, lattice)
+    masked = {} if keep_alpha else {"image": sample, "mask": None}
     with waiting(f"{method.partition(':')[0]}, {shape}") as progress:
-        synthesis = call(
-            image=image if keep_alpha else sample,
-            shape=size,
-            lattice=given,
-            mask=mask if keep_alpha else None,
-            maps=[values for values, _ in read],
-            progress=progress,
-        )
+        synthesis = call(shape=size, lattice=given, maps=[each for each, _ in read], progress=progress, **masked)
     write_map(output, to_integers(synthesis.image, depth_of(synthesis.image)))
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
     for path, values, (_, profile) in zip(others if maps else (), synthesis.maps, read, strict=True):
@@ -155,18 +149,16 @@ def _name_outputs(folder: Path, pictures: Sequence[Path], floats: Sequence[bool]
     """
     from nrbench.pictures.files import WRITTEN
 
-    kept = [WRITTEN[1:3] if whole else WRITTEN for whole in floats]
-    named = [
-        folder / (path.name if path.suffix.lower() in endings else f"{path.stem}{endings[0]}")
-        for path, endings in zip(pictures, kept, strict=True)
-    ]
-    for number, path in enumerate(named):
-        same = [
-            str(other) for other, name in zip(pictures, named, strict=True) if name.name.lower() == path.name.lower()
-        ]
+    named = []
+    for path, floating in zip(pictures, floats, strict=True):
+        endings = WRITTEN[1:3] if floating else WRITTEN
+        named.append(folder / (path.name if path.suffix.lower() in endings else f"{path.stem}{endings[0]}"))
+    pairs = list(zip(pictures, named, strict=True))
+    for picture, path in pairs:
+        same = [str(other) for other, name in pairs if name.name.lower() == path.name.lower()]
         require(len(same) == 1, f"{' and '.join(same)}: would both be written to {path}; rename one of them")
         lost = os.path.realpath(path) in map(os.path.realpath, pictures)
-        require(not lost, f"-o {folder}: {pictures[number]} would be replaced; choose another folder")
+        require(not lost, f"-o {folder}: {picture} would be replaced; choose another folder")
     require(folder.is_dir() or not folder.exists(), f"-o {folder}: is a file; with --with, give a folder")
     make_writable(folder.absolute(), "choose another directory")
     return named
@@ -313,22 +305,17 @@ def _show_edges(
     if as_json:
         print(json.dumps({**scores.values, "reasons": dict(scores.reasons)}, indent=1))
         return
-    for axis, edge in (("x", "right"), ("y", "lower")):
+    for axis, along, edge in (("x", "y", "right"), ("y", "x", "lower")):
         own = {name: scores.values[f"tileable.{axis}.{name}"] for name in ("repeats", "score", "worst", *FLOORS)}
         if own["score"] is None:
             print(f"{axis}: {scores.reasons[f'tileable.{axis}.score']}")
             continue
-        state = (
-            "repeats"
-            if own["repeats"]
-            else f"breaks at the {edge} edge, most at {'yx'['xy'.index(axis)]} = {own['worst']}"
-        )
+        state = "repeats" if own["repeats"] else f"breaks at the {edge} edge, most at {along} = {own['worst']}"
         ratios = ", ".join(f"{name} {own[name]:.2f}" for name in FLOORS if own[name] is not None)
         print(f"{axis}: {state}, score {own['score']:.2f} (departures over what is allowed: {ratios})")
     silent = {scores.reasons[name] for name in scores.reasons if name.endswith("lattice")}
-    print(
-        f"judged by {'gradients and colors alone: ' + '; '.join(silent) if silent else 'lattice, gradients and colors'}"
-    )
+    alone = f"gradients and colors alone: {'; '.join(silent)}"
+    print(f"judged by {alone if silent else 'lattice, gradients and colors'}")
 
 
 def _verdict_line(scores: Scores) -> str:

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import MIN_SIDE, Image, shrink
+from nrbench.imaging.convert import MIN_SIDE, Image, crop_middle, shrink
 from nrbench.imaging.masks import Mask
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.relation import lattice_error, relate
@@ -177,8 +177,7 @@ def find_deformation(
         return Followed(_follow_given(image, lattice), None)
     thorough, quick = (NamedDetector(name) for name in bent_finders())
     detector = detector or thorough
-    top, left = (max(side - LARGEST_VIEW, 0) // 2 for side in image.shape[:2])
-    middle = _best_lattice(quick, image[top : top + LARGEST_VIEW, left : left + LARGEST_VIEW], 1)
+    middle = _best_lattice(quick, crop_middle(image, LARGEST_VIEW), 1)
     first, reason = _look(detector, image, _detail_factor([] if middle is None else [(middle, None)]))
     if first is not None:
         still = _look_straight(image, first.lattice, first.confidence)
@@ -210,11 +209,9 @@ def _worth(answer: Followed) -> float:
 
 def _followed(deformation: Deformation, detection: Detection) -> Followed:
     """Return a lattice with the alternatives of a detection, named by their relation to the mean lattice."""
-    alternatives = []
-    for alternative in detection.alternatives:
-        change = relate(alternative.lattice, deformation.lattice)
-        alternatives.append(replace(alternative, relation=change.name if change else "unrelated"))
-    return Followed(deformation, replace(detection, alternatives=tuple(alternatives)))
+    named = ((each, relate(each.lattice, deformation.lattice)) for each in detection.alternatives)
+    alternatives = tuple(replace(each, relation=change.name if change else "unrelated") for each, change in named)
+    return Followed(deformation, replace(detection, alternatives=alternatives))
 
 
 def _look(detector: Detector, image: Image, factor: int = 1) -> tuple[Detection | None, str]:
@@ -279,12 +276,10 @@ def _follow_all(image: Image, views: list[View]) -> list[Knots]:
     found: list[tuple[float, int, Knots]] = []
     for number, (lattice, middle) in enumerate(views):
         knots = find_knots(image, lattice, middle)
-        if knots is None or Deformation(image, knots).score < _LEAST:
+        if knots is None or (score := Deformation(image, knots).score) < _LEAST:
             continue
         mean = knots.mean_lattice()
-        agree = Deformation(image, knots).score >= _COMPLETE and any(
-            _is_same(mean, other.mean_lattice()) for _, _, other in found
-        )
+        agree = score >= _COMPLETE and any(_is_same(mean, other.mean_lattice()) for _, _, other in found)
         found.append((-merit(image, knots), number, knots))
         if agree:
             break
@@ -334,9 +329,7 @@ def _answer(image: Image, detector: Detector, factor: int, knots: Knots) -> Foll
     for last in (False, True):
         found = Deformation(image, knots)
         straight, lattice = found.rectify()
-        detection = None
-        if min(straight.shape[:2]) >= LEAST_VIEW:
-            detection, _ = _look(detector, straight, factor)
+        detection = _look(detector, straight, factor)[0] if min(straight.shape[:2]) >= LEAST_VIEW else None
         if detection is None:
             return None
         if _is_same(detection.lattice, lattice):

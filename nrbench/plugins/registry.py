@@ -158,11 +158,9 @@ def add_file(path: str | Path) -> None:
     file = Path(path).resolve()
     if file in _files:
         return
-    if not file.is_file():
-        raise BadInput(f"plugin {file}: there is no such file")
+    require(file.is_file(), f"plugin {file}: there is no such file")
     found = _file_plugins(file, _import_file(file))
-    if not found:
-        raise BadInput(f"plugin {path}: defines no plugin; write a frozen dataclass with one of: {methods_wanted()}")
+    require(bool(found), f"plugin {path}: defines no plugin; write a frozen dataclass with one of: {methods_wanted()}")
     for plugin in found:
         if wrong := fault(plugin.kind, plugin.cls):
             raise BadInput(f"plugin {path}: {wrong}")
