@@ -388,7 +388,7 @@ def _make_transparent(make: Callable[..., Synthesis], image: Imagelike, maps: Ma
 
     layers = layers_in(image)
     flat, hidden = flatten_alpha(layers)
-    return restore_alpha(make(flat, None, [*hidden, *maps]), depth_of(layers))
+    return restore_alpha(make(flat, None, [*hidden, *maps]), depth_of(layers), float(layers[..., -1].mean()))
 
 
 def _make_output(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -109,6 +109,7 @@ def synth_command(
     size = parse_size(shape)
     require(max(size) < 1 << 14 or output.suffix.lower() != ".webp", f"-o {output}: WebP has at most 16383 px; use PNG")
     sample = MaskedImage(flatten_alpha(layers_in(image))[0]) if keep_alpha else masked_in(image, mask)
+    _check_sizes(sample.image.shape, {path: values.shape for path, (values, _) in zip(maps, read, strict=True)})
     given = _given_lattice(sample, lattice)
     masked = {} if keep_alpha else {"image": sample, "mask": None}
     with waiting(f"{method.partition(':')[0]}, {shape}") as progress:
@@ -162,6 +163,13 @@ def _name_outputs(folder: Path, pictures: Sequence[Path], floats: Sequence[bool]
     require(folder.is_dir() or not folder.exists(), f"-o {folder}: is a file; with --with, give a folder")
     make_writable(folder.absolute(), "choose another directory")
     return named
+
+
+def _check_sizes(shape: tuple[int, ...], maps: Mapping[Path, tuple[int, ...]]) -> None:
+    """Raise :class:`~nrbench.errors.BadInput` for a map of another size than its picture."""
+    for path, found in maps.items():
+        sizes = ["x".join(map(str, each[1::-1])) for each in (found, shape)]
+        require(sizes[0] == sizes[1], f"--with {path}: is {sizes[0]} px, IMAGE {sizes[1]}; all maps need one size")
 
 
 def _fill(image: Path, mask: Path, method: str | None, lattice: str | None, seed: int, output: Path) -> None:

@@ -80,7 +80,9 @@ class Followed(NamedTuple):
 
 
 def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tuple[Detection, Followed | None]:
-    """Return the lattice of an image, and how it was followed where the detector finds none because the image is bent.
+    """Return the lattice of an image, and how it was followed if the image is bent.
+
+    The lattice that the detector finds is followed through the image. If it finds none, a bent lattice is looked for.
 
     Parameters
     ----------
@@ -96,7 +98,7 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
     detection
         Of a bent image: its mean lattice, and the places of its points as ``vertices``.
     followed
-        None if the detector finds a lattice in the image as it is.
+        None if the image is not bent, or larger than 1024 px.
 
     Raises
     ------
@@ -104,14 +106,29 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
         If the detector finds none, and there is no bent lattice either, or the image is larger than 1024 px.
     """
     try:
-        return detect_known(detector, image, known), None
+        detection = detect_known(detector, image, known)
+        deformation = None if max(image.shape[:2]) > LARGEST_FOLLOWED else follow_detected(image, detection.lattice)
+        if deformation is None or not deformation.bent:
+            return detection, None
+        followed = Followed(deformation, detection)
     except NoLatticeFound as none:
-        followed = None if none.lattices else find_bent_lattice(image)
-        if followed is None or followed.detection is None:
+        bent = None if none.lattices else find_bent_lattice(image)
+        if bent is None or bent.detection is None:
             raise none from None
+        followed = bent
+    assert followed.detection is not None
     found = followed.deformation
     mean = replace(followed.detection, lattice=found.lattice, has_origin=False, vertices=found.lattice_points)
     return mean, followed
+
+
+def follow_detected(image: Image, lattice: Lattice) -> Deformation | None:
+    """Return the deformation of an image whose lattice was detected; None if it cannot be followed."""
+    try:
+        found = find_deformation(image, lattice).deformation
+    except (NoLatticeFound, BadInput):
+        return None
+    return found if found.covered else None
 
 
 def find_bent_lattice(image: Image) -> Followed | None:
