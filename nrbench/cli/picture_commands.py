@@ -267,8 +267,8 @@ def score_command(
     from nrbench.pictures.files import read_image
 
     if tileable:
-        given = output or metrics or every or mask
-        require(not given, "--tileable: judges one whole picture; pass no OUTPUT, --mask, --metrics or --all")
+        others = [output, metrics, every, mask]
+        require(not any(others), "--tileable: judges one whole picture; pass no OUTPUT, --mask, --metrics or --all")
         return _show_edges(call, sample, lattice, seam, as_json)
     if output is None or seam:
         raise BadInput("score: pass SAMPLE and OUTPUT, without -o; or --tileable and one picture")

@@ -137,5 +137,6 @@ def like_map(laid: Floats, other: NDArray[Any], nearest: Floats) -> NDArray[Any]
     labels = np.unique(other[::3, ::3].reshape(-1, channels), axis=0)
     if len(labels) <= _LABELS:
         laid = labels[scipy.spatial.KDTree(labels).query(laid)[1]] if is_drawn else nearest[..., :channels]
-    laid = laid > 0.5 if other.dtype == np.bool_ else np.rint(laid) if other.dtype.kind in "iu" else laid
+    if other.dtype.kind in "biu":
+        laid = np.rint(laid)
     return laid.astype(other.dtype).reshape(*laid.shape[:2], *other.shape[2:])
