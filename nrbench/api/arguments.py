@@ -54,6 +54,8 @@ Masklike = Annotated[Any, Flag("--mask", "FILE", kind=Path)]
 left out. None: all count that are not transparent."""
 Maps = Annotated[Sequence[Any], Flag("--with", "MAP", kind=Path, many=True)]
 """Other maps of a sample: arrays, or paths of pictures."""
+LEAST_CONFIDENCE = 0.5
+"""A lattice of a lower confidence is more probably wrong than right."""
 Picture = Annotated[Imagelike, Flag(ARGUMENT, kind=Path)]
 """An :data:`Imagelike`; on the command line the path of a picture."""
 OutputFolder = Annotated["str | os.PathLike[str]", Flag("-o --output", "DIR", kind=Path)]
@@ -196,6 +198,11 @@ def layers_in(image: Imagelike) -> Image:
     from nrbench.pictures.files import read_layers
 
     return read_layers(Path(image)) if isinstance(image, str | os.PathLike) else as_layers(_pixels_of(image, "image"))
+
+
+def list_maps(maps: Any) -> Sequence[Any]:
+    """Return the maps of a sample; one map counts as a list of one."""
+    return maps if isinstance(maps, list | tuple) else [maps]
 
 
 def map_in(image: Any) -> Any:

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from nrbench import plugins
-from nrbench.api.arguments import Latticelike, lattice_in
-from nrbench.api.textures import LEAST_CONFIDENCE
+from nrbench.api.arguments import LEAST_CONFIDENCE, Latticelike, lattice_in
 from nrbench.calling.bent_samples import recognize_sample
 from nrbench.calling.lighting import flatten_light, warn_of_light
 from nrbench.displacement.bent_detection import LARGEST_FOLLOWED

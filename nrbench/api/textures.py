@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
 from nrbench.api.arguments import (
+    LEAST_CONFIDENCE,
     Detectorlike,
     Imagelike,
     Latticelike,
@@ -27,6 +28,7 @@ from nrbench.api.arguments import (
     image_in,
     lattice_in,
     layers_in,
+    list_maps,
     list_of,
     map_in,
     masked_in,
@@ -57,8 +59,6 @@ Tileable = Annotated[bool | str, Flag(metavar="[x|y]", choices=("both", "x", "y"
 Repeats = Annotated[bool, Flag("--tileable", kind=bool)]
 OtherPicture = Annotated[Imagelike | None, Flag(ARGUMENT, kind=Path)]
 """A :data:`Picture` that may be left out."""
-LEAST_CONFIDENCE = 0.5
-"""A lattice of a lower confidence is more probably wrong than right."""
 FOLLOWS_BENT = "symmetry: the detector follows bent lattices; choose another, or straighten the image first"
 
 
@@ -374,11 +374,10 @@ def synthesize(
     plugin = plugin_in("synthesizers", method, parameters)
     along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
     make = partial(_make_output, plugin, shape_in(shape), lattice, seed, progress, along, flatten_light)
-    maps = maps if isinstance(maps, list | tuple) else [maps]
     if keep_alpha:
         require(mask is None and not flatten_light, "--keep-alpha: works neither with --mask nor with --flatten-light")
-        return _make_transparent(make, image, maps)
-    return make(image, mask, maps)
+        return _make_transparent(make, image, list_maps(maps))
+    return make(image, mask, list_maps(maps))
 
 
 def _make_transparent(make: Callable[..., Synthesis], image: Imagelike, maps: Maps) -> Synthesis:
