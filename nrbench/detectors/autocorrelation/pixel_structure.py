@@ -23,8 +23,6 @@ SIDE = 384
 """px; side of the middle of the image from which is read where the rest of the image repeats."""
 REACH = 0.6
 """Lags up to this share of its sides are read."""
-FEW_LINES = 0.25
-"""If means of lines repeat at a lag up to this share of their number, most of them are of the scene."""
 MOST_PEAKS, FEWEST_PEAKS = 60, 6
 """Largest and least number of lags at which the rest repeats."""
 LEAST_PROMINENCE = 0.05
@@ -33,12 +31,16 @@ REPEATED = 0.3
 """Correlation of lines' means with their mean over these lags, from which a part of them repeats with the rest."""
 MOST_ALIKE = 0.35
 """If the steps from line to line correlate more than this at any lag, they are joints or threads of the scene ..."""
+ERRORS = 4.0
+"""Standard errors of that correlation in noise that are chance; of few lines they are more than :data:`MOST_ALIKE`."""
 BAND, BINS = 0.6, 2
 """... unless this share of the power of the means lies within this number of bins of one frequency: banding."""
 LARGEST_PIXEL = 32
 """px; largest side of a pixel of an enlarged picture."""
 FINE = 4.0
 """Periods of fewer pixels of the picture before are measured at the edges of these pixels."""
+SHORTEST = 5.0
+"""px; shorter periods are not told from grids of pixels that are not whole."""
 MOST_INSIDE, MOST_INSIDE_CODED = 0.25, 0.5
 """Share of the steps between neighboring pixels that may lie inside its pixels; the same after a lossy coding, if the
 lattice is that of the pixels. In photographs and texture models it is 0.32 or more."""
@@ -77,8 +79,11 @@ def detect_content(detect: Callable[..., Detection], image: Image, known: Mask |
         found = detect(remove_lines(image))
     else:
         found = _detect_enlarged(detect, image, pixel, [int(sums.argmax()) + 1 for sums in _sum_by_place(steps, pixel)])
-    pixel = round(found.lattice.t1[0])
-    is_grid = pixel in sides and np.abs(found.lattice.matrix - pixel * np.eye(2)).max() < 0.05
+    width = found.lattice.t1[0]
+    pixel, is_square = round(width), np.abs(found.lattice.matrix - width * np.eye(2)).max() < 0.05
+    is_grid = pixel in sides and is_square and abs(width - pixel) < 0.05
+    if is_square and width < SHORTEST and not is_grid:  # a picture that was enlarged by a factor that is not whole
+        raise NoLatticeFound(GRID.format(f"{width:.1f}"), found)
     if is_grid and shares[pixel - 2] < MOST_INSIDE_CODED and not _repeats(image, pixel):
         raise NoLatticeFound(GRID.format(pixel), found)
     return found
@@ -137,16 +142,16 @@ def remove_lines(image: Image) -> Image:
     least = LEAST_SHARE * float(np.vdot(planes, planes)) / planes[0].size
     for axis in (0, 1):
         means = planes.mean(2 - axis).T
-        alone = 1.0 if _is_banding(means) else 1 - _find_likeness(means, FEW_LINES)
-        if _power(means) * min(1.0, 2 * alone) <= least:
+        if _power(means) <= least:
             continue
         rest = (planes - np.expand_dims(means.T, 2 - axis)).mean(0)
         lags = _find_lags(rest if axis == 0 else rest.T)
         if len(lags) < FEWEST_PEAKS:
             continue
         offsets = means - _repeat(means, lags)
+        chance = ERRORS / np.sqrt((1 - REACH) * len(offsets))
         if _power(offsets) > least and (
-            _is_banding(offsets) or _find_likeness(np.diff(offsets, axis=0), REACH) < MOST_ALIKE
+            _is_banding(offsets) or _find_likeness(np.diff(offsets, axis=0), REACH) < max(MOST_ALIKE, chance)
         ):
             image = np.asarray(image - np.expand_dims(offsets, 1 - axis), np.float32)
     return image
