@@ -322,17 +322,19 @@ def _find_known_box(known: Mask, least: NDArray[np.int64]) -> tuple[int, int, in
     It has at least ``least`` (rows, columns). None: there is none.
     """
     step = -(-max(known.shape) // _STEPS)
-    coarse, most, found = shrink(known[..., np.newaxis].astype(np.float32), step)[..., 0], 0.0, None
-    lengths = [
-        np.unique(np.geomspace(-(-low // step), high, _SIDES).astype(int)) if low <= high * step else []
+    coarse = shrink(known[..., np.newaxis].astype(np.float32), step)[..., 0]
+    most, found = 0.0, None
+    lengths: list[list[int]] = [
+        np.unique(np.geomspace(-(-low // step), high, _SIDES).astype(int)).tolist() if low <= high * step else []
         for low, high in zip(least.tolist(), coarse.shape, strict=True)
     ]
-    for size in itertools.product(*lengths):
+    for size in itertools.product(lengths[0], lengths[1]):
         counts = box_sums(coarse, size)
         count = float(counts.max())
         if count > most and count >= _WELL_KNOWN * math.prod(size):
             most, (row, column) = count, np.unravel_index(counts.argmax(), counts.shape)
-            found = tuple(int(n) * step for n in (row, row + size[0], column, column + size[1]))
+            top, left = int(row) * step, int(column) * step
+            found = top, top + size[0] * step, left, left + size[1] * step
     return found
 
 
