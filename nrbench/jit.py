@@ -256,11 +256,8 @@ def _writable(usual: Path) -> Path:
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.lstat()  # machine code is run, so nobody else may be able to write it
-        if (
-            not stat.S_ISDIR(found.st_mode)
-            or found.st_uid != user
-            or (sys.platform != "win32" and found.st_mode & 0o022)
-        ):
+        shared = sys.platform != "win32" and found.st_mode & 0o022
+        if shared or found.st_uid != user or not stat.S_ISDIR(found.st_mode):
             folder = Path(tempfile.mkdtemp(prefix="nrbench-"))
     except OSError:
         return usual

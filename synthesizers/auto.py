@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
+import numpy as np
+
 from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.imaging.light import describe_light, estimate_light
-from nrbench.imaging.mean_tile import fold
+from nrbench.imaging.mean_tile import explained_share
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Geometry, Refused, Synthesis, Synthesizer, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector
@@ -126,10 +128,8 @@ def estimate_regular_share(sample: Image, lattice: Lattice) -> float:
     The mean tile of n cells explains 1/n of any variance; the estimate corrects for this. It is 0 if the sample shows
     less than two periods.
     """
-    shape = (sample.shape[0], sample.shape[1])
-    total = float(sample.var((0, 1)).sum())
-    if total == 0 or not shows_two_periods(lattice, shape):
+    height, width, _ = sample.shape
+    if np.ptp(sample) == 0 or not shows_two_periods(lattice, (height, width)):
         return 0.0
-    residual = float(((sample - fold(sample, lattice).unfold(shape)) ** 2).mean((0, 1)).sum())
-    cells = max(sample.shape[0] * sample.shape[1] / lattice.area, 2.0)
-    return float(min(max(1 - residual / total * cells / (cells - 1), 0.0), 1.0))
+    cells = max(height * width / lattice.area, 2.0)
+    return float(min(max(1 - (1 - explained_share(sample, lattice)) * cells / (cells - 1), 0.0), 1.0))

@@ -184,8 +184,10 @@ class Rsgf:
             If the sample does not hold a block with its borders, or no patch equal to one of the output's.
         """
         found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, NamedDetector(self.finder))
+        notes = []
         if self.uses_lattice and found.lattice is None:
             warn_of_no_lattice("rsgf", found.reason)
+            notes.append(f"stochastic mode, every position is a candidate: no lattice found ({found.reason})")
         for block, border in (sizes := self._sizes()):
             method = replace(self, block=block, border=border, deform=min(self.deform, border))
             try:
@@ -198,11 +200,9 @@ class Rsgf:
                     raise
         image, source = filler.placer.canvas.output()
         task.progress(1.0)
-        smaller = (
-            f"block={block},border={border}: the sample allows no larger ones" if (block, border) != sizes[0] else ""
-        )
-        note = "; ".join(filter(None, [self._note(found), smaller]))
-        blended = filler.placer.canvas.blended()
+        if (block, border) != sizes[0]:
+            notes.append(f"block={block},border={border}: the sample allows no larger ones")
+        note, blended = "; ".join(notes), filler.placer.canvas.blended()
         return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note, blended=blended)
 
     def _sizes(self) -> list[tuple[int, int]]:
@@ -235,11 +235,6 @@ class Rsgf:
             grid.search_shape(task.sample.shape)
             return grid
         return BlockGrid.closing(task.shape, self.block, self.border, task.sample.shape)
-
-    def _note(self, found: FoundLattice) -> str:
-        if found.lattice or self.search == "stochastic":
-            return ""
-        return f"stochastic mode, every position is a candidate: no lattice found ({found.reason})"
 
 
 class GapFiller:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.flags import ARGUMENT, Flag
 from nrbench.plugins.parameters import LARGEST_SIDE, nearest, parse_size, parse_spec, take_label, validated
 
@@ -54,6 +54,8 @@ Masklike = Annotated[Any, Flag("--mask", "FILE", kind=Path)]
 left out. None: all count that are not transparent."""
 Maps = Annotated[Sequence[Any], Flag("--with", "MAP", kind=Path, many=True)]
 """Other maps of a sample: arrays, or paths of pictures."""
+LEAST_CONFIDENCE = 0.5
+"""A lattice of a lower confidence is more probably wrong than right."""
 Picture = Annotated[Imagelike, Flag(ARGUMENT, kind=Path)]
 """An :data:`Imagelike`; on the command line the path of a picture."""
 OutputFolder = Annotated["str | os.PathLike[str]", Flag("-o --output", "DIR", kind=Path)]
@@ -198,11 +200,22 @@ def layers_in(image: Imagelike) -> Image:
     return read_layers(Path(image)) if isinstance(image, str | os.PathLike) else as_layers(_pixels_of(image, "image"))
 
 
+def list_maps(maps: Any) -> Sequence[Any]:
+    """Return the maps of a sample; one map counts as a list of one."""
+    return maps if isinstance(maps, list | tuple) else [maps]
+
+
 def map_in(image: Any) -> Any:
     """Return the values of another map of a sample: an array as it is, those of a picture file as they are stored."""
+    import numpy as np
+
     from nrbench.pictures.files import read_map
 
-    return read_map(Path(image))[0] if isinstance(image, str | os.PathLike) else _pixels_of(image, "map")
+    if isinstance(image, str | os.PathLike):
+        return read_map(Path(image))[0]
+    pixels = np.asarray(_pixels_of(image, "map"))
+    require(pixels.dtype.kind in "buif", f"map: dtype {pixels.dtype}; pass truth values, whole numbers or floats")
+    return pixels
 
 
 def stored_image(image: Imagelike, where: str = "image") -> Image:
@@ -250,8 +263,7 @@ def plugin_in(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> A
     form = plugins.FORMS[kind]
     is_class = isinstance(plugin, type)
     fault = plugins.fault(kind, plugin if is_class else type(plugin))
-    if fault:
-        raise BadInput(f"{fault}. Pass the name of a {form.noun}, its class, or an instance")
+    require(not fault, f"{fault}. Pass the name of a {form.noun}, its class, or an instance")
     if is_class:
         return validated(plugin, parameters, f"{form.noun} {plugin.__name__}")
     if parameters:

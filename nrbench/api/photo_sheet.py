@@ -11,18 +11,20 @@ from typing import Any
 import numpy as np
 
 from nrbench import plugins
-from nrbench.api.arguments import Latticelike, lattice_in
+from nrbench.api.arguments import LEAST_CONFIDENCE, Latticelike, lattice_in
 from nrbench.calling.bent_samples import recognize_sample
 from nrbench.calling.lighting import flatten_light, warn_of_light
 from nrbench.displacement.bent_detection import LARGEST_FOLLOWED
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.pictures.files import read_image, read_mask, read_masked, write_image
+from nrbench.pictures.files import read_image, read_mask, read_masked, read_shape, write_image
 from nrbench.pictures.overlays import contact_sheet, draw_lattice
-from nrbench.plugins.forms import Task, describe_silence
+from nrbench.plugins.forms import Task, describe_silence, find_lattice
 from nrbench.plugins.parameters import parse_size, size_text
+from nrbench.plugins.registry import NamedDetector
 from nrbench.runs.records import CellRecord
+from nrbench.suites.plan import PlannedSample
 from nrbench.suites.suite import Suite, validated_suite
 
 _COLUMNS = (4, 5, 6)
@@ -68,11 +70,27 @@ def prepare_photo(
     return write_image(folder / "prepared.png", quantize(image, depth)), known
 
 
-def photo_suite(photo: Path, sample: Any, size: Any, mask: Path | None = None) -> Suite:
-    """Return a suite of one photograph with all methods that are no references and need no parameter."""
-    with warnings.catch_warnings(action="ignore"):  # the plan reads it again
-        height, width = map(min, read_masked(photo).image.shape[:2], parse_size(sample))
-    files = {"path": str(photo.absolute())} | ({} if mask is None else {"mask": str(mask.absolute())})
+def find_unjudged_lattice(sample: PlannedSample) -> Lattice | None:
+    """Return the lattice of a sample in which the judge's detector finds none, if it is more probable than not.
+
+    It is given to methods and judge: without a lattice, ruined outputs would have no score.
+    """
+    task = Task(sample.image(), (1, 1), None, np.random.default_rng(0), known=sample.known)
+    if find_lattice(task, NamedDetector(plugins.in_role("judge-detector"))).lattice is not None:
+        return None
+    found = find_lattice(task, NamedDetector(plugins.in_role("detector")))
+    return found.lattice if (found.confidence or 0) >= LEAST_CONFIDENCE else None
+
+
+def photo_suite(photo: Path, sample: Any, size: Any, mask: Path | None = None, lattice: Lattice | None = None) -> Suite:
+    """Return a suite of one photograph with all methods that are no references and need no parameter.
+
+    ``lattice``, if it is known, is given to methods and judge.
+    """
+    height, width = map(min, read_shape(photo), parse_size(sample))
+    files: dict[str, Any] = {"path": str(photo.absolute())}
+    files |= {} if mask is None else {"mask": str(mask.absolute())}
+    files |= {} if lattice is None else {"t1": lattice.t1, "t2": lattice.t2, "origin": lattice.origin}
     row = {"name": "photo", "dataset": plugins.in_role("pictures"), "parameters": files}
     content = {
         "name": "sheet",

@@ -15,7 +15,7 @@ import numpy as np
 
 from nrbench import plugins
 from nrbench.api.arguments import detect_among
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image
 from nrbench.imaging.masks import MaskedImage
 from nrbench.lattice.geometry import Lattice, Vector
@@ -207,9 +207,9 @@ class Survey:
         self.directory = self.folder if self.output is None else self.output
         self.table = self.directory / TRUTH_FILE
         self._detector: Detector = plugins.build("detectors", *parse_spec(self.detector))
-        self._pictures = [path for path in list_pictures(self.folder) if not self._is_rendered_sheet(path)]
-        if not self._pictures:
-            raise BadInput(f"directory {self.folder}: has no picture; put PNG, JPEG or TIFF files into it")
+        sheet = SHEET if (self.folder / KNOWN_FILE).is_file() else ""  # that of a render
+        self._pictures = [path for path in list_pictures(self.folder) if path.name != sheet]
+        require(bool(self._pictures), f"directory {self.folder}: has no picture; put PNG, JPEG or TIFF files into it")
         if self.table.exists() and self.existing == "refuse":
             raise BadInput(
                 f"{self.table}: exists, and may hold your corrections; pass --keep to keep its lines and add the "
@@ -218,9 +218,6 @@ class Survey:
         keeps = self.existing == "keep" and self.table.exists()
         self._known = TruthTable.read(self.directory) if keeps else TruthTable(FIELDS, {})
         self._waiting: list[tuple[list[Image], list[str]]] = []
-
-    def _is_rendered_sheet(self, path: Path) -> bool:
-        return path.name == SHEET and (self.folder / KNOWN_FILE).is_file()
 
     def run(self, progress: OnPicture) -> None:
         """Detect all lattices, and write the table and the contact sheets. What was found is written if it is stopped.
@@ -380,7 +377,8 @@ def write_textures(samples: Iterable[Sample], directory: Path) -> list[Path]:
     by_name = _by_name(samples)
     for name, (_, texture) in by_name.items():
         existing.check_replaceable(directory / name, texture.image)
-    existing.check_sheet(directory)
+    if (directory / SHEET).exists() and not (directory / KNOWN_FILE).is_file():
+        raise BadInput(f"{directory / SHEET}: exists, and was not written by `nrbench render`; {_ELSEWHERE}")
     rendered = dataclasses.replace(
         existing,
         rows={**existing.rows, **{name: _row(name, *pair) for name, pair in by_name.items()}},
@@ -437,8 +435,7 @@ class _Rendered:
         BadInput
             When ``folder`` is a file, or a truth file in it is malformed or was not written by a render.
         """
-        if folder.exists() and not folder.is_dir():
-            raise BadInput(f"{folder}: is a file; pass a directory as -o")
+        require(folder.is_dir() or not folder.exists(), f"{folder}: is a file; pass a directory as -o")
         try:
             table = TruthTable.read(folder)
         except BadInput as error:
@@ -456,11 +453,6 @@ class _Rendered:
         recipe = self.textures.get(path.name, {}).get("recipe")
         if path.exists() and not recipe and not (path.is_file() and _holds(path, image)):
             raise BadInput(f"{path}: exists, and no model drew it; {_ELSEWHERE}, or rename the texture")
-
-    def check_sheet(self, folder: Path) -> None:
-        """Raise BadInput if the contact sheet would replace a file of another origin."""
-        if (folder / SHEET).exists() and not (folder / KNOWN_FILE).is_file():
-            raise BadInput(f"{folder / SHEET}: exists, and was not written by `nrbench render`; {_ELSEWHERE}")
 
     def write(self, folder: Path) -> None:
         """Write both truth files, each atomically."""

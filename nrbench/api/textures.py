@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
 from nrbench.api.arguments import (
+    LEAST_CONFIDENCE,
     Detectorlike,
     Imagelike,
     Latticelike,
@@ -27,6 +28,7 @@ from nrbench.api.arguments import (
     image_in,
     lattice_in,
     layers_in,
+    list_maps,
     list_of,
     map_in,
     masked_in,
@@ -42,13 +44,11 @@ from nrbench.plugins.parameters import parse_spec
 
 # The help of a command imports no array library.
 if TYPE_CHECKING:
-    from nrbench.displacement.bent_detection import Followed
     from nrbench.displacement.defects import PictureDefect
     from nrbench.displacement.deformation_field import Deformation
     from nrbench.imaging.convert import Image
     from nrbench.imaging.wallpaper_group import FoundGroup
-    from nrbench.lattice.geometry import Lattice
-    from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Task, Texture, Value
+    from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Texture, Value
     from nrbench.suites.suite import Suite
 
 
@@ -59,8 +59,6 @@ Tileable = Annotated[bool | str, Flag(metavar="[x|y]", choices=("both", "x", "y"
 Repeats = Annotated[bool, Flag("--tileable", kind=bool)]
 OtherPicture = Annotated[Imagelike | None, Flag(ARGUMENT, kind=Path)]
 """A :data:`Picture` that may be left out."""
-LEAST_CONFIDENCE = 0.5
-"""A lattice of a lower confidence is more probably wrong than right."""
 FOLLOWS_BENT = "symmetry: the detector follows bent lattices; choose another, or straighten the image first"
 
 
@@ -231,28 +229,10 @@ def track_lattice(
     (True, True)
     >>> straight, mean = bent.straighten()
     """
-    return follow_bent_lattice(image_in(image), lattice_in(image, lattice), detector, parameters).deformation
-
-
-def follow_bent_lattice(
-    image: Image,
-    lattice: Lattice | None = None,
-    detector: Detectorlike = None,
-    parameters: Mapping[str, Any] | None = None,
-    only_promising: bool = False,
-) -> Followed:
-    """Return the deformation of an image as :func:`track_lattice`, with the detection in the straightened image.
-
-    Parameters
-    ----------
-    image, lattice, only_promising
-        As for :func:`nrbench.displacement.bent_detection.find_deformation`.
-    detector, parameters
-        As for :func:`track_lattice`.
-    """
     from nrbench.displacement.bent_detection import find_deformation
 
-    return find_deformation(image, lattice, detector_in(detector, parameters or {}), only_promising)
+    image, known = image_in(image), lattice_in(image, lattice)
+    return find_deformation(image, known, detector_in(detector, parameters)).deformation
 
 
 def find_defects(image: Imagelike, lattice: Latticelike = None) -> tuple[PictureDefect, ...]:
@@ -396,8 +376,8 @@ def synthesize(
     make = partial(_make_output, plugin, shape_in(shape), lattice, seed, progress, along, flatten_light)
     if keep_alpha:
         require(mask is None and not flatten_light, "--keep-alpha: works neither with --mask nor with --flatten-light")
-        return _make_transparent(make, image, maps)
-    return make(image, mask, maps)
+        return _make_transparent(make, image, list_maps(maps))
+    return make(image, mask, list_maps(maps))
 
 
 def _make_transparent(make: Callable[..., Synthesis], image: Imagelike, maps: Maps) -> Synthesis:
@@ -407,7 +387,7 @@ def _make_transparent(make: Callable[..., Synthesis], image: Imagelike, maps: Ma
 
     layers = layers_in(image)
     flat, hidden = flatten_alpha(layers)
-    return restore_alpha(make(flat, None, [*hidden, *maps]), depth_of(layers))
+    return restore_alpha(make(flat, None, [*hidden, *maps]), depth_of(layers), float(layers[..., -1].mean()))
 
 
 def _make_output(
@@ -422,9 +402,17 @@ def _make_output(
     mask: Masklike,
     maps: Maps,
 ) -> Synthesis:
+    """Return the checked synthesis, along the axes of an output that repeats, in even light if wanted."""
+    import numpy as np
+
+    from nrbench.calling.bent_samples import synthesize_in_geometry
+    from nrbench.calling.lighting import flatten_light, warn_of_light
+    from nrbench.calling.method_calls import briefly_prepared, synthesize_from_part
+    from nrbench.calling.sample_maps import synthesize_with_maps
+    from nrbench.calling.tileable import AXES, synthesize_tileable
     from nrbench.imaging.convert import match_ndim
     from nrbench.imaging.masks import MaskedImage
-    from nrbench.plugins.forms import Task
+    from nrbench.plugins.forms import Refused, Task
     from nrbench.streams import pixels_hash, stream
 
     sample, known = stored_masked(image, mask)
@@ -435,37 +423,20 @@ def _make_output(
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
     given = lattice_in(MaskedImage(sample, known), lattice)
     task = Task(sample, shape, given, rng, progress or (lambda fraction: None), known=known)
-    synthesis = _synthesize_task(plugin, task, seed, along, flatten, [map_in(each) for each in maps])
-    like = image if hasattr(image, "ndim") else sample
-    return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, like))
-
-
-def _synthesize_task(
-    plugin: Any, task: Task, seed: int, along: str, flatten: bool, maps: Sequence[Any] = ()
-) -> Synthesis:
-    """Return the checked synthesis of a task, along the axes of an output that repeats, in even light if wanted."""
-    import numpy as np
-
-    from nrbench.calling.bent_samples import synthesize_in_geometry
-    from nrbench.calling.lighting import flatten_light, warn_of_light
-    from nrbench.calling.method_calls import briefly_prepared, synthesize_from_part
-    from nrbench.calling.sample_maps import synthesize_with_maps
-    from nrbench.calling.tileable import AXES, synthesize_tileable
-    from nrbench.plugins.forms import Refused
-
+    others = [map_in(each) for each in maps]
     require(along in ("", *AXES), f"tileable {along!r}: give True, or one of {', '.join(AXES)}")
-    if float(np.ptp(task.sample, axis=(0, 1)).max()) == 0:
+    if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
         raise Refused("the sample is constant; there is nothing to synthesize from")
     make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
     task, lit = flatten_light(plugin, task) if flatten else (task, "")
     with briefly_prepared(plugin, task, seed) as ready:
-        made = synthesize_with_maps(partial(synthesize_from_part, make), plugin, ready, maps)
+        made = synthesize_with_maps(partial(synthesize_from_part, make), plugin, ready, others)
     if flatten:
         note = "; ".join(filter(None, (made.note, lit)))
-        return dataclasses.replace(made, note=note, extras={**made.extras, "flattened": task.sample})
-    if made.lattice is not None:
-        warn_of_light(task.sample, made.lattice, task.known)
-    return made
+        made = dataclasses.replace(made, note=note, extras={**made.extras, "flattened": task.sample})
+    elif made.lattice is not None:
+        warn_of_light(sample, made.lattice, known)
+    return dataclasses.replace(made, image=match_ndim(made.image, image if hasattr(image, "ndim") else sample))
 
 
 def fill(
@@ -630,6 +601,7 @@ def score(
     require(tileable == (output is None), "score: pass a sample and an output, or tileable and one picture")
     if tileable:
         require(not names_of(metrics), "score: tileable computes no metrics; leave them out")
+        require(mask is None, "score: tileable judges all pixels of a picture; leave the mask out")
         return score_edges(sample, lattice)
     image, known = stored_masked(sample, mask, "sample")
     pair = image, stored_image(output, "output")
@@ -672,8 +644,8 @@ def score_edges(picture: Picture, lattice: Latticelike = None) -> Scores:
 
     image = stored_image(picture, "picture")
     require(image[..., 0].size <= MOST_SCORED, f"picture: at most {MOST_SCORED} px in all are scored: crop it")
-    found, silent = lattice_in(image, lattice), "no lattice is given"
-    if found is None and lattice is None:
+    found = lattice_in(image, lattice)
+    if found is None:
         try:
             detection = detect_lattice(image)
             found = detection.lattice if detection.confidence >= LEAST_CONFIDENCE else None
@@ -683,17 +655,16 @@ def score_edges(picture: Picture, lattice: Latticelike = None) -> Scores:
     edges = dict(zip("xy", measure_edges(image, found), strict=True))
     values: dict[str, Value] = {}
     reasons: dict[str, str] = {}
+    if found:
+        silent = "the picture shows too few cells along the axis"
     for axis, edge in edges.items():
         own: dict[str, Value] = dict.fromkeys(("repeats", "score", "worst", *FLOORS))
         if edge.ratios:
             own |= {"repeats": edge.ratio <= 1, "score": edge.score, "worst": int(edge.profile.argmax())}
             own |= edge.ratios
-        few = "the picture shows too few cells along the axis" if found else silent
-        short = f"cannot tell: the side is shorter than {SHORTEST} px"
+        why = silent if edge.ratios else f"cannot tell: the side is shorter than {SHORTEST} px"
         values |= {f"tileable.{axis}.{name}": value for name, value in own.items()}
-        reasons |= {
-            f"tileable.{axis}.{name}": few if edge.ratios else short for name, value in own.items() if value is None
-        }
+        reasons |= {f"tileable.{axis}.{name}": why for name, value in own.items() if value is None}
     seams = [edge.profile if edge.ratio > 1 else None for edge in edges.values()]
     return Scores(values, reasons, {"tileable.seam": draw_seams(image, *seams)})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -33,6 +34,8 @@ from nrbench.plugins.registry import NamedDetector, in_role
 
 _SAME = 0.15
 """Tolerance, in s, at which the mean lattice of a bent sample counts as the given one."""
+_FAR = 0.15
+"""Displacement, in s, of tiles that lie off the lattice from which there is a warning."""
 _LEAST_PERIODS = 2.0
 """Periods along both vectors that the straightened sample must show."""
 _MARGIN = 3
@@ -196,7 +199,10 @@ def find_bend(
         return None, "the sample seems bent, but straightening gains nothing: it is taken as it is"
     if found.amplitude < LEAST_AMPLITUDE:
         return None, ""
-    return None, f"tiles lie off the lattice by {found.amplitude:.2f} s, not smoothly: the sample is taken as it is"
+    note = f"tiles lie off the lattice by {found.amplitude:.2f} s, not smoothly: the sample is taken as it is"
+    if found.amplitude >= _FAR:
+        warnings.warn(f"{note}, so elements may be cut or scattered", stacklevel=2)
+    return None, note
 
 
 def _follow(sample: Image, lattice: Lattice, given: bool, known: Mask | None) -> Deformation | None:

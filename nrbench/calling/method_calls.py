@@ -80,9 +80,7 @@ def prepare_method(method: Any, task: Task, folder: Path, seed: int) -> tuple[Ta
 @contextlib.contextmanager
 def briefly_prepared(method: Any, task: Task, seed: int) -> Iterator[Task]:
     """Yield the task of a method outside of a run, for which it has prepared; the folder does not last."""
-    with contextlib.ExitStack() as stack:
-        lasting = hasattr(method, "prepare")
-        folder = stack.enter_context(temporary_folder()) if lasting else Path()
+    with temporary_folder() if hasattr(method, "prepare") else contextlib.nullcontext(Path()) as folder:
         yield prepare_method(method, task, folder / "prepared", seed)[0]
 
 
@@ -145,6 +143,8 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape, known: Mask |
         raise InvalidOutput(
             f"returned blended sources of the wrong shape: expected {(*shape, 'K', 3)}, got {blended.shape}"
         )
+    if blended is not None and not (np.isfinite(blended).all() and (blended[..., 2] >= 0).all()):
+        raise InvalidOutput("returned blended sources with NaN, infinity or negative weights")
     if not (synthesis.lattice is None or isinstance(synthesis.lattice, Lattice)):
         raise InvalidOutput(
             f"returned a lattice of the wrong type: expected Lattice or None, got {synthesis.lattice!r}"
@@ -283,11 +283,11 @@ def synthesize_from_part(
     window = np.s_[top : top + shape[0], left : left + shape[1]]
     part, known = task.sample[window], None if task.known is None else task.known[window]
     lattice = None if task.lattice is None else task.lattice.shifted((-left, -top))
+    few = known is not None and lattice is not None and known.sum() < 2 * lattice.area
+    require(not few, "mask: leaves less than two periods of the lattice; leave out less, or take a larger picture")
     if shape != whole:
         known = None if known is None or known.all() else known
         task = replace(task, sample=np.ascontiguousarray(part), lattice=lattice, known=known)
-    few = known is not None and lattice is not None and known.sum() < 2 * lattice.area
-    require(not few, "mask: leaves less than two periods of the lattice; leave out less, or take a larger picture")
     made = synthesize(method, task)
     if shape == whole:
         return replace(made, detection_seconds=made.detection_seconds + seconds) if seconds else made

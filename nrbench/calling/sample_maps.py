@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
@@ -15,6 +16,9 @@ from nrbench.calling.method_calls import checked_synthesis
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.source_maps import as_layers_of_map, like_map
 from nrbench.plugins.forms import Synthesis, Synthesizer, Task
+
+_MOST_OFF = 0.2
+"""Largest change of the mean of alpha, as a share of it, that is not named."""
 
 
 def synthesize_with_maps(
@@ -46,7 +50,7 @@ def synthesize_with_maps(
     low, span = ([change(each) for each in values] for change in (np.min, lambda each: max(np.ptp(each), 1e-12)))
     units = [(each - first) / length for each, first, length in zip(values, low, span, strict=True)]
     stack = quantize(np.concatenate([sample, *units], -1), 16)
-    made = make(method, replace(task, sample=stack))
+    made = checked_synthesis(make(method, replace(task, sample=stack)), stack, task.shape, task.known)
     ends = np.cumsum([sample.shape[2], *(each.shape[2] for each in values)])
     image, *parts = np.split(np.asarray(made.image, np.float64), ends[:-1], -1)
     restored = [part * length + first for part, length, first in zip(parts, span, low, strict=True)]
@@ -79,9 +83,19 @@ def flatten_alpha(pixels: Image) -> tuple[Image, list[Image]]:
     return quantize(over.astype(np.float32), depth_of(pixels)), [color * alpha, alpha, color]
 
 
-def restore_alpha(made: Synthesis, bits: int) -> Synthesis:
-    """Return a synthesis of a flattened image with the alpha channel, without the maps of :func:`flatten_alpha`."""
+def restore_alpha(made: Synthesis, bits: int, opaque: float) -> Synthesis:
+    """Return a synthesis of a flattened image with the alpha channel, without the maps of :func:`flatten_alpha`.
+
+    A warning says if the mean of alpha differs much from ``opaque``, that of the picture.
+    """
     weighted, alpha, color = made.maps[:3]
+    own, theirs = float(alpha.mean()), float(opaque)
+    if abs(own - theirs) > _MOST_OFF * theirs:
+        warnings.warn(
+            f"{own:.0%} of the output is opaque, and {theirs:.0%} of the picture: holes or rims are lost; another "
+            "method, such as tile-set, may keep them",
+            stacklevel=2,
+        )
     shown = np.where(alpha > 0.5 / 255, weighted / np.maximum(alpha, 0.5 / 255), color)
     image = quantize(np.concatenate([shown, alpha], -1).astype(np.float32), bits)
     return replace(made, image=image, maps=made.maps[3:])

@@ -34,10 +34,10 @@ from nrbench.api.picture_folders import (
     rank_candidates,
     vector_texts,
 )
-from nrbench.api.textures import FOLLOWS_BENT, find_defects, follow_bent_lattice
+from nrbench.api.textures import FOLLOWS_BENT, find_defects
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
-from nrbench.displacement.bent_detection import recognize
+from nrbench.displacement.bent_detection import find_deformation, recognize
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.masks import MaskedImage
@@ -123,12 +123,10 @@ class LatticeResult:
 
     def finish(self, image: Image, options: LatticeQuestion) -> None:
         """Print the result on standard output, and write a file of the points of the lattice if one is named."""
-        vertices = self.vertices
-        if self.lattice is not None and not vertices:
-            vertices = lay_vertices(self.lattice, image.shape[:2])
-        if options.vertices is not None and vertices:
-            write_text(options.vertices, vertices_text(vertices))
         if options.vertices is not None:
+            vertices = self.vertices or (lay_vertices(self.lattice, image.shape[:2]) if self.lattice else ())
+            if vertices:
+                write_text(options.vertices, vertices_text(vertices))
             state = f"{len(vertices)} vertices" if vertices else "not written, there is no lattice in the picture"
             click.echo(f"{options.vertices}: {state}", err=True)
         self.print(options.as_json)
@@ -216,14 +214,19 @@ def answer_question(options: LatticeQuestion) -> int:
     image = masked.image
     if options.every:
         return _compare_detectors(masked, options)
-    if options.defects:
-        _show_defects(image, options, options.defects)
-    elif options.straighten:
-        _straighten_picture(image, options, options.straighten)
-    elif options.pick or options.lattice is not None:
-        _show_given(image, options)
-    else:
-        _show_detection(masked, options)
+    try:
+        if options.defects:
+            require(masked.known is None, "--defects: compares all cells, so none can be left out; see synth --fill")
+            _show_defects(image, options, options.defects)
+        elif options.straighten:
+            _straighten_picture(image, options, options.straighten)
+        elif options.pick or options.lattice is not None:
+            _show_given(image, options)
+        else:
+            _show_detection(masked, options)
+    except NoLatticeFound as none:
+        click.echo(f"{options.defects or options.straighten}: not written, there is no lattice", err=True)
+        LatticeResult("", None, reason=none.reason).print(options.as_json)
     return 0
 
 
@@ -377,12 +380,8 @@ def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Pat
 def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) -> None:
     """Print the mean lattice, the deformation and the short list, and write the image with its deformation undone."""
     name, parameters = parse_spec(options.spec)
-    try:
-        followed = follow_bent_lattice(image, as_lattice(options.lattice), name, parameters)
-    except NoLatticeFound as none:
-        click.echo(f"{output}: not written, there is no lattice to straighten by", err=True)
-        LatticeResult(name, None, reason=none.reason).print(options.as_json)
-        return
+    detector = plugins.build("detectors", name, parameters)
+    followed = find_deformation(image, as_lattice(options.lattice), detector)
     straight, straight_lattice = followed.deformation.straighten()
     write_image(output, quantize(straight, depth_of(image)))
     if options.output is not None:
@@ -394,20 +393,14 @@ def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) ->
 
 def _show_defects(image: Image, options: LatticeQuestion, output: Path) -> None:
     """Print the defects of an image, or that there are none, and draw them."""
-    try:
-        with waiting("each cell is compared with all others"):
-            defects = find_defects(image, options.lattice or options.detector)
-    except NoLatticeFound as none:
-        click.echo(f"{output}: not written, there is no lattice to leave", err=True)
-        LatticeResult("", None, reason=none.reason).print(options.as_json)
-        return
+    with waiting("each cell is compared with all others"):
+        defects = find_defects(image, options.lattice or options.detector)
     write_image(output, draw_outlines(image, [each.outline for each in defects]))
     if options.as_json:
         print(json.dumps({"defects": [each.as_dict() for each in defects]}, indent=1))
-    elif not defects:
-        print("no defects: no cell stands out from the others")
-    for number, each in enumerate(() if options.as_json else defects, 1):
-        print(f"{number}: {each}")
+    else:
+        lines = [f"{number}: {each}" for number, each in enumerate(defects, 1)]
+        print("\n".join(lines) or "no defects: no cell stands out from the others")
 
 
 PANEL = (5.6, 4.8)
@@ -582,8 +575,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Take the answer."""
         with self._of_page():
             size = int(self.headers.get("Content-Length") or 0)
-            if not 0 < size <= MOST_BYTES:
-                raise BadInput(f"an answer of {size} bytes; at most {MOST_BYTES} are read")
+            require(0 < size <= MOST_BYTES, f"an answer of {size} bytes; at most {MOST_BYTES} are read")
             text = self.server.answer(self.rfile.read(size))
             self._send(200, "text/plain; charset=utf-8", text.encode())
             self.server.shutdown()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -45,6 +45,7 @@ def synth_command(
     maps: tuple[Path, ...],
     keep_alpha: bool,
     tileable: str | None,
+    flatten_light: bool,
     output: OutputPicture,
     method: SomeMethod = None,
     shape: SomeSize = None,
@@ -88,15 +89,17 @@ def synth_command(
     from nrbench.pictures.files import WRITTEN, read_map, write_map
     from nrbench.plugins.parameters import parse_size
 
-    unused = {"--size": shape, "--mask": mask, "--tileable": tileable, "--with": maps, "--keep-alpha": keep_alpha}
+    unused: dict[str, object] = {"--size": shape, "--mask": mask, "--tileable": tileable, "--with": maps}
+    unused |= {"--keep-alpha": keep_alpha, "--flatten-light": flatten_light, "--extras": extras}
     for name, value in unused.items() if fill is not None else ():
         require(not value, f"{name}: has no effect with --fill, which returns a picture of the size of IMAGE")
     read = [read_map(path) for path in maps]
     if maps:
         output, *others = _name_outputs(output, [image, *maps], [False, *(each.dtype.kind == "f" for each, _ in read)])
     check_output(output, *WRITTEN)
-    if os.path.realpath(output) == os.path.realpath(image):
-        raise BadInput(f"-o {output}: is the picture itself, which would be lost; choose another name")
+    for path in filter(None, (image, mask, fill)):
+        if os.path.realpath(output) == os.path.realpath(path):
+            raise BadInput(f"-o {output}: is {path} itself, which would be lost; choose another name")
     if fill is not None:
         _fill(image, fill, method, lattice, seed, output)
         return
@@ -106,16 +109,11 @@ def synth_command(
     size = parse_size(shape)
     require(max(size) < 1 << 14 or output.suffix.lower() != ".webp", f"-o {output}: WebP has at most 16383 px; use PNG")
     sample = MaskedImage(flatten_alpha(layers_in(image))[0]) if keep_alpha else masked_in(image, mask)
+    _check_sizes(sample.image.shape, {path: values.shape for path, (values, _) in zip(maps, read, strict=True)})
     given = _given_lattice(sample, lattice)
+    masked = {} if keep_alpha else {"image": sample, "mask": None}
     with waiting(f"{method.partition(':')[0]}, {shape}") as progress:
-        synthesis = call(
-            image=image if keep_alpha else sample,
-            shape=size,
-            lattice=given,
-            mask=mask if keep_alpha else None,
-            maps=[values for values, _ in read],
-            progress=progress,
-        )
+        synthesis = call(shape=size, lattice=given, maps=[each for each, _ in read], progress=progress, **masked)
     write_map(output, to_integers(synthesis.image, depth_of(synthesis.image)))
     click.echo(f"{output}" + (f" ({synthesis.note})" if synthesis.note else ""), err=True)
     for path, values, (_, profile) in zip(others if maps else (), synthesis.maps, read, strict=True):
@@ -152,21 +150,26 @@ def _name_outputs(folder: Path, pictures: Sequence[Path], floats: Sequence[bool]
     """
     from nrbench.pictures.files import WRITTEN
 
-    kept = [WRITTEN[1:3] if whole else WRITTEN for whole in floats]
-    named = [
-        folder / (path.name if path.suffix.lower() in endings else f"{path.stem}{endings[0]}")
-        for path, endings in zip(pictures, kept, strict=True)
-    ]
-    for number, path in enumerate(named):
-        same = [
-            str(other) for other, name in zip(pictures, named, strict=True) if name.name.lower() == path.name.lower()
-        ]
+    named = []
+    for path, floating in zip(pictures, floats, strict=True):
+        endings = WRITTEN[1:3] if floating else WRITTEN
+        named.append(folder / (path.name if path.suffix.lower() in endings else f"{path.stem}{endings[0]}"))
+    pairs = list(zip(pictures, named, strict=True))
+    for picture, path in pairs:
+        same = [str(other) for other, name in pairs if name.name.lower() == path.name.lower()]
         require(len(same) == 1, f"{' and '.join(same)}: would both be written to {path}; rename one of them")
         lost = os.path.realpath(path) in map(os.path.realpath, pictures)
-        require(not lost, f"-o {folder}: {pictures[number]} would be replaced; choose another folder")
+        require(not lost, f"-o {folder}: {picture} would be replaced; choose another folder")
     require(folder.is_dir() or not folder.exists(), f"-o {folder}: is a file; with --with, give a folder")
     make_writable(folder.absolute(), "choose another directory")
     return named
+
+
+def _check_sizes(shape: tuple[int, ...], maps: Mapping[Path, tuple[int, ...]]) -> None:
+    """Raise :class:`~nrbench.errors.BadInput` for a map of another size than its picture."""
+    for path, found in maps.items():
+        sizes = ["x".join(map(str, each[1::-1])) for each in (found, shape)]
+        require(sizes[0] == sizes[1], f"--with {path}: is {sizes[0]} px, IMAGE {sizes[1]}; all maps need one size")
 
 
 def _fill(image: Path, mask: Path, method: str | None, lattice: str | None, seed: int, output: Path) -> None:
@@ -264,7 +267,8 @@ def score_command(
     from nrbench.pictures.files import read_image
 
     if tileable:
-        require(not (output or metrics or every), "--tileable: judges one picture; pass no OUTPUT, --metrics or --all")
+        others = [output, metrics, every, mask]
+        require(not any(others), "--tileable: judges one whole picture; pass no OUTPUT, --mask, --metrics or --all")
         return _show_edges(call, sample, lattice, seam, as_json)
     if output is None or seam:
         raise BadInput("score: pass SAMPLE and OUTPUT, without -o; or --tileable and one picture")
@@ -309,22 +313,17 @@ def _show_edges(
     if as_json:
         print(json.dumps({**scores.values, "reasons": dict(scores.reasons)}, indent=1))
         return
-    for axis, edge in (("x", "right"), ("y", "lower")):
+    for axis, along, edge in (("x", "y", "right"), ("y", "x", "lower")):
         own = {name: scores.values[f"tileable.{axis}.{name}"] for name in ("repeats", "score", "worst", *FLOORS)}
         if own["score"] is None:
             print(f"{axis}: {scores.reasons[f'tileable.{axis}.score']}")
             continue
-        state = (
-            "repeats"
-            if own["repeats"]
-            else f"breaks at the {edge} edge, most at {'yx'['xy'.index(axis)]} = {own['worst']}"
-        )
+        state = "repeats" if own["repeats"] else f"breaks at the {edge} edge, most at {along} = {own['worst']}"
         ratios = ", ".join(f"{name} {own[name]:.2f}" for name in FLOORS if own[name] is not None)
         print(f"{axis}: {state}, score {own['score']:.2f} (departures over what is allowed: {ratios})")
     silent = {scores.reasons[name] for name in scores.reasons if name.endswith("lattice")}
-    print(
-        f"judged by {'gradients and colors alone: ' + '; '.join(silent) if silent else 'lattice, gradients and colors'}"
-    )
+    alone = f"gradients and colors alone: {'; '.join(silent)}"
+    print(f"judged by {alone if silent else 'lattice, gradients and colors'}")
 
 
 def _verdict_line(scores: Scores) -> str:

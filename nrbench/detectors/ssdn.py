@@ -9,15 +9,15 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import scipy
+import skimage
 from numpy.typing import NDArray
-from skimage.morphology import reconstruction
 
-from nrbench.detectors.autocorrelation.peaks import find_vertex, quantize_correlation
+from nrbench.detectors.autocorrelation.peaks import quantize_correlation
 from nrbench.detectors.autocorrelation.pixel_structure import detect_content
 from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
-from nrbench.imaging.correlation import FLAT, Correlation, half_autocorrelation
+from nrbench.imaging.correlation import FLAT, Correlation, find_vertex, half_autocorrelation
 from nrbench.imaging.mean_tile import Values, fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Curve, Detection, NoLatticeFound
@@ -302,7 +302,7 @@ def _follow_multiples(curve: Sequence, level: float, lag: int, subpixel: bool) -
     while abs(period - lag) <= MAX_SHIFT * lag and (k := len(peaks) + 1) * period <= len(curve) - 2:
         low = max(round(k * period - near), 1)
         peak = low + int(curve[low : min(round(k * period + near) + 1, len(curve) - 1)].argmax())
-        peaks.append(peak + float(find_vertex(*curve[peak - 1 : peak + 2])[0]) if subpixel else float(peak))
+        peaks.append(peak + float(find_vertex(*curve[peak - 1 : peak + 2])) if subpixel else float(peak))
         heights.append(float(curve[peak]))
         products, squares = products + k * peaks[-1], squares + k * k
         period = products / squares if subpixel else peaks[-1] / k
@@ -367,7 +367,7 @@ def inner_relief(tile: NDArray[np.int32], inside: NDArray[np.bool_]) -> float:
     passes[corner] = tile[corner]
     while (passes != before).any():
         before, (seed, mask) = passes, (np.pad(each, 1, mode="wrap") for each in (passes, tile))
-        passes = reconstruction(seed, mask, footprint=np.ones((3, 3)))[1:-1, 1:-1]  # type: ignore[no-untyped-call]
+        passes = skimage.morphology.reconstruction(seed, mask)[1:-1, 1:-1]  # type: ignore[no-untyped-call]
     peaks = inside & (tile > passes)
     with np.errstate(divide="ignore"):
         ratios = (tile - passes)[peaks] / (tile[corner] - passes)[peaks]

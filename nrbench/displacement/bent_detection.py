@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import MIN_SIDE, Image, shrink
+from nrbench.imaging.convert import MIN_SIDE, Image, crop_middle, shrink
 from nrbench.imaging.masks import Mask
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
@@ -81,7 +81,9 @@ class Followed(NamedTuple):
 
 
 def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tuple[Detection, Followed | None]:
-    """Return the lattice of an image, and how it was followed where the detector finds none because the image is bent.
+    """Return the lattice of an image, and how it was followed if the image is bent.
+
+    The lattice that the detector finds is followed through the image. If it finds none, a bent lattice is looked for.
 
     Parameters
     ----------
@@ -97,7 +99,7 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
     detection
         Of a bent image: its mean lattice, and the places of its points as ``vertices``.
     followed
-        None if the detector finds a lattice in the image as it is.
+        None if the image is not bent, or larger than 1024 px.
 
     Raises
     ------
@@ -105,14 +107,34 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
         If the detector finds none, and there is no bent lattice either, or the image is larger than 1024 px.
     """
     try:
-        return detect_known(detector, image, known), None
+        detection = detect_known(detector, image, known)
+        deformation = (
+            None if max(image.shape[:2]) > LARGEST_FOLLOWED else follow_detected(image, detection.lattice, known)
+        )
+        if deformation is None or not deformation.bent:
+            return detection, None
+        followed = Followed(deformation, detection)
     except NoLatticeFound as none:
-        followed = None if none.lattices else find_bent_lattice(image, known)
-        if followed is None or followed.detection is None:
+        bent = None if none.lattices else find_bent_lattice(image, known)
+        if bent is None or bent.detection is None:
             raise none from None
+        followed = bent
+    assert followed.detection is not None
     found = followed.deformation
     mean = replace(followed.detection, lattice=found.lattice, has_origin=False, vertices=found.lattice_points)
     return mean, followed
+
+
+def follow_detected(image: Image, lattice: Lattice, known: Mask | None = None) -> Deformation | None:
+    """Return the deformation of an image whose lattice was detected; None if it cannot be followed.
+
+    ``known`` are the pixels that count; None: all.
+    """
+    try:
+        found = find_deformation(image, lattice, known=known).deformation
+    except (NoLatticeFound, BadInput):
+        return None
+    return found if found.covered else None
 
 
 def find_bent_lattice(image: Image, known: Mask | None = None) -> Followed | None:
@@ -191,8 +213,7 @@ def find_deformation(
         return Followed(_follow_given(image, lattice), None)
     thorough, quick = (NamedDetector(name) for name in bent_finders())
     detector = detector or thorough
-    top, left = (max(side - LARGEST_VIEW, 0) // 2 for side in image.shape[:2])
-    middle = _best_lattice(quick, image[top : top + LARGEST_VIEW, left : left + LARGEST_VIEW], 1)
+    middle = _best_lattice(quick, crop_middle(image, LARGEST_VIEW), 1)
     first, reason = _look(detector, image, _detail_factor([] if middle is None else [(middle, None)]))
     if first is not None:
         still = _look_straight(image, first.lattice, first.confidence)
@@ -224,11 +245,9 @@ def _worth(answer: Followed) -> float:
 
 def _followed(deformation: Deformation, detection: Detection) -> Followed:
     """Return a lattice with the alternatives of a detection, named by their relation to the mean lattice."""
-    alternatives = []
-    for alternative in detection.alternatives:
-        change = relate(alternative.lattice, deformation.lattice)
-        alternatives.append(replace(alternative, relation=change.name if change else "unrelated"))
-    return Followed(deformation, replace(detection, alternatives=tuple(alternatives)))
+    named = ((each, relate(each.lattice, deformation.lattice)) for each in detection.alternatives)
+    alternatives = tuple(replace(each, relation=change.name if change else "unrelated") for each, change in named)
+    return Followed(deformation, replace(detection, alternatives=alternatives))
 
 
 def _look(detector: Detector, image: Image, factor: int = 1) -> tuple[Detection | None, str]:
@@ -293,12 +312,10 @@ def _follow_all(image: Image, views: list[View]) -> list[Knots]:
     found: list[tuple[float, int, Knots]] = []
     for number, (lattice, middle) in enumerate(views):
         knots = find_knots(image, lattice, middle)
-        if knots is None or Deformation(image, knots).score < _LEAST:
+        if knots is None or (score := Deformation(image, knots).score) < _LEAST:
             continue
         mean = knots.mean_lattice()
-        agree = Deformation(image, knots).score >= _COMPLETE and any(
-            _is_same(mean, other.mean_lattice()) for _, _, other in found
-        )
+        agree = score >= _COMPLETE and any(_is_same(mean, other.mean_lattice()) for _, _, other in found)
         found.append((-merit(image, knots), number, knots))
         if agree:
             break
@@ -348,9 +365,7 @@ def _answer(image: Image, detector: Detector, factor: int, knots: Knots) -> Foll
     for last in (False, True):
         found = Deformation(image, knots)
         straight, lattice = found.rectify()
-        detection = None
-        if min(straight.shape[:2]) >= LEAST_VIEW:
-            detection, _ = _look(detector, straight, factor)
+        detection = _look(detector, straight, factor)[0] if min(straight.shape[:2]) >= LEAST_VIEW else None
         if detection is None:
             return None
         if _is_same(detection.lattice, lattice):

@@ -164,10 +164,8 @@ class CellWindows:
         lines = np.zeros(len(self.values))
         for step in ((1, 0), (0, 1), (1, 1), (1, -1)):
             _, line, count = np.unique(number @ step, return_inverse=True, return_counts=True)
-            order = np.argsort(line, kind="stable")
-            sums = np.add.reduceat(self.values[order], np.r_[0, np.cumsum(count)[:-1]])
-            means = np.asarray(sums / count.reshape(-1, 1, 1, 1), np.float32)
-            moved = register_cells(means, mean, weights)
+            means = [self.values[line == k].mean(0) for k in range(len(count))]
+            moved = register_cells(np.stack(means), mean, weights)
             away = self._measure(moved - ndimage.median_filter(moved, (_NEAR_LINES, 1), mode="nearest"))
             usual = max(_LEAST_AWAY, 5 * float(np.median(away)))
             away = np.where((count >= _LEAST_LINE) & (away > usual), away, 0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import MIN_SIDE, Image, largest_box
 from nrbench.imaging.masks import Mask, known_at
-from nrbench.imaging.mean_tile import fold
+from nrbench.imaging.mean_tile import explained_share
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.vertices import Vertex, lay_vertices, list_vertices
 
@@ -22,7 +22,6 @@ from .growth import Knots
 __all__ = [
     "LEAST_AMPLITUDE",
     "Deformation",
-    "explained_share",
     "fit_homography",
     "map_points",
     "pixel_places",
@@ -366,13 +365,6 @@ def pixel_places(height: int, width: int, top: int = 0, left: int = 0) -> Points
     """Return the (x, y) of each pixel of a box, ``(height, width, 2)``."""
     x, y = np.meshgrid(np.arange(left, left + width), np.arange(top, top + height))
     return np.stack([x, y], -1).astype(np.float64)
-
-
-def explained_share(image: Image, lattice: Lattice) -> float:
-    """Return the share of the variance of an image that its mean tile explains."""
-    mean = fold(image, lattice).unfold(image.shape[:2])
-    around = np.square(image - image.mean((0, 1), dtype=np.float64)).sum(dtype=np.float64)
-    return 1 - float(np.square(image - mean).sum(dtype=np.float64) / max(float(around), 1e-12))
 
 
 def _log_likelihood(values: Points, covariance: Points) -> float:

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 
 Image = NDArray[np.float32]
 """``float32 (H, W, C)`` in [0, 1], C is 1 or 3, sRGB values as stored."""
@@ -101,8 +101,7 @@ def _scale_to_unit(pixels: NDArray[Any], where: str) -> Image:
     if not np.isfinite(pixels).all():
         raise BadInput(f"{where}: has NaN or infinite pixels; replace them first, e.g. with numpy.nan_to_num")
     low, high = float(pixels.min()), float(pixels.max())
-    if low < 0 or high > 1:
-        raise BadInput(f"{where}: values from {low:g} to {high:g}; scale floats to [0, 1] first")
+    require(low >= 0 and high <= 1, f"{where}: values from {low:g} to {high:g}; scale floats to [0, 1] first")
     return np.array(pixels, np.float32)
 
 

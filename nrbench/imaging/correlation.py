@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.masks import Mask
@@ -68,6 +68,31 @@ def half_autocorrelation(image: Image, known: Mask | None = None) -> Correlation
     gamma = np.divide(covariance, scale, out=np.zeros_like(scale), where=structured)
     np.clip(gamma, -1, 1, out=gamma)
     return np.concatenate([gamma[1, :0:-1], gamma[0]])
+
+
+def find_vertex(before: ArrayLike, middle: ArrayLike, after: ArrayLike) -> NDArray[np.float64]:
+    """Return the position of the vertex of the parabola through three equally spaced samples.
+
+    Parameters
+    ----------
+    before, middle, after
+        The samples at -1, 0 and 1; arrays of one shape, or numbers.
+
+    Returns
+    -------
+    NDArray
+        In [-0.5, 0.5] steps from the middle sample; 0 if that is no maximum.
+
+    Examples
+    --------
+    >>> from nrbench.imaging.correlation import find_vertex
+    >>> float(find_vertex(0.0, 3.0, 2.0))
+    0.25
+    """
+    before, middle, after = (np.asarray(sample, np.float64) for sample in (before, middle, after))
+    bend = 2 * middle - before - after
+    offset = np.clip((after - before) / 2 / np.maximum(bend, 1e-12), -0.5, 0.5)
+    return np.where((middle >= before) & (middle >= after) & (bend > 0), offset, 0.0)
 
 
 def _masked_autocorrelation(image: Image, known: Mask) -> Correlation:

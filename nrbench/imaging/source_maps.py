@@ -18,6 +18,8 @@ _UNIT = 0.05
 """Largest median difference from 1 of the lengths of the vectors of a normal map."""
 _LEVEL = 0.1
 """Largest mean x and y of vectors in [0, 1] that mostly point up."""
+_LABELS = 16
+"""Most distinct values of a map of labels or of a mask, which are not blended."""
 _OPPOSED = 0.5
 """A mean of unit vectors that is shorter says little: the vectors lie more than 120 degrees apart."""
 
@@ -111,17 +113,18 @@ def like_map(laid: Floats, other: NDArray[Any], nearest: Floats) -> NDArray[Any]
     """Return layers that were laid out as a map, in the range of the one that they come from, with its dtype and axes.
 
     Means of the vectors of a normal map get the mean of their lengths, which is 1 if theirs are. Where the vectors
-    oppose each other, the nearest one is taken.
+    oppose each other, the nearest one is taken. Labels, of which there are few, are never blended.
 
     Parameters
     ----------
     laid, nearest
-        Means of the layers of :func:`as_layers_of_map`, and the layers of the sources of the largest weights.
+        Means of the layers of :func:`as_layers_of_map`, and the layers of the sources of the largest weights; one array
+        for both if the layers were drawn and have no sources.
     other
         The map.
     """
     channels, values = other.shape[2] if other.ndim > 2 else 1, other.reshape(*other.shape[:2], -1)
-    low, high = values.min((0, 1)), values.max((0, 1))
+    low, high, is_drawn = values.min((0, 1)), values.max((0, 1)), nearest is laid
     if laid.shape[2] > channels:
         half = _peak(other) / 2
         vectors, lengths = laid[..., :3] / half - 1, _lengths(laid / (2 * half))
@@ -131,5 +134,9 @@ def like_map(laid: Floats, other: NDArray[Any], nearest: Floats) -> NDArray[Any]
         laid[..., :3] = half * (vectors + 1)
         low, high = np.minimum(low, 0), np.maximum(high, 2 * half)
     laid = np.clip(laid[..., :channels], low, high)
-    laid = nearest if other.dtype == np.bool_ else np.rint(laid) if other.dtype.kind in "iu" else laid
+    labels = np.unique(other[::3, ::3].reshape(-1, channels), axis=0)
+    if len(labels) <= _LABELS:
+        laid = labels[scipy.spatial.KDTree(labels).query(laid)[1]] if is_drawn else nearest[..., :channels]
+    if other.dtype.kind in "biu":
+        laid = np.rint(laid)
     return laid.astype(other.dtype).reshape(*laid.shape[:2], *other.shape[2:])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from nrbench.imaging.convert import Image
+from nrbench.imaging.correlation import find_vertex
 from nrbench.imaging.mean_tile import Values, fold, tile_grid
 from nrbench.lattice.geometry import Lattice, Points
 
@@ -154,8 +155,7 @@ def register_cells(cells: Values, mean: Values, weights: Values) -> Points:
     least = np.stack(np.unravel_index(costs.reshape(len(costs), -1).argmin(1), sides), -1)
     place = least.astype(np.float64)
     for axis, step in enumerate(np.eye(2, dtype=np.intp)):
-        before, here, after = (costs[number, *((least + k * step) % sides).T] for k in (-1, 0, 1))
-        bend = before - 2 * here + after
-        place[:, axis] += np.where(bend > 0, (before - after) / np.where(bend > 0, 2 * bend, 1), 0)
+        before, here, after = (-costs[number, *((least + k * step) % sides).T] for k in (-1, 0, 1))
+        place[:, axis] += find_vertex(before, here, after)
     place /= sides
     return np.asarray((place - np.rint(place))[:, ::-1])

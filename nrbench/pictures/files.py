@@ -26,7 +26,7 @@ import PIL.TiffImagePlugin
 import tifffile
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput, strip_control
+from nrbench.errors import BadInput, require, strip_control
 from nrbench.imaging.convert import MIN_SIDE, Image, as_image, as_layers, depth_of, to_bytes, to_integers
 from nrbench.imaging.masks import Mask, MaskedImage, as_mask, as_masked
 from nrbench.pictures.color_spaces import LINEAR, ColorSpace, apply_profile, find_color_space, read_profile
@@ -148,16 +148,7 @@ def read_map(path: str | Path) -> tuple[NDArray[Any], bytes]:
         If there is no such file, or it is no image.
     """
     where, notes = f"picture {path}", list[str]()
-    with _opened(path, where) as (picture, file, head):
-        if isinstance(picture, tifffile.TiffPage):
-            values, profile = _page_pixels(picture, where, notes)[0], picture.iccprofile
-        else:
-            values, profile = (
-                _pixels(picture, file, head, where, notes, stored=True)[0],
-                picture.info.get("icc_profile"),
-            )
-            if picture.mode == "P" and values.ndim == 3 and not np.ptp(values, axis=2).any():
-                values = values[..., 0]
+    values, _, profile = _load(path, where, notes, stored=True)
     if notes:
         warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=2)
     return values, profile or b""
@@ -172,11 +163,7 @@ def read_mask(path: str | Path, shape: tuple[int, int]) -> Mask:
 def _read(path: str | Path, smallest: int, convert: Callable[[NDArray[Any], str, int], Read]) -> Read:
     """Return what ``convert`` makes of the pixels of a file, which may have alpha, and warn of what is odd."""
     where, notes = f"picture {path}", list[str]()
-    with _opened(path, where) as (picture, file, head):
-        if isinstance(picture, tifffile.TiffPage):
-            pixels, space = _page_pixels(picture, where, notes)
-        else:
-            pixels, space = _pixels(picture, file, head, where, notes)
+    pixels, space, _ = _load(path, where, notes)
     pixels = pixels if pixels.ndim == 3 else pixels[..., np.newaxis]
     if pixels.dtype.kind == "f":
         pixels = pixels.astype(np.float32) if pixels.dtype == np.float16 else pixels
@@ -192,6 +179,22 @@ def _read(path: str | Path, smallest: int, convert: Callable[[NDArray[Any], str,
     if notes:
         warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=3)
     return read
+
+
+def _load(
+    path: str | Path, where: str, notes: list[str], stored: bool = False
+) -> tuple[NDArray[Any], ColorSpace | None, bytes | None]:
+    """Return the pixels of a file, the color space from which they must be converted, and its profile; add notes.
+
+    ``stored``: the values as they are stored, without a color space.
+    """
+    with _opened(path, where) as (picture, file, head):
+        if isinstance(picture, tifffile.TiffPage):
+            return *_page_pixels(picture, where, notes), picture.iccprofile
+        pixels, space = _pixels(picture, file, head, where, notes, stored)
+        if stored and picture.mode == "P" and pixels.ndim == 3 and not np.ptp(pixels, axis=2).any():
+            pixels = pixels[..., 0]
+        return pixels, space, picture.info.get("icc_profile")
 
 
 def _range_remark(image: Image) -> list[str]:
@@ -229,8 +232,7 @@ def _opened(path: str | Path, where: str) -> Iterator[tuple[_Opened, IO[bytes], 
                     raise BadInput(f"{where}: {_name_format(head, file)}") from None
                 picture = opened.enter_context(tifffile.TiffFile(file)).pages.first
                 width, height = picture.imagewidth, picture.imagelength
-            if width * height == 0:
-                raise BadInput(f"{where}: {_NO_PICTURE}")
+            require(width * height > 0, f"{where}: {_NO_PICTURE}")
             if width * height > MOST_PIXELS:
                 most = f"at most {MOST_PIXELS} px in all are read"
                 raise BadInput(f"{where}: {width}x{height} px; {most}: crop it, or scale it down")
@@ -280,8 +282,7 @@ def list_pictures(folder: Path) -> list[Path]:
     BadInput
         If there is no such folder.
     """
-    if not folder.is_dir():
-        raise BadInput(f"directory {folder}: there is no such directory; check the path")
+    require(folder.is_dir(), f"directory {folder}: there is no such directory; check the path")
     names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file() and not entry.name.startswith("."))
     skipped = [name for name in names if Path(name).suffix.lower() not in ENDINGS | _COMPANIONS]
     if skipped:
@@ -309,12 +310,9 @@ def read_shape(path: str | Path) -> tuple[int, int]:
 
 
 def _check_file(path: Path, where: str) -> None:
-    if path.is_dir():
-        raise BadInput(f"{where}: is a directory; pass one picture in it")
-    if not path.is_file():
-        raise BadInput(f"{where}: there is no such file; check the path")
-    if path.stat().st_size == 0:
-        raise BadInput(f"{where}: is empty (0 bytes); save or download it again")
+    require(not path.is_dir(), f"{where}: is a directory; pass one picture in it")
+    require(path.is_file(), f"{where}: there is no such file; check the path")
+    require(path.stat().st_size > 0, f"{where}: is empty (0 bytes); save or download it again")
 
 
 def _has_several_frames(picture: PIL.Image.Image) -> bool:
@@ -420,8 +418,7 @@ def _plain_pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
         picture = picture.convert(_VIA_ALPHA.get(picture.mode, "RGBA"))
     elif picture.mode in _VIA:
         picture = picture.convert(_VIA[picture.mode])
-    if picture.mode not in _DIRECT:
-        raise BadInput(f"{where}: has pixels of mode {picture.mode}; save it with 8 or 16 bits a channel")
+    require(picture.mode in _DIRECT, f"{where}: has pixels of mode {picture.mode}; save it with 8 or 16 bits a channel")
     return np.asarray(picture)
 
 
@@ -521,9 +518,8 @@ def write_map(path: str | Path, values: NDArray[Any], profile: bytes | None = No
     if kind not in WRITTEN:
         raise BadInput(f"picture {path}: is not written, because only {_WRITTEN} keep every pixel; end its name so")
     if kind == ".webp" and deep:
-        warnings.warn(
-            f"picture {path}: WebP has 8 bits a channel; .png and .tif keep the 16 of the image", stacklevel=2
-        )
+        kept = "WebP has 8 bits a channel; .png and .tif keep the 16 of the image"
+        warnings.warn(f"picture {path}: {kept}", stacklevel=2)
     write = {".png": _write_deep_png if deep else _write_png, ".webp": _write_webp}.get(kind, _write_tiff)
     try:
         if not target.parent.is_dir():

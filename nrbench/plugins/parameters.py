@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.storage import find_path
 
 if TYPE_CHECKING:
@@ -66,10 +66,8 @@ def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
     parameters: dict[str, Any] = {}
     for part in re.split(r",(?=\w+=)", rest) if rest else []:
         key, equals, value = part.partition("=")
-        if not equals or not key:
-            raise BadInput(f"{text!r}: {part!r} is no parameter; write NAME:param=value,param=value")
-        if key in parameters:
-            raise BadInput(f"{text!r}: parameter {key!r} is given twice; leave one")
+        require(bool(equals and key), f"{text!r}: {part!r} is no parameter; write NAME:param=value,param=value")
+        require(key not in parameters, f"{text!r}: parameter {key!r} is given twice; leave one")
         parameters[key] = value
     return name, parameters
 
@@ -95,8 +93,7 @@ def take_label(parameters: dict[str, Any]) -> str:
     if LABEL not in parameters:
         return ""
     text = str(parameters.pop(LABEL)).strip()
-    if not 0 < len(text) <= 60 or not text.isprintable():
-        raise BadInput(f"label is {text[:60]!r}; give 1 to 60 printable characters")
+    require(0 < len(text) <= 60 and text.isprintable(), f"label is {text[:60]!r}; give 1 to 60 printable characters")
     return text
 
 

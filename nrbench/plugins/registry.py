@@ -158,11 +158,9 @@ def add_file(path: str | Path) -> None:
     file = Path(path).resolve()
     if file in _files:
         return
-    if not file.is_file():
-        raise BadInput(f"plugin {file}: there is no such file")
+    require(file.is_file(), f"plugin {file}: there is no such file")
     found = _file_plugins(file, _import_file(file))
-    if not found:
-        raise BadInput(f"plugin {path}: defines no plugin; write a frozen dataclass with one of: {methods_wanted()}")
+    require(bool(found), f"plugin {path}: defines no plugin; write a frozen dataclass with one of: {methods_wanted()}")
     for plugin in found:
         if wrong := fault(plugin.kind, plugin.cls):
             raise BadInput(f"plugin {path}: {wrong}")
@@ -249,8 +247,9 @@ def in_role(role: str) -> str:
     ----------
     role
         ``detector``, which finds a lattice where no detector is named; ``quick-detector``, which proposes lattices of
-        bent pictures; ``pictures``, which reads files; ``comparison``, which compares two runs; ``run-site``;
-        ``tables``, which has the frames of a run; ``plot``, which has the plot of a run.
+        bent pictures; ``judge-detector``, which finds a lattice for scores; ``pictures``, which reads files;
+        ``comparison``, which compares two runs; ``run-site``; ``tables``, which has the frames of a run; ``plot``,
+        which has the plot of a run.
     """
     declared = entry_points(group="nrbench.roles", name=role)
     value = next(point.value for point in declared if _name_and_version(point.dist)[0] == "nrbench")

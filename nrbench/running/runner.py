@@ -28,7 +28,7 @@ from nrbench.running.guard import LIMITS, Limits
 from nrbench.running.options import Options as Options
 from nrbench.running.options import print_notice
 from nrbench.running.phases import Request, read_output, read_texture
-from nrbench.running.supervisor import RequestRunner, Supervisor, third_party
+from nrbench.running.supervisor import RunRequest, Supervisor, third_party
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
 from nrbench.storage import remove, temporary_folder, write_json, write_text
@@ -103,10 +103,10 @@ def plan_run(
         The limits of the drawing of one texture.
     """
     with contextlib.closing(Supervisor(warm=False)) as supervisor:  # it starts a process when it is first used
-        return make_plan(suite, textures, partial(draw_guarded, supervisor, limits), progress)
+        return make_plan(suite, textures, partial(draw_guarded, supervisor.run, limits), progress)
 
 
-def draw_guarded(runner: RequestRunner, limits: Limits, recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
+def draw_guarded(run: RunRequest, limits: Limits, recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
     """Draw a texture in a child process under limits; see :func:`~nrbench.suites.plan.draw_texture`.
 
     Raises
@@ -117,7 +117,7 @@ def draw_guarded(runner: RequestRunner, limits: Limits, recipe: Recipe, shape: S
     with temporary_folder() as folder:
         write_json(CellFolder(folder).cell_file, {"recipe": recipe.as_dict(), "shape": list(shape)})
         request = Request("render", str(folder), limits.seconds, limits.mib, plugin_files=tuple(plugins.files()))
-        result = runner.run(request).result
+        result = run(request).result
         if result["status"] == "ok" and "texture" in result:
             return read_texture(folder, result["texture"])
         cause = result["message"] or "ended without an answer"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench import plugins
-from nrbench.errors import BadInput, describe_error
+from nrbench.errors import BadInput, describe_error, require
 from nrbench.imaging.convert import Image, as_image, depth_of, quantize, to_integers
 from nrbench.imaging.masks import Mask
 from nrbench.lattice.geometry import Lattice
@@ -477,22 +477,20 @@ def _checked(recipe: Recipe, texture: object) -> Texture:
     where = f"dataset {recipe.dataset}"
     if not isinstance(texture, Texture):
         raise BadInput(f"{where}: render returned {type(texture).__name__} instead of a Texture")
-    image = as_image(texture.image, where)
+    image, region, share = as_image(texture.image, where), texture.region, texture.regular_share
     if recipe.procedural and image.shape[:2] != recipe.shape:
         raise BadInput(f"{where}: render returned the wrong shape: expected {recipe.shape}, got {image.shape}")
-    if not (texture.lattice is None or isinstance(texture.lattice, Lattice)):
-        raise BadInput(f"{where}: lattice: expected a Lattice or None, got {texture.lattice!r}")
-    if not (texture.kind is None or texture.kind in get_args(Kind)):
-        raise BadInput(f"{where}: kind: expected one of {', '.join(get_args(Kind))} or None, got {texture.kind!r}")
-    region = texture.region
     whole = isinstance(region, tuple) and all(isinstance(edge, int | np.integer) for edge in region)
-    if not (region is None or (whole and len(region) == 4)):
-        raise BadInput(f"{where}: region: expected four integers x0, y0, x1, y1 or None, got {region!r}")
-    if not isinstance(texture.family, str):
-        raise BadInput(f"{where}: family: expected text, got {texture.family!r}")
-    share = texture.regular_share
-    if not (share is None or (isinstance(share, float) and 0 <= share <= 1)):
-        raise BadInput(f"{where}: regular_share: expected a number from 0 to 1, got {share!r}")
+    kinds = get_args(Kind)
+    fields = {
+        "lattice": ("a Lattice or None", texture.lattice is None or isinstance(texture.lattice, Lattice)),
+        "kind": (f"one of {', '.join(kinds)} or None", texture.kind is None or texture.kind in kinds),
+        "region": ("four integers x0, y0, x1, y1 or None", region is None or (whole and len(region) == 4)),
+        "family": ("text", isinstance(texture.family, str)),
+        "regular_share": ("a number from 0 to 1", share is None or (isinstance(share, float) and 0 <= share <= 1)),
+    }
+    for name, (form, holds) in fields.items():
+        require(holds, f"{where}: {name}: expected {form}, got {getattr(texture, name)!r}")
     plain = None if region is None else (int(region[0]), int(region[1]), int(region[2]), int(region[3]))
     return dataclasses.replace(texture, image=image, region=plain)
 

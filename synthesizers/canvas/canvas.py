@@ -110,18 +110,16 @@ class Canvas:
         return slice(y0 + down, y1 + down), slice(x0 + across, x1 + across)
 
     def place(
-        self, window: Window, patch: ExactPatch, mask: Mask | None = None, further: Further | float = 0.0
+        self, window: Window, patch: ExactPatch, mask: Mask | None = None, further: Further | None = None
     ) -> None:
-        """Show a patch in a window, where a mask ``bool (h, w)`` is True. None: everywhere."""
-        pixels, layers = (
-            self.pixels(window),
-            [each for each in (self.image, self.source, self.exact) if each is not None],
-        )
-        if self.further is not None or not isinstance(further, float):
-            rest = self._further()
-            rest[pixels] = (
-                further if mask is None else np.where(mask[..., np.newaxis, np.newaxis], further, rest[pixels])
-            )
+        """Show a patch in a window, where a mask ``bool (h, w)`` is True; everywhere if None, with further sources."""
+        pixels = self.pixels(window)
+        layers = [each for each in (self.image, self.source, self.exact) if each is not None]
+        if further is not None:
+            self._further()[pixels] = further
+        elif self.further is not None:
+            old = self.further[pixels]
+            self.further[pixels] = 0 if mask is None else np.where(mask[..., np.newaxis, np.newaxis], 0, old)
         if mask is None:
             for canvas, new in zip(layers, patch, strict=True):
                 canvas[pixels] = new

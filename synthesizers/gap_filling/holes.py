@@ -72,11 +72,10 @@ class HoleFiller:
     known
         ``bool (H, W)``: False in the holes.
     lattice
-        The lattice of the picture; None: patches come from anywhere.
+        The lattice of the picture. A patch lies at most :data:`TOLERANCE` s, or 3 px, from an equal place, along x and
+        along y. None: patches come from anywhere.
     rng
         The randomness.
-    tolerance
-        Largest distance of a patch from an equal place, px along x and along y.
     block
         Side of a patch in px where there is no lattice.
     keep
@@ -90,7 +89,6 @@ class HoleFiller:
         known: Mask,
         lattice: Lattice | None,
         rng: np.random.Generator,
-        tolerance: float = 1.0,
         block: int = 40,
         keep: bool = True,
     ) -> None:
@@ -106,8 +104,9 @@ class HoleFiller:
         distance = scipy.ndimage.distance_transform_edt(known)
         self._near = known & (distance <= max(min(self.size) / 4, 2))
         self._kept = known if keep else distance > max(self.size) / 3
-        steps = np.arange(-int(tolerance), int(tolerance) + 1)
-        self._moves = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) if lattice else np.zeros((1, 2), np.int64)
+        reach = 0 if lattice is None else int(min(3.0, TOLERANCE * lattice.s))
+        steps = np.arange(-reach, reach + 1)
+        self._moves = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
 
     def fill(self, progress: Callable[[float], None]) -> tuple[Image, SourceMap]:
         """Return the picture without holes, and its source map.
@@ -244,9 +243,7 @@ def fill_task(task: Task, found: FoundLattice, block: int = 40, keep: bool = Tru
             f"mask: leaves {100 * share:.2g} % of {task.known.shape[1]}x{task.known.shape[0]} px, too little to fill "
             f"the rest from; leave at least {100 * _LEAST_KNOWN:.0f} %"
         )
-    tolerance = 0.0 if found.lattice is None else min(3.0, TOLERANCE * found.lattice.s)
-    filler = HoleFiller(task.sample, task.known, found.lattice, task.rng, tolerance, block, keep)
-    image, source = filler.fill(task.progress)
+    image, source = HoleFiller(task.sample, task.known, found.lattice, task.rng, block, keep).fill(task.progress)
     note = "" if found.lattice else f"holes filled with patches from anywhere: no lattice found ({found.reason})"
     return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note)
 

@@ -18,7 +18,6 @@ from nrbench.displacement.bent_detection import find_bent_lattice
 from nrbench.displacement.deformation_field import (
     LEAST_GAIN,
     Deformation,
-    explained_share,
     map_points,
     pixel_places,
 )
@@ -27,7 +26,7 @@ from nrbench.displacement.free_form import FreeForm, approximate, basis, refine
 from nrbench.displacement.growth import Knots
 from nrbench.displacement.random_field import WaveSpectrum, neighbor_field, output_field
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.mean_tile import fold, interpolate
+from nrbench.imaging.mean_tile import explained_share, fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Geometry, Task, Texture, find_lattice
 from nrbench.plugins.registry import NamedDetector

@@ -102,6 +102,16 @@ def test_apply_keeps_type_axes_and_values() -> None:
         made.apply(np.zeros((64, 120)))
 
 
+@pytest.mark.parametrize("name", ["rsgf", "gpnn"])
+def test_labels_and_truth_values_are_not_blended(name: str) -> None:
+    """A map of few values keeps them, and the share of a mask, where the method blends or models its maps jointly."""
+    mask = gray(WALL.image) > 0.45
+    labels = np.where(mask, np.uint8(200), np.uint8(30))
+    made = nrbench.synthesize(method(name), WALL, (90, 90), seed=1, maps=[mask, labels])
+    assert set(np.unique(made.maps[1]).tolist()) == {30, 200}
+    assert abs(made.maps[0].mean() - mask.mean()) < 0.15
+
+
 def test_opposed_normals_are_not_averaged() -> None:
     """Where vectors that point apart are blended, the nearest is taken; all lengths are 1."""
     apart = np.full((112, 120, 3), (0.0, 0.5, 0.5))
@@ -155,7 +165,7 @@ def test_files_of_a_material_keep_their_names_depths_and_values(tmp_path: Path) 
     ("name", "folder", "message"),
     [
         ("other/albedo.png", "out", "would both be written to"),
-        ("turned.png", "out", "is 112x120 px, the sample 120x112"),
+        ("turned.png", "out", "is 112x120 px, IMAGE 120x112"),
         ("rough.png", ".", "would be replaced"),
     ],
 )

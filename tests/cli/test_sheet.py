@@ -13,8 +13,8 @@ from commands import call
 
 import nrbench
 from nrbench.api.photo_sheet import describe_row, prepare_photo, rate_outputs
-from nrbench.displacement.deformation_field import explained_share, map_points
-from nrbench.imaging.mean_tile import interpolate
+from nrbench.displacement.deformation_field import map_points
+from nrbench.imaging.mean_tile import explained_share, interpolate
 from nrbench.runs.records import CellRecord
 
 

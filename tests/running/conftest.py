@@ -44,7 +44,7 @@ def warm_executor(supervisors: list[Supervisor]) -> MakeExecutor:
     def run_idle(job: Request) -> Result:
         supervisor = idle.get()
         try:
-            return run_job(job, supervisor)
+            return run_job(job, supervisor.run)
         finally:
             idle.put(supervisor)
 

@@ -69,7 +69,7 @@ def detect_content(detect: Callable[..., Detection], image: Image, known: Mask |
     require_texture(image)
     if known is not None:
         return detect(image, known)
-    steps = [_sum_steps(image), _sum_steps(image.swapaxes(0, 1))]
+    steps = [np.abs(np.diff(image, axis=axis)).sum((1 - axis, 2)) for axis in (0, 1)]
     sides = range(2, min(LARGEST_PIXEL, min(image.shape[:2]) // 8) + 1)
     shares = [max(1 - sums.max() / sums.sum() for sums in _sum_by_place(steps, side)) for side in sides]
     pixel = max((side for side, share in zip(sides, shares, strict=True) if share < MOST_INSIDE), default=1)
@@ -104,13 +104,7 @@ def _detect_enlarged(detect: Callable[[Image], Detection], image: Image, pixel: 
     return found
 
 
-def _sum_steps(image: Image) -> NDArray[np.float64]:
-    """Return the sum of the differences of each row and the next one, ``(H - 1,)``."""
-    steps = image[1:] - image[:-1]
-    return np.asarray(np.abs(steps, out=steps).sum((1, 2)), np.float64)
-
-
-def _sum_by_place(steps: list[NDArray[np.float64]], side: int) -> list[NDArray[np.float64]]:
+def _sum_by_place(steps: list[NDArray[np.float32]], side: int) -> list[NDArray[np.float64]]:
     """Return the steps along each axis, summed over all that have the same place modulo ``side``."""
     return [np.asarray(np.bincount(np.arange(len(sums)) % side, sums, side) + 1e-9) for sums in steps]
 

@@ -6,8 +6,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.peaks import find_vertex
 from nrbench.imaging.convert import Image, crop_middle
+from nrbench.imaging.correlation import find_vertex
 from nrbench.lattice.geometry import Lattice, Points
 
 SIDE = 512
@@ -88,8 +88,8 @@ def _find_peaks(image: Image) -> tuple[Points, NDArray[np.float64], float]:
     kept = kept[np.argsort(-energy[rows[kept], columns[kept]], kind="stable")[:PEAKS]]
     rows, columns, x, y = rows[kept], columns[kept], x[kept], y[kept]
     logs = np.log(power + 1e-12 * power.max() + 1e-30)
-    along, _ = find_vertex(logs[rows, np.abs(columns - 1)], logs[rows, columns], logs[rows, columns + 1])
-    down, _ = find_vertex(logs[rows - 1, columns], logs[rows, columns], logs[rows + 1, columns])
+    along = find_vertex(logs[rows, np.abs(columns - 1)], logs[rows, columns], logs[rows, columns + 1])
+    down = find_vertex(logs[rows - 1, columns], logs[rows, columns], logs[rows + 1, columns])
     places = np.stack([(x + np.where(x > 0, along, 0)) / width, (y + down) / height], 1)
     strongest = 9 * np.asarray(energy[rows, columns], np.float64)
     return places, strongest, float(strongest.sum() / (power.sum() + 1e-30))
