@@ -16,6 +16,7 @@ from nrbench.displacement.free_form import REPEATS, FreeForm
 from nrbench.displacement.random_field import output_field
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, depth_of, quantize
+from nrbench.imaging.masks import Mask
 from nrbench.jit import work_clock
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import (
@@ -86,9 +87,9 @@ def recognize_sample(method: Synthesizer | None, task: Task) -> SampleSurvey:
     """
     start = work_clock()
     found = find_lattice(task, detector_of(method))
-    followed = find_bent_lattice(task.sample) if found.lattice is None else None
+    followed = find_bent_lattice(task.sample, task.known) if found.lattice is None else None
     if followed is None:
-        bent, note = find_bend(task.sample, found.lattice, task.lattice is not None)
+        bent, note = find_bend(task.sample, found.lattice, task.lattice is not None, task.known)
     else:
         bent = followed.deformation
         found, note = FoundLattice(bent.lattice, vertices=bent.lattice_points), _describe(bent)
@@ -170,7 +171,9 @@ def _synthesize_bent(method: Synthesizer, task: Task, bent: Deformation, geometr
     return replace(made, lattice=bent.lattice, extras={**made.extras, "straightened": sample})
 
 
-def find_bend(sample: Image, lattice: Lattice | None, given: bool) -> tuple[Deformation | None, str]:
+def find_bend(
+    sample: Image, lattice: Lattice | None, given: bool, known: Mask | None = None
+) -> tuple[Deformation | None, str]:
     """Return the deformation of a sample, None if it is not bent, and a note.
 
     The lattice is followed through the sample (:func:`~nrbench.displacement.bent_detection.find_deformation`).
@@ -183,13 +186,15 @@ def find_bend(sample: Image, lattice: Lattice | None, given: bool) -> tuple[Defo
         Its lattice; None if it is not known.
     given
         Whether the lattice is known for sure. If it cannot be followed, it is then looked for in parts of the sample.
+    known
+        The pixels that count; None: all.
     """
-    found = None if lattice is None else _follow(sample, lattice, given)
+    found = None if lattice is None else _follow(sample, lattice, given, known)
     if found is None:
         return None, "cannot tell whether the sample is bent; it is used as it is" if lattice else ""
     if found.bent:
-        known = replace(found, regular=lattice) if given else found
-        return known if known.bent else found, _describe(found)
+        regular = replace(found, regular=lattice) if given else found
+        return regular if regular.bent else found, _describe(found)
     if found.is_smooth:
         return None, "the sample seems bent, but straightening gains nothing: it is taken as it is"
     if found.amplitude < LEAST_AMPLITUDE:
@@ -200,14 +205,14 @@ def find_bend(sample: Image, lattice: Lattice | None, given: bool) -> tuple[Defo
     return None, note
 
 
-def _follow(sample: Image, lattice: Lattice, given: bool) -> Deformation | None:
+def _follow(sample: Image, lattice: Lattice, given: bool, known: Mask | None) -> Deformation | None:
     """Return the deformation of a sample; None if its lattice cannot be followed.
 
     If a given lattice cannot be followed from what it is on average, one that is detected in a part of the sample is.
     """
     for start in (lattice, None) if given else (lattice,):
         try:
-            found = find_deformation(sample, start).deformation
+            found = find_deformation(sample, start, known=known).deformation
         except (NoLatticeFound, BadInput):
             continue
         if found.covered and (start or found.lattice.is_equivalent(lattice, _SAME * lattice.s)):

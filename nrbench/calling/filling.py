@@ -9,13 +9,12 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-import scipy
 
 from nrbench.calling.bent_samples import MOST_WEIGHT, survey_sample
 from nrbench.displacement.deformation_field import Deformation, map_points, pixel_places, read_spline
 from nrbench.displacement.free_form import FreeForm
 from nrbench.imaging.convert import depth_of, quantize
-from nrbench.imaging.masks import Mask, known_at
+from nrbench.imaging.masks import known_at
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Synthesis, Task
 
@@ -58,7 +57,7 @@ def fill_picture(method: Any, task: Task) -> Synthesis:
     source[..., :2] = pixel_places(*task.shape)
     image[part][~known], source[part][~known] = made.image[~known], made.source[~known] + (left, top, 0)
     lattice = None if made.lattice is None else made.lattice.shifted((left, top))
-    note = "; ".join(filter(None, (f"{100 * share:.2g} % of the picture filled", made.note)))
+    note = "; ".join(filter(None, (f"{100 * share:.3g} % of the picture filled", made.note)))
     return replace(made, image=image, source=source, lattice=lattice, extras={}, note=note)
 
 
@@ -79,7 +78,7 @@ def _fill_part(method: Any, task: Task) -> Synthesis:
 def _fill_bent(method: Any, task: Task, bent: Deformation) -> Synthesis:
     """Fill the holes of a bent picture on the plane of its mean lattice."""
     assert task.known is not None
-    hole, (to_plane, to_picture) = ~task.known, _maps(bent, task.known)
+    hole, (to_plane, to_picture) = ~task.known, _maps(bent)
     plane = to_plane(pixel_places(*task.shape))
     low = np.floor(plane.min((0, 1)))
     columns, rows = (np.ceil(plane.max((0, 1))) - low).astype(int) + 1
@@ -99,17 +98,14 @@ def _fill_bent(method: Any, task: Task, bent: Deformation) -> Synthesis:
     return replace(made, image=image, source=source, lattice=bent.lattice)
 
 
-def _maps(bent: Deformation, known: Mask) -> tuple[Map, Map]:
+def _maps(bent: Deformation) -> tuple[Map, Map]:
     """Return the maps from a bent picture to the plane of its mean lattice, and back.
 
-    They are the homography if there is one, else smooth maps through the knots that do not lie in or at a hole, where
-    nothing was there to be followed.
+    They are the homography if there is one, else smooth maps through the knots.
     """
     if bent.homography is not None:
         inverse = np.asarray(np.linalg.inv(bent.homography))
         return partial(map_points, inverse), partial(map_points, bent.homography)
-    columns, rows = np.clip(np.rint(bent.places), 0, np.array(known.shape[::-1]) - 1).astype(np.intp).T
-    sound = scipy.ndimage.distance_transform_edt(known)[rows, columns] > bent.lattice.s / 2
-    places, points = bent.places[sound], bent.lattice.from_cell(bent.cells[sound])
+    places, points = bent.places, bent.lattice.from_cell(bent.cells)
     forms = [FreeForm.fit(a, b - a, bent.lattice.s / 2) for a, b in ((places, points), (points, places))]
     return (lambda at: at + forms[0].at(at)), (lambda at: at + forms[1].at(at))

@@ -40,7 +40,7 @@ def flatten_light(method: Synthesizer | None, task: Task) -> tuple[Task, str]:
     light = (
         estimate_light(task.sample, survey.found.lattice, task.known)
         if survey.bent is None
-        else _estimate_bent(survey.bent)
+        else _estimate_bent(survey.bent, task.known)
     )
     sample = quantize(divide_light(task.sample, light), depth_of(task.sample))
     said = describe_light(light) or "the light on the sample hardly varies"
@@ -55,13 +55,15 @@ def warn_of_light(sample: Image, lattice: Lattice, known: Mask | None = None) ->
         warnings.warn(f"{said}, so the output may be patchy; --flatten-light divides it out", stacklevel=2)
 
 
-def _estimate_bent(bent: Deformation) -> NDArray[np.float64]:
+def _estimate_bent(bent: Deformation, known: Mask | None) -> NDArray[np.float64]:
     """Return the light on a bent image, estimated on the straight one."""
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator  # not for light that is only named
 
     straight, lattice = bent.straighten()
     step = max(round(lattice.s / 4), 1)
-    light = estimate_light(straight, lattice)[::step, ::step].ravel()
+    light = estimate_light(straight, lattice, None if known is None else bent.straighten_mask(known))[
+        ::step, ::step
+    ].ravel()
     seen = bent.locate(pixel_places(*straight.shape[:2])[::step, ::step].reshape(-1, 2) + bent.corner)
     places = pixel_places(*bent.image.shape[:2])
     found = LinearNDInterpolator(seen, light)(places)

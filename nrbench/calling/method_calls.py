@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.errors import require
-from nrbench.imaging.convert import Image, depth_of, quantize, shrink
+from nrbench.imaging.convert import MIN_SIDE, Image, box_sums, depth_of, quantize, shrink
 from nrbench.imaging.masks import Mask
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import NoLatticeFound, Shape, SourceMap, Synthesis, Synthesizer, Task
@@ -250,6 +250,8 @@ def synthesize_from_part(
 ) -> Synthesis:
     """Return a synthesis from the middle of a large sample, as large as the lattice and the output need.
 
+    If pixels do not count, it is made from the part in which most count, and no larger than the box of all that do.
+
     A method that finds a lattice gets at most :data:`LARGE` px, :data:`PERIODS` periods, or the longer side of the
     output, whichever is the most, so that its time and memory do not grow with the sample. The periods are those of the
     given lattice, or of one that the method's detector finds in the reduced sample.
@@ -261,28 +263,52 @@ def synthesize_from_part(
     method, task
         The method and its task.
     """
-    few = task.known is not None and task.lattice is not None and task.known.sum() < 2 * task.lattice.area
-    require(not few, "mask: leaves less than two periods of the lattice; leave out less, or take a larger picture")
-    shape = task.sample.shape[:2]
-    finder = getattr(method, "finder", "")
-    if max(shape) <= LARGE or not finder or getattr(method, "reference", False):
-        return synthesize(method, task)
-    start = time.perf_counter()
-    side = max(LARGE, *task.shape, math.ceil(PERIODS * _longest_period(task, finder)))
-    seconds = 0.0 if task.lattice else time.perf_counter() - start
-    top, left = (max(length - side, 0) // 2 for length in shape)
-    window = np.s_[top : top + side, left : left + side]
+    whole: tuple[int, int] = task.sample.shape[:2]
+    top, left, shape = _known_part(task)
+    finder = "" if getattr(method, "reference", False) else getattr(method, "finder", "")
+    seconds, where = 0.0, "the known"
+    if max(shape) > LARGE and finder:
+        start = time.perf_counter()
+        side = max(LARGE, *task.shape, math.ceil(PERIODS * _longest_period(task, finder)))
+        seconds = 0.0 if task.lattice else time.perf_counter() - start
+        size = min(side, shape[0]), min(side, shape[1])
+        middle = np.array([top + (shape[0] - size[0]) // 2, left + (shape[1] - size[1]) // 2])
+        if task.known is None:
+            (top, left), where = middle.tolist(), "the middle"
+        else:
+            counts = box_sums(task.known, size)
+            best = np.argwhere(counts == counts.max())
+            (top, left), where = best[np.abs(best - middle).sum(1).argmin()].tolist(), "the best known"
+        shape = size
+    window = np.s_[top : top + shape[0], left : left + shape[1]]
     part, known = task.sample[window], None if task.known is None else task.known[window]
     lattice = None if task.lattice is None else task.lattice.shifted((-left, -top))
-    made = synthesize(method, replace(task, sample=np.ascontiguousarray(part), lattice=lattice, known=known))
-    note = "; ".join(filter(None, (made.note, f"from the middle {part.shape[1]}x{part.shape[0]} px of the sample")))
+    few = known is not None and lattice is not None and known.sum() < 2 * lattice.area
+    require(not few, "mask: leaves less than two periods of the lattice; leave out less, or take a larger picture")
+    if shape != whole:
+        known = None if known is None or known.all() else known
+        task = replace(task, sample=np.ascontiguousarray(part), lattice=lattice, known=known)
+    made = synthesize(method, task)
+    if shape == whole:
+        return replace(made, detection_seconds=made.detection_seconds + seconds) if seconds else made
+    note = "; ".join(filter(None, (made.note, f"from {where} {shape[1]}x{shape[0]} px of the sample")))
     made = move_sources(made, lambda places: places + np.array((left, top)))
     return replace(
         made,
         lattice=None if made.lattice is None else made.lattice.shifted((left, top)),
         detection_seconds=made.detection_seconds + seconds,
-        note=note if max(shape) > side else made.note,
+        note=note,
     )
+
+
+def _known_part(task: Task) -> tuple[int, int, tuple[int, int]]:
+    """Return the first row and column, and the size, of the box of all pixels of a sample that count."""
+    whole: tuple[int, int] = task.sample.shape[:2]
+    if task.known is None:
+        return 0, 0, whole
+    rows, columns = (np.flatnonzero(task.known.any(axis)) for axis in (1, 0))
+    size = int(np.ptp(rows)) + 1, int(np.ptp(columns)) + 1
+    return (int(rows[0]), int(columns[0]), size) if min(size) >= MIN_SIDE else (0, 0, whole)
 
 
 def move_sources(made: Synthesis, locate: Callable[[Points], Points]) -> Synthesis:

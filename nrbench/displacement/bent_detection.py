@@ -15,6 +15,7 @@ import numpy as np
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import MIN_SIDE, Image, crop_middle, shrink
 from nrbench.imaging.masks import Mask
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.relation import lattice_error, relate
 from nrbench.plugins.forms import Detection, Detector, NoLatticeFound, detect_known
@@ -107,12 +108,14 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
     """
     try:
         detection = detect_known(detector, image, known)
-        deformation = None if max(image.shape[:2]) > LARGEST_FOLLOWED else follow_detected(image, detection.lattice)
+        deformation = (
+            None if max(image.shape[:2]) > LARGEST_FOLLOWED else follow_detected(image, detection.lattice, known)
+        )
         if deformation is None or not deformation.bent:
             return detection, None
         followed = Followed(deformation, detection)
     except NoLatticeFound as none:
-        bent = None if none.lattices else find_bent_lattice(image)
+        bent = None if none.lattices else find_bent_lattice(image, known)
         if bent is None or bent.detection is None:
             raise none from None
         followed = bent
@@ -122,24 +125,29 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
     return mean, followed
 
 
-def follow_detected(image: Image, lattice: Lattice) -> Deformation | None:
-    """Return the deformation of an image whose lattice was detected; None if it cannot be followed."""
+def follow_detected(image: Image, lattice: Lattice, known: Mask | None = None) -> Deformation | None:
+    """Return the deformation of an image whose lattice was detected; None if it cannot be followed.
+
+    ``known`` are the pixels that count; None: all.
+    """
     try:
-        found = find_deformation(image, lattice).deformation
+        found = find_deformation(image, lattice, known=known).deformation
     except (NoLatticeFound, BadInput):
         return None
     return found if found.covered else None
 
 
-def find_bent_lattice(image: Image) -> Followed | None:
+def find_bent_lattice(image: Image, known: Mask | None = None) -> Followed | None:
     """Return the lattice of a bent image in which a detector finds none; None if there is none.
+
+    It is followed through the pixels that ``known`` counts, through all if that is None.
 
     Little time is spent on images without a lattice, and none on large ones (:data:`LARGEST_FOLLOWED`).
     """
     if max(image.shape[:2]) > LARGEST_FOLLOWED:
         return None
     try:
-        followed = find_deformation(image, only_promising=True)
+        followed = find_deformation(image, only_promising=True, known=known)
     except NoLatticeFound:
         return None
     return followed if followed.deformation.bent else None
@@ -150,6 +158,7 @@ def find_deformation(
     lattice: Lattice | None = None,
     detector: Detector | None = None,
     only_promising: bool = False,
+    known: Mask | None = None,
 ) -> Followed:
     """Return the lattice of an image, and its deformation.
 
@@ -165,6 +174,8 @@ def find_deformation(
     only_promising
         Whether to give up if no lattice that the quick detector finds in a view can be followed through about half of
         the image. This costs little where there is no lattice.
+    known
+        The pixels that count; None: all. The others show the mean tile of a given lattice. Knots at them are left out.
 
     Raises
     ------
@@ -190,6 +201,14 @@ def find_deformation(
     Fine detail of large elements is not shown to the detector: the lattice is measured when it is followed. The quick
     detector has the role ``quick-detector``. It should rather be wrong than silent: a wrong lattice cannot be followed.
     """
+    if known is not None:
+        shown = image if lattice is None else fold(image, lattice, known).unfold(image.shape[:2])
+        shown = np.where(known[..., np.newaxis], image, shown)
+        followed = find_deformation(shown, lattice, detector, only_promising)
+        knots = followed.deformation.knots.among(known)
+        if followed.deformation.covered and not knots.spans_plane:
+            raise NoLatticeFound("the lattice cannot be followed through the pixels that count")
+        return followed._replace(deformation=replace(followed.deformation, image=image, knots=knots))
     if lattice is not None:
         return Followed(_follow_given(image, lattice), None)
     thorough, quick = (NamedDetector(name) for name in bent_finders())

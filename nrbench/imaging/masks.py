@@ -32,7 +32,10 @@ class MaskedImage(NamedTuple):
     def without(self, left_out: Mask, where: str) -> MaskedImage:
         """Return the image without further pixels, which ``left_out`` has True; ``where`` names it in errors."""
         known = ~left_out if self.known is None else self.known & ~left_out
-        require(bool(known.any()), f"{where}: leaves no pixel that counts; white counts, and black is left out")
+        count = int(known.sum())
+        require(count > 0, f"{where}: leaves no pixel that counts; white counts, and black is left out")
+        few = f"{where}: leaves {count} of {known.size} px, fewer than {MIN_SIDE}x{MIN_SIDE}"
+        require(count >= min(MIN_SIDE**2, known.size), f"{few}; white counts, and black is left out")
         return self if known.all() else MaskedImage(fill_unknown(self.image, known), known)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final, TypeVar
@@ -12,7 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.calling.method_calls import move_sources
-from nrbench.imaging.convert import Image, box_sums
+from nrbench.imaging.convert import Image, box_sums, shrink
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Refused, SourceMap, Synthesis, Task, find_lattice
 from nrbench.plugins.registry import NamedDetector, in_role
@@ -40,6 +42,16 @@ _ACCEPTED = 0.2
 """A patch is drawn from those whose summed squared difference is at most so much above the least (in quilting, .21)."""
 
 
+_QUICK: Final = 20_000
+"""Pixels of holes that are filled within seconds. Where there are more, a sample is cropped to what is well known."""
+_WELL_KNOWN: Final = 0.9
+"""Share of a box that counts, from which it is well known."""
+_CELLS, _LEAST_BOX = 4, 64
+"""Sides of a box that shows enough: extents of a cell along x and along y, and px."""
+_SIDES, _STEPS = 16, 96
+"""Lengths of each side of the boxes that are compared, and places along the longer side of the sample."""
+_LEAST_KNOWN: Final = 0.1
+"""Share of a picture that must count for its holes to be filled: what fills them is copied from there."""
 TOLERANCE: Final = 0.07
 """Default tolerance of a gap's patch over s, along x and along y: both together are less than a tenth of s."""
 
@@ -219,8 +231,18 @@ def fill_task(task: Task, found: FoundLattice, block: int = 40, keep: bool = Tru
         The lattice of the sample.
     block, keep
         See :class:`HoleFiller`.
+
+    Raises
+    ------
+    Refused
+        If less than a tenth of the sample counts.
     """
     assert task.known is not None
+    if (share := float(task.known.mean())) < _LEAST_KNOWN:
+        raise Refused(
+            f"mask: leaves {100 * share:.2g} % of {task.known.shape[1]}x{task.known.shape[0]} px, too little to fill "
+            f"the rest from; leave at least {100 * _LEAST_KNOWN:.0f} %"
+        )
     image, source = HoleFiller(task.sample, task.known, found.lattice, task.rng, block, keep).fill(task.progress)
     note = "" if found.lattice else f"holes filled with patches from anywhere: no lattice found ({found.reason})"
     return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note)
@@ -229,8 +251,9 @@ def fill_task(task: Task, found: FoundLattice, block: int = 40, keep: bool = Tru
 def leaves_out(method: Method) -> Method:
     """Make a method leave out the pixels that do not count; a decorator of its class.
 
-    The holes of the sample are filled first, and the method gets the full sample. What it copies from a filled place is
-    a copy of a pixel that counts, and the source map names that one.
+    The holes of the sample are filled first, and the method gets the full sample, or, where the holes are large, a
+    well-known part of it. What it copies from a filled place is a copy of a pixel that counts, and the source map names
+    that one.
     """
     synthesize: Callable[[Any, Task], Synthesis] = method.synthesize
 
@@ -240,20 +263,76 @@ def leaves_out(method: Method) -> Method:
             return synthesize(self, task)
         detector = NamedDetector(getattr(self, "finder", "") or in_role("detector"))
         found = find_lattice(task, detector)
+        share = f"{100 * (1 - task.known.mean()):.3g} % of the sample left out"
+        whole, (task, found, corner) = task.sample.size, crop_to_known(task, found)
+        if task.sample.size < whole:
+            share += f", and all but {task.sample.shape[1]}x{task.sample.shape[0]} px of it"
         filled = fill_task(task, found, keep=False)
         made = synthesize(
             self, replace(task, sample=filled.image, known=None, detected=(filled.image, detector, found))
         )
-        share = f"{100 * (1 - task.known.mean()):.2g} % of the sample left out"
-        note = "; ".join(filter(None, (made.note, share, filled.note)))
+        note = "; ".join(filter(None, (made.note, share, "" if found.reason in made.note else filled.note)))
         seconds = made.detection_seconds + filled.detection_seconds
         source = filled.source
         assert source is not None
-        made = move_sources(made, lambda places: trace_places(places, source))
-        return replace(made, detection_seconds=seconds, note=note)
+        made = move_sources(made, lambda places: trace_places(places, source) + corner)
+        lattice = None if made.lattice is None else made.lattice.shifted(corner)
+        return replace(made, detection_seconds=seconds, note=note, lattice=lattice)
 
     method.synthesize, method.masks = synthesize_filled, True
     return method
+
+
+def crop_to_known(task: Task, found: FoundLattice) -> tuple[Task, FoundLattice, NDArray[np.int64]]:
+    """Return a task with the part of its sample that is well known, its lattice, and the corner (x, y) of the part.
+
+    The part has the phase of the sample, to half a pixel. It is as large as the output if it can be, and shows four
+    periods; a sample without such a part, or with small holes, stays whole.
+    """
+    assert task.known is not None
+    box, cells = None, np.full(2, _LEAST_BOX)
+    if found.lattice is not None:
+        cells = np.maximum(cells, np.ceil(_CELLS * np.abs(found.lattice.reduced().matrix).sum(0)[::-1]).astype(int))
+    if (~task.known).sum() > _QUICK:
+        box = _find_known_box(task.known, np.maximum(cells, task.shape)) or _find_known_box(task.known, cells)
+    if box is None:
+        return task, found, np.zeros(2, np.int64)
+    top, bottom, left, right = box
+    corner = np.array((left, top))
+    if (lattice := found.lattice) is not None:
+        vectors = lattice.reduced().matrix
+        numbers = np.rint(corner @ np.linalg.inv(vectors)) + np.stack(np.meshgrid(*[np.arange(-2, 3)] * 2), -1)
+        points = np.rint(numbers @ vectors).astype(int).reshape(-1, 2)
+        points = points[(points >= corner).all(-1)]
+        corner = points[points.sum(-1).argmin()]
+        lattice = lattice.shifted(-corner)
+        found = replace(found, lattice=lattice, vertices=())
+    part = np.s_[corner[1] : bottom, corner[0] : right]
+    given = None if task.lattice is None else lattice
+    sample, known = np.ascontiguousarray(task.sample[part]), np.ascontiguousarray(task.known[part])
+    return replace(task, sample=sample, known=known, lattice=given), found, corner
+
+
+def _find_known_box(known: Mask, least: NDArray[np.int64]) -> tuple[int, int, int, int] | None:
+    """Return first and last row and column, half-open, of the box of most known pixels among well-known ones.
+
+    It has at least ``least`` (rows, columns). None: there is none.
+    """
+    step = -(-max(known.shape) // _STEPS)
+    coarse = shrink(known[..., np.newaxis].astype(np.float32), step)[..., 0]
+    most, found = 0.0, None
+    lengths: list[list[int]] = [
+        np.unique(np.geomspace(-(-low // step), high, _SIDES).astype(int)).tolist() if low <= high * step else []
+        for low, high in zip(least.tolist(), coarse.shape, strict=True)
+    ]
+    for size in itertools.product(lengths[0], lengths[1]):
+        counts = box_sums(coarse, size)
+        count = float(counts.max())
+        if count > most and count >= _WELL_KNOWN * math.prod(size):
+            most, (row, column) = count, np.unravel_index(counts.argmax(), counts.shape)
+            top, left = int(row) * step, int(column) * step
+            found = top, top + size[0] * step, left, left + size[1] * step
+    return found
 
 
 def trace_places(places: Points, filled: SourceMap) -> Points:

@@ -129,6 +129,21 @@ def test_a_flat_or_small_sample_is_not_straightened() -> None:
     assert find_bend(small, bricks, given=True)[0] is None
 
 
+def test_what_does_not_count_bends_nothing() -> None:
+    """Bricks that are moved where a mask leaves them out make no bend, and no knot of a bent wall lies there."""
+    for bend in (0.0, 0.4):
+        texture = bent("brick", bend=bend, seed=5)
+        known = np.ones(texture.image.shape[:2], bool)
+        known[30:80, 30:90] = False
+        image = texture.image.copy()
+        image[30:80, 30:90] = np.roll(image, (5, 9), (0, 1))[30:80, 30:90]
+        found, _ = find_bend(image, texture.lattice, True, known)
+        assert (found is not None) == (bend > 0)
+        if found is not None:
+            x, y = np.rint(found.places).astype(int).T
+            assert known[y.clip(0, len(known) - 1), x.clip(0, known.shape[1] - 1)].all()
+
+
 @pytest.mark.parametrize("model", ["brick", "hexagon"])
 def test_strongly_bent_samples_are_straightened(model: str) -> None:
     """At bend 1 the straightened sample is as periodic as its colors allow, however far the places have moved."""

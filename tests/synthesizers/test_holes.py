@@ -9,8 +9,8 @@ from nrbench import plugins
 from nrbench.displacement.deformation_field import read_spline
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Refused, Task
-from nrbench.synthesizers.gap_filling.holes import HoleFiller, trace_places
+from nrbench.plugins.forms import FoundLattice, Refused, Task
+from nrbench.synthesizers.gap_filling.holes import HoleFiller, crop_to_known, trace_places
 
 LATTICE = Lattice((24, 0), (12, 16))
 ABLE = [one.name for one in plugins.inventory("synthesizers") if one.built_in and getattr(one.cls, "masks", False)]
@@ -80,12 +80,13 @@ def test_a_bent_lattice_is_followed_through_the_hole() -> None:
 
 @pytest.mark.filterwarnings("ignore:rsgf. no lattice")
 def test_a_picture_without_lattice_is_filled_from_anywhere() -> None:
-    """Noise has no lattice: the note says that, and the hole holds pixels of the rest."""
+    """Noise has no lattice: notes say that once, and the hole holds pixels of the rest."""
     noise = quantize(np.random.default_rng(1).random((64, 64, 1), np.float32))
     known = np.ones((64, 64), bool)
     known[20:40, 25:45] = False
     made = nrbench.fill(painted(noise, known), known)
-    assert "no lattice found" in made.note and "patches from anywhere" in made.note
+    assert made.note.count("no lattice found") == 1 and "patches from anywhere" in made.note
+    assert nrbench.synthesize("rsgf", noise, (48, 48), mask=known).note.count("no lattice found") == 1
     assert made.source is not None and known[tuple(made.source[..., 1::-1].astype(int).reshape(-1, 2).T)].all()
 
 
@@ -144,3 +145,27 @@ def test_a_method_gets_the_filled_sample_only_if_pixels_do_not_count() -> None:
     task = Task(image, (64, 64), LATTICE, np.random.default_rng(5))
     direct = type(method).synthesize.__wrapped__(method, Task(image, (64, 64), LATTICE, np.random.default_rng(5)))
     np.testing.assert_array_equal(method.synthesize(task).image, direct.image)
+
+
+def test_too_little_to_fill_from_is_refused() -> None:
+    """A mask that leaves less than a tenth of the picture is named, and one that leaves less than 8x8 px."""
+    known = np.zeros((96, 120), bool)
+    known[40:50, 40:50] = True
+    with pytest.warns(UserWarning), pytest.raises(Refused, match=r"mask: leaves 0.87 % of 120x96 px, too little"):
+        nrbench.fill(wall(), known, lattice="6,0,0,6")
+    known[:, 41:] = False
+    with pytest.raises(nrbench.BadInput, match="mask: leaves 10 of 11520 px, fewer than 8x8"):
+        nrbench.synthesize("rsgf", wall(), (64, 64), mask=known)
+
+
+def test_of_a_large_hole_only_a_known_part_is_used() -> None:
+    """A sample with a large hole is cropped to what is well known, in its phase, and at least four periods large."""
+    image, known = wall(320, 320), np.ones((320, 320), bool)
+    known[100:300, 90:310] = False
+    task = Task(image, (64, 64), LATTICE, np.random.default_rng(0), known=known)
+    part, found, corner = crop_to_known(task, FoundLattice(LATTICE))
+    assert part.known is not None and part.known.mean() > 0.85 and min(part.known.shape) >= 64
+    x, y = corner
+    np.testing.assert_array_equal(part.sample, image[y:, x:][: part.sample.shape[0], : part.sample.shape[1]])
+    assert found.lattice is not None and found.lattice.is_equivalent(LATTICE, 0.01)
+    assert np.abs(LATTICE.wrap(corner)).max() < 0.01
