@@ -426,7 +426,8 @@ def _make_output(
     others = [map_in(each) for each in maps]
     require(along in ("", *AXES), f"tileable {along!r}: give True, or one of {', '.join(AXES)}")
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
-        raise Refused("the sample is constant; there is nothing to synthesize from")
+        where = "the sample" if known is None else "what the mask leaves of the sample"
+        raise Refused(f"{where} is constant; there is nothing to synthesize from")
     make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
     task, lit = flatten_light(plugin, task) if flatten else (task, "")
     with briefly_prepared(plugin, task, seed) as ready:

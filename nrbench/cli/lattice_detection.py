@@ -212,6 +212,8 @@ def answer_question(options: LatticeQuestion) -> int:
         return _survey_folder(options)
     masked = masked_in(options.image, options.mask)
     image = masked.image
+    if masked.known is not None and (options.symmetry or options.straighten):
+        click.echo("--symmetry and --straighten see pixels that are left out in the nearest color", err=True)
     if options.every:
         return _compare_detectors(masked, options)
     try:
