@@ -140,8 +140,8 @@ class HoleFiller:
                 break
             if max(size) == 1:
                 raise Refused(
-                    f"the hole at ({column}, {row}) repeats with the lattice, so that nothing can fill it; if holes belong "
-                    "to the texture, as in a fence, use --keep-alpha"
+                    f"the hole at ({column}, {row}) repeats with the lattice, so that nothing can fill it; if holes "
+                    "belong to the texture, as in a fence, use --keep-alpha"
                 )
             size = max(size[0] // 2, 1), max(size[1] // 2, 1)
         self._lay(window, places[draw_within(differences, (1 + _ACCEPTED) * float(differences.min()), self.rng)])
