@@ -91,10 +91,10 @@ def test_a_picture_without_lattice_is_filled_from_anywhere() -> None:
 
 
 def test_what_every_cell_leaves_out_is_refused() -> None:
-    """Holes that repeat with the lattice, as those of a fence, are equal to no pixel that counts."""
+    """Holes that repeat with the lattice, as those of a fence, are filled by nothing: the message names what to do."""
     image = wall()
     known = image[..., 0] > 0.8
-    with pytest.raises(Refused, match="no pixel that counts"):
+    with pytest.raises(Refused, match="repeats with the lattice.*--keep-alpha"):
         HoleFiller(image, known, LATTICE, np.random.default_rng(0)).fill(lambda done: None)
 
 

@@ -225,7 +225,7 @@ BAD = {
     "regularized-patch": "zone=-1 zone=nan tolerance=-0.1 tolerance=1e300",
     "representative-tile": "continuity_weight=-1 continuity_weight=1e308 rated_share=0 rated_share=1.5 tolerance=0.5 "
     "edge_colors=0 edge_colors=4 best_tiles=0 best_tiles=100",
-    "rsgf": "border=0 border=21 block=1 tolerance=-1 tolerance=3,search=everywhere tolerance=3,search=stochastic "
+    "rsgf": "border=-1 border=21 block=1 tolerance=-1 tolerance=3,search=everywhere tolerance=3,search=stochastic "
     "candidate_fraction=-0.1 candidate_fraction=1.5 candidate_fraction=nan candidate_fraction=0.5,search=everywhere "
     "deform=-1 deform=nan deform=11 deform=3,border=2",
     "scatter": "border=11,block=20",
