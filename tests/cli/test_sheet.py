@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from commands import call
 
 import nrbench
-from nrbench.api.photo_sheet import describe_row, prepare_photo, rate_outputs
+from nrbench.api import photo_sheet
+from nrbench.api.photo_sheet import describe_row, photo_suite, prepare_photo, rate_outputs
+from nrbench.api.runs import _plan_sheet
 from nrbench.displacement.deformation_field import map_points
 from nrbench.imaging.mean_tile import explained_share, interpolate
 from nrbench.runs.records import CellRecord
+
+NAMED = photo_sheet.NamedDetector
+
+
+class _Blind:
+    """A detector that finds nothing."""
+
+    def detect(self, image: Any) -> Any:
+        """Find nothing."""
+        raise nrbench.NoLatticeFound("nothing is seen")
 
 
 @pytest.fixture
@@ -127,6 +140,22 @@ def test_a_tileable_output_tells_its_strain(wall: nrbench.Texture, capsys: pytes
     assert "cartoon cannot make an output that repeats without a seam; ann-pixel, auto, " in capsys.readouterr().err
     assert call("synth wall.png -m rsgf --lattice 32,0,16,16 --tileable --size 144x96 -o out.png") == 2
     assert "use --size 128x96" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("judged", [True, False])
+def test_the_lattice_of_a_sheet_is_the_judges_where_it_finds_none(
+    wall: nrbench.Texture, monkeypatch: pytest.MonkeyPatch, judged: bool
+) -> None:
+    """So is one that is given. Where the judge's detector finds a lattice, the truth is not known."""
+    assert wall.lattice is not None
+    make = functools.partial(photo_suite, Path("wall.png"), "96x96", "64x64", None)
+    given = _plan_sheet(make, ["scatter"], wall.lattice, Path("run"), 0)
+    if not judged:
+        monkeypatch.setattr(photo_sheet, "NamedDetector", lambda name: _Blind() if name == "dominance" else NAMED(name))
+    found = _plan_sheet(make, ["scatter"], None, Path("run"), 0)
+    truths = [plan.cells[0][0].lattice_truth for plan in (given, found)]
+    assert truths[0] is not None and truths[0].is_equivalent(wall.lattice)
+    assert (truths[1] is None) == judged
 
 
 def test_a_bad_output_is_marked(wall: nrbench.Texture) -> None:

@@ -94,7 +94,7 @@ def test_what_every_cell_leaves_out_is_refused() -> None:
     """Holes that repeat with the lattice, as those of a fence, are filled by nothing: the message names what to do."""
     image = wall()
     known = image[..., 0] > 0.8
-    with pytest.raises(Refused, match="repeats with the lattice.*--keep-alpha"):
+    with pytest.raises(Refused, match=r"repeats with the lattice.*--keep-alpha"):
         HoleFiller(image, known, LATTICE, np.random.default_rng(0)).fill(lambda done: None)
 
 
