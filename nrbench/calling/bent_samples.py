@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nrbench.calling.method_calls import move_sources, synthesize_exactly
-from nrbench.displacement.bent_detection import find_bent_lattice, find_deformation
+from nrbench.displacement.bent_detection import find_bent_lattice, follow_lattice
 from nrbench.displacement.deformation_field import LEAST_AMPLITUDE, Deformation, pixel_places, read_spline
 from nrbench.displacement.free_form import REPEATS, FreeForm
 from nrbench.displacement.random_field import output_field
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.masks import Mask
 from nrbench.jit import work_clock
@@ -22,7 +21,6 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import (
     FoundLattice,
     Geometry,
-    NoLatticeFound,
     Refused,
     SourceMap,
     Synthesis,
@@ -210,14 +208,11 @@ def _follow(sample: Image, lattice: Lattice, given: bool, known: Mask | None) ->
 
     If a given lattice cannot be followed from what it is on average, one that is detected in a part of the sample is.
     """
-    for start in (lattice, None) if given else (lattice,):
-        try:
-            found = find_deformation(sample, start, known=known).deformation
-        except (NoLatticeFound, BadInput):
-            continue
-        if found.covered and (start or found.lattice.is_equivalent(lattice, _SAME * lattice.s)):
-            return found
-    return None
+    found = follow_lattice(sample, lattice, known)
+    if found is not None or not given:
+        return found
+    found = follow_lattice(sample, None, known)
+    return found if found is not None and found.lattice.is_equivalent(lattice, _SAME * lattice.s) else None
 
 
 def _show(source: SourceMap | None, places: Points) -> SourceMap | None:

@@ -28,7 +28,7 @@ from .growth import Knots
 __all__ = ["Followed", "find_bent_lattice", "find_deformation", "recognize"]
 
 LARGEST_FOLLOWED: Final = 1024
-"""px; in a larger image no bent lattice is looked for unless this is asked for, because it takes long."""
+"""px; larger side of an image up to which commands look for a bent lattice by themselves: it takes long."""
 
 LARGEST_VIEW: Final = 512
 """px; largest side of a view other than the whole image, as the detector sees it."""
@@ -109,7 +109,7 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
     try:
         detection = detect_known(detector, image, known)
         deformation = (
-            None if max(image.shape[:2]) > LARGEST_FOLLOWED else follow_detected(image, detection.lattice, known)
+            None if max(image.shape[:2]) > LARGEST_FOLLOWED else follow_lattice(image, detection.lattice, known)
         )
         if deformation is None or not deformation.bent:
             return detection, None
@@ -125,8 +125,8 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
     return mean, followed
 
 
-def follow_detected(image: Image, lattice: Lattice, known: Mask | None = None) -> Deformation | None:
-    """Return the deformation of an image whose lattice was detected; None if it cannot be followed.
+def follow_lattice(image: Image, lattice: Lattice | None, known: Mask | None = None) -> Deformation | None:
+    """Return the deformation of an image by its lattice, None: it is detected; None if it cannot be followed.
 
     ``known`` are the pixels that count; None: all.
     """

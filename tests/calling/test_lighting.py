@@ -1,4 +1,4 @@
-"""Claims about uneven light: it is told from the tints of elements, divided out, and named."""
+"""Claims about uneven light: it is separated from the tints of elements, divided out, and named."""
 
 from __future__ import annotations
 

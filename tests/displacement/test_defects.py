@@ -77,7 +77,7 @@ def test_places_in_a_bent_picture_are_those_of_the_picture() -> None:
 
 
 def test_without_a_lattice_there_are_no_defects() -> None:
-    """Noise has no lattice, and a corner of a wall too few cells: both are said."""
+    """The error for noise names the missing lattice, and the one for a corner of a wall the few cells."""
     with pytest.raises(NoLatticeFound):
         find_defects(texture("noise", (128, 128)))
     with pytest.raises(NoLatticeFound, match="fewer than 12 whole cells"):
