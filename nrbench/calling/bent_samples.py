@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nrbench.calling.method_calls import move_sources, synthesize_exactly
-from nrbench.displacement.bent_detection import find_bent_lattice, follow_lattice
+from nrbench.displacement.bent_detection import find_bent_lattice, measure_deformation
 from nrbench.displacement.deformation_field import LEAST_AMPLITUDE, Deformation, pixel_places, read_spline
 from nrbench.displacement.free_form import REPEATS, FreeForm
 from nrbench.displacement.random_field import output_field
@@ -208,10 +208,10 @@ def _follow(sample: Image, lattice: Lattice, given: bool, known: Mask | None) ->
 
     If a given lattice cannot be followed from what it is on average, one that is detected in a part of the sample is.
     """
-    found = follow_lattice(sample, lattice, known)
+    found = measure_deformation(sample, lattice, known)
     if found is not None or not given:
         return found
-    found = follow_lattice(sample, None, known)
+    found = measure_deformation(sample, None, known)
     return found if found is not None and found.lattice.is_equivalent(lattice, _SAME * lattice.s) else None
 
 

@@ -109,7 +109,7 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
     try:
         detection = detect_known(detector, image, known)
         deformation = (
-            None if max(image.shape[:2]) > LARGEST_FOLLOWED else follow_lattice(image, detection.lattice, known)
+            None if max(image.shape[:2]) > LARGEST_FOLLOWED else measure_deformation(image, detection.lattice, known)
         )
         if deformation is None or not deformation.bent:
             return detection, None
@@ -125,7 +125,7 @@ def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tu
     return mean, followed
 
 
-def follow_lattice(image: Image, lattice: Lattice | None, known: Mask | None = None) -> Deformation | None:
+def measure_deformation(image: Image, lattice: Lattice | None, known: Mask | None = None) -> Deformation | None:
     """Return the deformation of an image by its lattice, None: it is detected; None if it cannot be followed.
 
     ``known`` are the pixels that count; None: all.
