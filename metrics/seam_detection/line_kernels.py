@@ -127,12 +127,8 @@ def worst_of_parallels(
     raw = np.zeros((2, width))
     known = np.zeros(width, np.bool_)
     for lean in range(leans):
-        low, high = 0, width  # beyond a margin, columns without pixels have no lines
-        while low < width and length[lean, low] == 0:
-            low += 1
-        while high > low and length[lean, high - 1] == 0:
-            high -= 1
-        low, high = max(low - far - side, 0), min(high + far + side + 1, width)
+        shown = np.flatnonzero(length[lean])  # beyond a margin, columns without pixels have no lines
+        low, high = max(shown[0] - far - side, 0), min(shown[-1] + far + side + 2, width)
         # Sums from the left give the sum over any run of columns as a difference.
         sums[:, low] = 0
         for x in range(low, high):
