@@ -2,7 +2,8 @@
 
 Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/consensus_calibration.py [--count 6] [--kinds 1]``. The
 draws are of 25 models at random departures, from none to beyond recognition, 64 to 256 px a side, of noise, and of
-kinds of texture that the models lack (``benchmarks/texture_kinds.py``).
+kinds of texture that the models lack (``benchmarks/texture_kinds.py``). ``--report N --plot FILE.png`` fits nothing,
+and draws the reliability diagram for N draws of each model and kind, also of those with structure of the pixels.
 
 The script prints the weights that belong into ``nrbench/detectors/candidate_search/candidates.py``, the mean loss of
 the choice (nats for each image and level) on the draws of the fit, on families that were left out, and on fresh draws.
@@ -19,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from texture_kinds import Case, draw_kinds, draw_models
+from texture_kinds import Case, draw_kinds, draw_models, draw_pixel_kinds
 
 from nrbench.detectors.candidate_search.candidates import Traits, classify
 from nrbench.detectors.consensus import Consensus, rate_levels
@@ -32,6 +33,8 @@ from nrbench.plugins.forms import NoLatticeFound
 PENALTY = 1.0
 """Weight of half the squared weights of the scaled traits, against the sum of the losses."""
 FIT_SEEDS, REPORT_SEEDS = (1011, 1012, 1013), (1021,)
+BINS = 5
+"""Bins of confidence in the reliability diagram."""
 FOLDS = 6
 """Parts into which the families are divided to leave one out."""
 Weights = dict[str, float]
@@ -45,10 +48,11 @@ class ChoiceSet(NamedTuple):
     exact: int
 
 
-def draw(seeds: Sequence[int], count: int, kinds: int) -> list[Case]:
+def draw(seeds: Sequence[int], count: int, kinds: int, pixels: int = 0) -> list[Case]:
     """Return the textures of some seeds, rounded to 8 bits."""
     generators = [np.random.default_rng(seed) for seed in seeds]
-    cases = [case for rng in generators for case in itertools.chain(draw_models(rng, count), draw_kinds(rng, kinds))]
+    parts = [(draw_models(rng, count), draw_kinds(rng, kinds), draw_pixel_kinds(rng, pixels)) for rng in generators]
+    cases = [case for part in parts for case in itertools.chain(*part)]
     return [case._replace(image=quantize(case.image)) for case in cases]
 
 
@@ -109,26 +113,47 @@ def leave_families_out(choices: Sequence[ChoiceSet]) -> float:
     return float(np.mean(losses))
 
 
-def report(cases: Sequence[Case]) -> None:
-    """Print how often the detector, without rejection, is right at each confidence, and by kind of texture."""
+def report(cases: Sequence[Case], plot: str) -> None:
+    """Print how often the detector is right at each confidence, and by kind; draw the reliability diagram."""
     rows = []
     for case in cases:
         try:
-            found = Consensus(reject="none").detect(case.image)
+            found = Consensus().detect(case.image)
         except NoLatticeFound:
             continue
         lattices = [found.lattice, *(other.lattice for other in found.alternatives[:2])]
         exact = [_is_exact(lattice, case) for lattice in lattices]
         rows.append((case.kind, found.confidence, exact[0], any(exact)))
     said, true = np.array([(confidence, exact) for _, confidence, exact, _ in rows]).T
-    tenths = np.clip((said * 10).astype(int), 0, 9)
-    gaps = [(np.count_nonzero(tenths == n), said[tenths == n].mean(), true[tenths == n].mean()) for n in set(tenths)]
+    bins = np.clip((said * BINS).astype(int), 0, BINS - 1)
+    gaps = [(np.count_nonzero(bins == n), said[bins == n].mean(), true[bins == n].mean()) for n in sorted(set(bins))]
     error = sum(n * abs(mean - right) for n, mean, right in gaps) / len(said)
     print(f"calibration error {error:.3f}; said/true (n):", *(f"{a:.2f}/{b:.2f} ({n})" for n, a, b in gaps))
-    for kind in sorted({row[0] for row in rows}):
+    worst = max(gaps, key=lambda gap: abs(gap[1] - gap[2]))
+    error = np.sqrt(worst[1] * (1 - worst[1]) / worst[0])
+    print(f"worst bin: said {worst[1]:.2f}, true {worst[2]:.2f}, standard error {error:.2f}")
+    for kind in sorted({case.kind for case in cases}):
         part = [row for row in rows if row[0] == kind]
         exact, listed = (sum(row[column] for row in part) for column in (2, 3))
-        print(f"  {kind:12} exact {exact} of {len(part)}, among the first three {listed}")
+        count = sum(case.kind == kind for case in cases)
+        told = f"said {np.mean([row[1] for row in part]):.2f}, exact {exact}" if part else "exact 0"
+        print(f"  {kind:12} {count}: {len(part)} lattices, {told}, among the first three {listed}")
+    if plot:
+        draw_reliability(gaps, plot)
+
+
+def draw_reliability(gaps: Sequence[tuple[int, float, float]], plot: str) -> None:
+    """Draw the share of right answers over the confidence, with 95 % intervals and the numbers of answers."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(4.5, 4.5), layout="constrained")
+    axes.plot([0, 1], [0, 1], color="0.7")
+    for count, mean, right in gaps:
+        low, high = scipy.stats.binomtest(round(right * count), count).proportion_ci(method="wilson")
+        axes.errorbar(mean, right, [[right - low], [high - right]], fmt="o", color="C0", capsize=2)
+        axes.annotate(str(count), (mean, right), (5, -10), textcoords="offset points", fontsize=8)
+    axes.set(xlabel="confidence", ylabel="share of right answers", xlim=(0, 1.02), ylim=(0, 1.02))
+    figure.savefig(plot, dpi=120)
 
 
 def main() -> None:
@@ -136,8 +161,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=6, help="draws of each model, for each seed")
     parser.add_argument("--kinds", type=int, default=1, help="draws of each further kind, for each seed")
+    parser.add_argument("--report", type=int, default=0, help="only report: draws of each model and kind")
+    parser.add_argument("--plot", default="", metavar="FILE.png", help="draw the reliability diagram")
     options = parser.parse_args()
     load_kernels()
+    if options.report:
+        report(draw(REPORT_SEEDS, options.report, options.report, options.report), options.plot)
+        return
     known, fresh = (draw(seeds, options.count, options.kinds) for seeds in (FIT_SEEDS, REPORT_SEEDS))
     choices, others = list_choices(known), list_choices(fresh)
     noise = [choice.traits[0, 1] for choice in choices + others if choice.family == "noise"]
@@ -146,7 +176,7 @@ def main() -> None:
     print(f"{len(known)} textures, {len(choices)} choices, penalty {PENALTY}: {weights}")
     print(f"loss {mean_loss(choices, weights):.3f}, fresh draws {mean_loss(others, weights):.3f}")
     print(f"loss on families that were left out {leave_families_out(choices):.3f}")
-    report(fresh)
+    report(fresh, options.plot)
 
 
 if __name__ == "__main__":

@@ -59,11 +59,11 @@ def find_peer(options: argparse.Namespace) -> str | None:
 
 
 def print_row(name: str, seconds: list[float], base: float, records: list[CellRecord]) -> None:
-    """Print the mean CPU time, also in u and over that of quilting, and the mean quality; none counts as 0."""
+    """Print the mean CPU time, also in w and over that of quilting, and the mean quality; none counts as 0."""
     mean = statistics.fmean(seconds)
     scores = [float(one.values["quality.score"] or 0) for one in records]
     quality = f"{statistics.fmean(scores):8.3f}" if scores else ""
-    print(f"{name:46} {mean:8.3f} s {mean / cpu_unit():8.1f} u {mean / base:8.1f} x {quality}", flush=True)
+    print(f"{name:46} {mean:8.3f} s {mean / cpu_unit():8.1f} w {mean / base:8.1f} x {quality}", flush=True)
 
 
 def show_quilting(options: argparse.Namespace) -> None:
@@ -119,7 +119,7 @@ def show_search(options: argparse.Namespace) -> None:
         costs = resemblance(image, size)[places[:, 0], places[:, 1]]
         error = np.abs(costs - brute_force(image, size, places)).max()
         print(f"{image.shape[1]} x {image.shape[0]}, tile {size[1]} x {size[0]}: {room[0] * room[1]} places", end="")
-        print(f"  exact {exact:.1f} u, continuity {joins:.1f} u, brute force {naive:.0f} u", end="")
+        print(f"  exact {exact:.1f} w, continuity {joins:.1f} w, brute force {naive:.0f} w", end="")
         print(f" ({naive / exact:.0f} times), difference {error:.0e}", flush=True)
 
 
@@ -137,7 +137,7 @@ def show_correlation(options: argparse.Namespace) -> None:
         exact = peer(planes[:1].astype(np.float64))[0][:, side - 1 :]
         inner = np.s_[side - 1 - side // 2 : side + side // 2, : side // 2 + 1]
         difference = np.abs(half_autocorrelation(image[..., :1]) - exact)[inner].max()
-        print(f"  {side:4} px: {ours:7.1f} u, scikit-image {theirs:9.1f} u, difference {difference:.1e}", flush=True)
+        print(f"  {side:4} px: {ours:7.1f} w, scikit-image {theirs:9.1f} w, difference {difference:.1e}", flush=True)
 
 
 SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
@@ -156,7 +156,7 @@ def main() -> None:
     parser.add_argument("--overlap", type=int, default=11)
     parser.add_argument("--textures", nargs="*", default=["*"], help="of quilting: textures of the suite core")
     options = parser.parse_args()
-    print(f"u = {cpu_unit() * 1e3:.2f} ms")
+    print(f"w = {cpu_unit() * 1e3:.2f} ms")
     for subject in options.subjects or SUBJECTS:
         print(f"\n{subject}")
         SUBJECTS[subject](options)

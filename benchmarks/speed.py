@@ -1,4 +1,4 @@
-"""Cost of methods, texture models, scores, commands and cells, as multiples of the machine unit u (see ``unit.py``).
+"""Cost of methods, texture models, scores, commands and cells, as multiples of the machine unit w (see ``unit.py``).
 
 ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py [SUBJECT ...] [--methods ...] [--largest SIDE]``
 
@@ -100,7 +100,7 @@ def synthesis(spec: str, texture: Texture, output: int) -> Callable[[], object]:
 def print_cost(name: str, call: Callable[[], object], repeats: int = 7) -> None:
     """Print what a call costs, or why a method refuses its input."""
     try:
-        print(f"  {name:92} {median_units(call, repeats):8.1f} u", flush=True)
+        print(f"  {name:92} {median_units(call, repeats):8.1f} w", flush=True)
     except Refused as refusal:
         print(f"  {name:92} refused: {refusal.reason}", flush=True)
 
@@ -118,21 +118,21 @@ def time_outputs(options: argparse.Namespace) -> None:
             with multiprocessing.get_context("fork").Pool(1) as pool:
                 units, held = pool.apply(cost_alone, (spec, side))
             each = units / side**2 * 256**2
-            print(f"  {spec:30} {side:5} x {side:<5} {units:9.1f} u  {each:7.2f} u per 256 x 256", end="")
+            print(f"  {spec:30} {side:5} x {side:<5} {units:9.1f} w  {each:7.2f} w per 256 x 256", end="")
             print(f"  {held:7.0f} bytes a pixel", flush=True)
 
 
 def cost_alone(spec: str, side: int) -> tuple[float, float]:
-    """Return what one synthesis takes in this process: CPU time in u, and bytes for each output pixel."""
+    """Return what one synthesis takes in this process: CPU time in w, and bytes for each output pixel."""
     texture = sampled("brick", 128)
     synthesis(spec, texture, 64)()
-    u, held, start = cpu_unit(), peak_bytes(), time.process_time()
+    unit, held, start = cpu_unit(), peak_bytes(), time.process_time()
     synthesis(spec, texture, side)()
-    return (time.process_time() - start) / u, (peak_bytes() - held) / side**2
+    return (time.process_time() - start) / unit, (peak_bytes() - held) / side**2
 
 
 def time_models(options: argparse.Namespace) -> None:
-    """Print the cost of each texture model; the bound is 50 u."""
+    """Print the cost of each texture model; the bound is 50 w."""
     for name in plugins.names("datasets"):
         for kind, parameters in {"plain": {}, "with all departures": EVERYTHING}.items():
             if name != "images" and not (name == "noise" and parameters):
@@ -152,7 +152,7 @@ def observed(name: str, side: int, **parameters: float) -> Observation:
 
 
 def time_cells(options: argparse.Namespace) -> None:
-    """Print the cost of all scores of one cell, and of each part that takes 1 u or more; the bounds are 60 and 160 u.
+    """Print the cost of all scores of one cell, and of each part that takes 1 w or more; the bounds are 60 and 160 w.
 
     A part that several metrics share counts for the one that asks for it first.
     """
@@ -161,14 +161,14 @@ def time_cells(options: argparse.Namespace) -> None:
             observation = observed(name, side, color=0.2, noise=0.03, bend=bend)
             parts: dict[str, list[float]] = {metric: [] for metric in plugins.names("metrics")}
             for count in range(4):
-                u, fresh = cpu_unit(), replace(observation)
+                unit, fresh = cpu_unit(), replace(observation)
                 for metric, units in parts.items():
                     start = time.process_time()
                     score_observation(fresh, metric)
                     if count:
-                        units.append((time.process_time() - start) / u)
+                        units.append((time.process_time() - start) / unit)
             costs = {metric: statistics.median(units) for metric, units in parts.items()}
-            print(f"  {name}, {side} x {side} px, bend {bend:g}: {sum(costs.values()):.1f} u", end=" = ")
+            print(f"  {name}, {side} x {side} px, bend {bend:g}: {sum(costs.values()):.1f} w", end=" = ")
             print(" + ".join(f"{metric} {cost:.1f}" for metric, cost in costs.items() if cost >= 1), flush=True)
 
 
@@ -217,7 +217,7 @@ def time_commands(options: argparse.Namespace) -> None:
         for command in COMMANDS:
             run_command(command, folder)
             seconds = min(run_command(command, folder)[1] for _ in range(3))
-            print(f"  {seconds:6.2f} s {seconds / cpu_unit():6.0f} u  nrbench {command}", flush=True)
+            print(f"  {seconds:6.2f} s {seconds / cpu_unit():6.0f} w  nrbench {command}", flush=True)
 
 
 def time_pictures(options: argparse.Namespace) -> None:
@@ -256,8 +256,8 @@ def time_overhead(options: argparse.Namespace) -> None:
     method = statistics.fmean(float(cell.result["seconds"]) for cell in cells)
     (early, before), (late, after) = sorted(marks.items())
     cost = (after - before) / (late - early) - method
-    print(f"  {1000 * cost:.1f} ms = {cost / cpu_unit():.2f} u a cell over {late - early} cells, of which")
-    print(f"  encoding and decoding of pictures: {pictures:.2f} u")
+    print(f"  {1000 * cost:.1f} ms = {cost / cpu_unit():.2f} w a cell over {late - early} cells, of which")
+    print(f"  encoding and decoding of pictures: {pictures:.2f} w")
 
 
 def cpu_of_all_processes() -> float:
@@ -309,7 +309,7 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=2000, help="of overhead: number of cells")
     options = parser.parse_args()
     load_kernels()
-    print(f"u = {cpu_unit() * 1e3:.2f} ms")
+    print(f"w = {cpu_unit() * 1e3:.2f} ms")
     for subject in options.subjects or SUBJECTS:
         print(f"\n{subject}")
         SUBJECTS[subject](options)

@@ -1,7 +1,7 @@
 """Textures of kinds that the models of ``datasets_procedural`` lack, for benchmarks of lattice detectors.
 
-Cells with two similar halves, bent textures, large elements under fine grain, photographs in other colors, and stones
-without a lattice.
+Cells with two similar halves, elements of two tints, bent textures, large elements under fine grain, photographs in
+other colors, stones without a lattice, and structure of pixels: offsets of lines, enlarged pictures, and screens.
 """
 
 from __future__ import annotations
@@ -89,6 +89,8 @@ def draw_kinds(rng: np.random.Generator, count: int) -> Iterator[Case]:
             yield _bend(rng, model, side, bend)
             yield _recolor(_draw_model(rng, model, side), rng)
             yield _enlarge(_draw_model(rng, model, int(rng.choice(SMALL))), rng)
+        for _ in range(12):
+            yield _tint(rng)
         for _ in range(6):
             yield _halve(rng)
             yield Case("stones", "stones", _draw_stones(rng), None)
@@ -160,6 +162,74 @@ def _halve(rng: np.random.Generator) -> Case:
     image = np.stack(channels, -1) + rng.normal(0, rng.uniform(0, 0.1), (side, side, 1))
     lattice = Lattice((2 * width * c, 2 * width * s), (-height * s, height * c))
     return Case("halves", "halves", np.clip(image, 0, 1).astype(np.float32), lattice)
+
+
+def _tint(rng: np.random.Generator) -> Case:
+    """Return checks or bricks of two tints in turn, that differ by 0.03 to 0.3 of the range."""
+    side, fine = int(rng.choice(SIDES[2:])), 3
+    width = rng.uniform(10, 30)
+    height = width * rng.uniform(0.5, 1)
+    layout = rng.choice(["checks", "courses", "bricks"])
+    turn = rng.uniform(0, 0.5) * (rng.random() < 0.4)
+    c, s = np.cos(turn), np.sin(turn)
+    y, x = np.mgrid[: side * fine, : side * fine] / fine
+    v = (200 - s * x + c * y) / height
+    row = np.floor(v).astype(int)
+    u = (200 + c * x + s * y) / width - 0.5 * (row % 2) * (layout != "checks")
+    column = np.floor(u).astype(int)
+    tints = rng.normal(size=3)
+    tints *= np.exp(rng.uniform(np.log(0.03), np.log(0.3))) / np.abs(tints).max()
+    turns = {"checks": row + column, "courses": row, "bricks": column}[layout] % 2
+    own = rng.normal(0, rng.choice([0, 0.02, 0.05, 0.1]), (row.max() + 1, column.max() + 2, 1))
+    image = rng.uniform(0.3, 0.7, 3) + (turns[..., np.newaxis] - 0.5) * tints + own[row, column]
+    if layout != "checks" or rng.random() < 0.4:
+        image[((u - column) * width < 1.5) | ((v - row) * height < 1.5)] = rng.choice([0.1, 0.9])
+    image = image.reshape(side, fine, side, fine, 3).mean((1, 3)) + rng.normal(0, rng.uniform(0, 0.05), (side, side, 1))
+    cells = {"checks": [(width, height), (width, -height)], "courses": [(width, 0), (0, 2 * height)]}
+    basis = np.array(cells.get(layout, [(2 * width, 0), (0, 2 * height)])) @ [[c, s], [-s, c]]
+    return Case("tints", "tints", np.clip(image, 0, 1).astype(np.float32), Lattice.from_basis(basis))
+
+
+def draw_pixel_kinds(rng: np.random.Generator, count: int) -> Iterator[Case]:
+    """Yield ``count`` models with offsets of lines, pictures enlarged by copies of pixels, and screens of dots."""
+    for _ in range(count):
+        for model in MODELS:
+            side = int(rng.choice(SIDES[2:]))
+            yield _offset(_draw_model(rng, model, side), rng)
+            small = _draw_model(rng, model, int(rng.choice(SMALL))) if rng.random() < 0.7 else None
+            image = small.image if small else rng.random((int(rng.choice(SMALL)), 60, 3), np.float32)
+            scale = int(rng.integers(2, 5))
+            lattice = Lattice.from_basis(scale * small.lattice.matrix) if small and small.lattice else None
+            yield Case("pixels", model, image.repeat(scale, 0).repeat(scale, 1), lattice)
+            yield _screen(rng, int(rng.integers(1, 5)))
+
+
+def _offset(case: Case, rng: np.random.Generator) -> Case:
+    """Return the image with offsets of its rows or columns: scan lines, banding of light, or drift."""
+    lines = np.arange(len(case.image))
+    kinds = {
+        "scan": rng.normal(size=len(lines)),
+        "banding": 1.4 * np.sin(2 * np.pi * lines / rng.uniform(25, 100)),
+        "drift": 0.2 * np.cumsum(rng.normal(size=len(lines))),
+    }
+    offsets = kinds[str(rng.choice(list(kinds)))] * case.image.std() * np.exp(rng.uniform(np.log(0.1), np.log(2)))
+    image = case.image + (offsets[:, np.newaxis] if rng.random() < 0.5 else offsets)[..., np.newaxis]
+    image = (image - image.min()) / (image.max() - image.min())
+    return case._replace(kind="offsets", image=image.astype(np.float32))
+
+
+def _screen(rng: np.random.Generator, count: int) -> Case:
+    """Return superposed screens of dots; more than one have no single lattice."""
+    y, x = np.indices((256, 256))
+    image, lattice = np.ones((256, 256, 3)), None
+    for ink in np.array([(0, 1, 1), (1, 0, 1), (1, 1, 0), (0, 0, 0)])[:count]:
+        pitch, turn = rng.uniform(5, 12), rng.uniform(0, np.pi / 2)
+        c, s = np.cos(turn) / pitch, np.sin(turn) / pitch
+        waves = np.cos(2 * np.pi * (c * x + s * y)) + np.cos(2 * np.pi * (c * y - s * x))
+        image *= 1 - (1 / (1 + np.exp((rng.uniform(0, 1) - waves) / 0.3)))[..., np.newaxis] * (1 - ink)
+        lattice = Lattice.from_basis(np.linalg.inv([(c, s), (-s, c)]).T) if count == 1 else None
+    image += rng.normal(0, 0.02, image.shape)
+    return Case("screens", f"{count} screens", np.clip(image, 0, 1).astype(np.float32), lattice)
 
 
 def _draw_stones(rng: np.random.Generator) -> Image:

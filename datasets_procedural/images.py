@@ -16,10 +16,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from nrbench.errors import BadInput, require
-from nrbench.imaging.convert import Image
+from nrbench.imaging.masks import MaskedImage
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.lattice.vertices import fit_lattice
-from nrbench.pictures.files import list_pictures, read_image, read_shape
+from nrbench.pictures.files import list_pictures, read_mask, read_masked, read_shape
 from nrbench.pictures.truth import KNOWN_FILE, read_known, read_truth, read_vertices, vertices_file
 from nrbench.plugins.forms import Region, Shape, Texture
 from nrbench.storage import find_path
@@ -55,6 +55,8 @@ class Images:
         A lattice point (x, y) of the picture in px.
     vertices
         A file of the vertices of the picture's lattice, see :func:`~nrbench.pictures.truth.read_vertices`.
+    mask
+        A picture of its size, in which white counts, and black is left out; transparent pixels are left out, too.
     """
 
     path: Path
@@ -62,6 +64,7 @@ class Images:
     t2: Vector | None = None
     origin: Vector = (0.0, 0.0)
     vertices: Path | None = None
+    mask: Path | None = None
 
     procedural: ClassVar[bool] = False
     version: ClassVar[str] = "1"
@@ -80,20 +83,22 @@ class Images:
         Raises
         ------
         BadInput
-            When the picture cannot be read, or ``shape`` is empty.
+            When the picture cannot be read, ``shape`` is empty, or no pixel of the crop counts.
         """
         require(min(shape) >= 1, f"shape {shape[1]}x{shape[0]} px has no pixels; give at least 1 a side")
-        image = self._read()
-        shape = min(shape[0], image.shape[0]), min(shape[1], image.shape[1])
-        return self._cut(image, _region_corner(image.shape[:2], shape, rng), shape)
+        masked = self._read()
+        height, width = masked.image.shape[:2]
+        shape = min(shape[0], height), min(shape[1], width)
+        return self._cut(masked, _region_corner((height, width), shape, rng), shape)
 
     def again(self, texture: Texture, shape: Shape, rng: np.random.Generator) -> Texture | None:
         """Return a random region of exactly ``shape`` that does not touch ``texture.region``; None if none fits."""
-        image = self._read()
+        masked = self._read()
         if texture.region is None:
             raise BadInput(f"picture {self.path}: the texture has no region; pass one that render returned")
-        corner = _free_corner(image.shape[:2], shape, texture.region, rng)
-        return None if corner is None else self._cut(image, corner, shape)
+        height, width = masked.image.shape[:2]
+        corner = _free_corner((height, width), shape, texture.region, rng)
+        return None if corner is None else self._cut(masked, corner, shape)
 
     @staticmethod
     def directory_rows(directory: str | Path) -> list[dict[str, Any]]:
@@ -131,24 +136,29 @@ class Images:
             for name, path in _named(pictures)
         ]
 
-    def _read(self) -> Image:
-        where = Path(self.path)
-        return _cached(where, where.stat().st_mtime_ns) if where.is_file() else read_image(where)
+    def _read(self) -> MaskedImage:
+        files = [Path(self.path), *([Path(self.mask)] if self.mask is not None else ())]
+        there = all(file.is_file() for file in files)
+        return _cached(*files, written=tuple(file.stat().st_mtime_ns for file in files)) if there else _read(*files)
 
     def _lattice(self, region: Region) -> Lattice | None:
         origin = (self.origin[0] - region[0], self.origin[1] - region[1])
         return None if self.t1 is None or self.t2 is None else Lattice(self.t1, self.t2, origin)
 
-    def _cut(self, image: Image, corner: tuple[int, int], shape: Shape) -> Texture:
+    def _cut(self, masked: MaskedImage, corner: tuple[int, int], shape: Shape) -> Texture:
         x0, y0, x1, y1 = region = (*corner, corner[0] + shape[1], corner[1] + shape[0])
         lattice, name = self._lattice(region), Path(self.path).stem
         lattices = () if lattice is None else (lattice,)
+        image, counted = masked.image, None if masked.known is None else masked.known[y0:y1, x0:x1].copy()
+        none = f"picture {self.path}: no pixel of the crop from ({x0}, {y0}) counts; take a larger one"
+        require(counted is None or bool(counted.any()), none)
         known = () if self.vertices is None else read_vertices(Path(self.vertices), image.shape[:2])
         moved = (vertex._replace(x=vertex.x - x0, y=vertex.y - y0) for vertex in known)
         size = x1 - x0 - 0.5, y1 - y0 - 0.5
         vertices = tuple(each for each in moved if -0.5 <= each.x < size[0] and -0.5 <= each.y < size[1])
         cut = image[y0:y1, x0:x1].copy()
-        return Texture(cut, lattice, lattices, name, family="picture", region=region, vertices=vertices)
+        shown: dict[str, Any] = {"vertices": vertices, "known": None if counted is None or counted.all() else counted}
+        return Texture(cut, lattice, lattices, name, family="picture", region=region, **shown)
 
 
 def plan_sizes(picture: Shape, lattice: Lattice | None = None) -> tuple[Shape, Shape]:
@@ -220,11 +230,16 @@ def _row_sizes(path: Path, truth: Mapping[str, Any], rendered: Mapping[str, Any]
 
 
 @lru_cache(maxsize=2)
-def _cached(path: Path, _written: int) -> Image:
-    """Read a picture, once for all regions that are cut from it."""
-    image = read_image(path)
-    image.setflags(write=False)
-    return image
+def _cached(*files: Path, written: tuple[int, ...]) -> MaskedImage:
+    """Read a picture, and its mask if there is one, once for all regions that are cut from it."""
+    masked = _read(*files)
+    masked.image.setflags(write=False)
+    return masked
+
+
+def _read(path: Path, mask: Path | None = None) -> MaskedImage:
+    masked = read_masked(path)
+    return masked if mask is None else masked.without(~read_mask(mask, masked.image.shape[:2]), f"mask {mask}")
 
 
 def _region_corner(picture: Shape, shape: Shape, rng: np.random.Generator) -> tuple[int, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
+from nrbench.imaging.wrapped_edges import SHORTEST, measure_edges
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Again, Column, Observation, Score, Shape, Value
 
@@ -26,13 +27,11 @@ from .perception.visible import (
     measure_levels,
     measure_looks,
     measure_plateaus,
-    perceive_sample,
 )
 from .registration.coarse_plane import CoarsePlane
 from .registration.lattice_net import (
     LatticeNet,
     Mask,
-    find_inside,
     fold_cells,
     sample_planes,
     split_cells,
@@ -59,9 +58,6 @@ _PARTS = 4
 
 _SEAM_DRAWS = 2
 _LEAST_SEAM_SIDE = 16
-_INSIDE = 0.95
-"""Quantile of the gradients across lines inside a tile, to which its border is compared."""
-_ROUNDING_STEP = 0.5 / 255
 _LEAST_TILE_SIDE = 4
 
 
@@ -145,7 +141,7 @@ class _Maps(NamedTuple):
         planes = np.concatenate([sample_planes(self.levels, thin / 2), sample_planes(self.looks, thin)[..., :3]], -1)
         parts = [row & column for row in net.cut_strips(1, rows) for column in net.cut_strips(0, columns)]
         border = min(_BORDER, min(net.shape) // 8)
-        inside = find_inside(net.points - border, (net.shape[0] - 2 * border, net.shape[1] - 2 * border))
+        inside = net.contains(net.points, border)
         known = [(inside & part)[::2, ::2] for part in parts]
         surface, contrast = (
             np.array(a) for a in zip(*(_measure_spread(planes, part, samples) for part in known), strict=True)
@@ -448,7 +444,8 @@ def _measure_draws(again: Again, shape: Shape) -> list[_Maps]:
 
 @lru_cache(maxsize=2)
 def _looks_of_sample(sample: SeenSample, lattice: Lattice | None) -> LooksModel:
-    return _learn_looks([_Maps.of(sample.lab)], _make_net(lattice, sample.shape), sample.shape, True)
+    net = replace(_make_net(lattice, sample.shape), known=sample.known)
+    return _learn_looks([_Maps.of(sample.lab)], net, sample.shape, True)
 
 
 @lru_cache(maxsize=2)
@@ -465,7 +462,7 @@ def _make_net(lattice: Lattice | None, shape: Shape) -> LatticeNet:
 def _compare_looks(observation: Observation) -> dict[str, float]:
     """Return the largest distances of an output, over those that are allowed."""
     lab, lattice = examine(observation).lab, examine(observation).known_lattice.lattice
-    sample, output = perceive_sample(observation.sample), observation.output
+    sample, output = examine(observation).sample, observation.output
     if observation.again is None:
         return _looks_of_sample(sample, lattice).measure(lab, {})
     shape = (min(max(output.shape[0], 128), 384), min(max(output.shape[1], 128), 384))
@@ -496,10 +493,11 @@ class Appearance:
 
     Seams are searched on every straight line of at least half the image's side, in every direction, because the places
     where a method has cut are unknown. A tile that claims to be seamless when it is repeated is also measured across
-    its border: ``extras["tile"]``, or the output itself if ``extras["tileable"]`` is not zero.
+    its border (:mod:`~nrbench.imaging.wrapped_edges`): ``extras["tile"]``, or the output itself if
+    ``extras["tileable"]`` is not zero.
     """
 
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
     uses: ClassVar[tuple[str, ...]] = ("dominance",)
     columns: ClassVar[Mapping[str, Column]] = {
         "score": Column(
@@ -529,7 +527,7 @@ class Appearance:
         ),
         "seam_step": _column("Step of brightness across the line with the most visible step.", "values"),
         "tileable": _column(
-            "Gradient across the wrapped border over that across lines inside; up to 1 the border is invisible."
+            "Largest departure of the wrapped edges from lines inside, over what these allow; up to 1 it repeats."
         ),
         "tile_bytes": _column("Bytes of the tile over those of the sample."),
     }
@@ -566,7 +564,11 @@ def _score(observation: Observation) -> Score:
     if isinstance(tile, str):
         reasons |= dict.fromkeys(("tileable", "tile_bytes"), tile)
     else:
-        values["tileable"], values["tile_bytes"] = border_excess(tile), tile.size / observation.sample.size
+        values["tile_bytes"] = tile.size / observation.sample.size
+        edges = measure_edges(tile, examine(observation).known_lattice.lattice)
+        values["tileable"] = max((edge.ratio for edge in edges if edge.ratios), default=None)
+        if values["tileable"] is None:
+            reasons["tileable"] = f"undecided: the sides of the tile are shorter than {SHORTEST} px"
     pictures = {} if line is None else {"seam": draw_line(observation.output, line)}
     records = {"reference": "sample" if observation.again is None else "fresh draws"}
     return Score(values, reasons, pictures, records)
@@ -654,17 +656,3 @@ def _claimed_tile(output: Image, extras: Mapping[str, NDArray[Any]]) -> Image | 
     if "tileable" in extras and np.asarray(extras["tileable"]).any():
         return output
     return "not applicable: no tile in the extras, and the output does not claim to be tileable"
-
-
-def border_excess(tile: Image) -> float:
-    """Return the gradient across the wrapped borders over that across lines inside, for the worse of both borders.
-
-    For rows, the root mean squared difference between the last row and the first is divided by the 95 % quantile of
-    that between neighboring rows inside; columns alike. The border is invisible up to 1.
-    """
-    return max(_row_excess(tile), _row_excess(tile.transpose(1, 0, 2)))
-
-
-def _row_excess(tile: Image) -> float:
-    jumps = np.sqrt(((tile - np.roll(tile, 1, 0)) ** 2).mean((1, 2), dtype=np.float64))
-    return float(jumps[0] + _ROUNDING_STEP) / float(np.quantile(jumps[1:], _INSIDE) + _ROUNDING_STEP)

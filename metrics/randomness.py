@@ -16,7 +16,7 @@ from .judgment.examination import Examination, examine
 from .judgment.texture_reference import CannotTell, TextureReference
 from .judgment.tile_population import LEAST_PAIRS, LEAST_TILES, SAME, Population, Tiles, gather_tiles, square_distances
 from .perception import limits
-from .perception.visible import SeenSample, perceive_sample
+from .perception.visible import SeenSample
 from .registration.coarse_plane import CoarsePlane
 
 
@@ -89,7 +89,7 @@ def _score(observation: Observation) -> Score:
         return Score.missing(Randomness.columns, str(reason))
     values: dict[str, Value] = dict.fromkeys(Randomness.columns)
     values["variation"] = math.exp(population.rate_energy(tiles.features))
-    source = _cut_sample(reference, perceive_sample(observation.sample))
+    source = _cut_sample(reference, examination.sample)
     known = source is not None and not reference.from_sample and len(source.features) >= LEAST_TILES
     shown = source.features if source and known else None
     parts = {"variation": population.rate_variation(tiles.features, shown)}

@@ -15,6 +15,8 @@ from .api.runs import status as status
 from .api.textures import Scores as Scores
 from .api.textures import detect_lattice as detect_lattice
 from .api.textures import detect_symmetry as detect_symmetry
+from .api.textures import fill as fill
+from .api.textures import find_defects as find_defects
 from .api.textures import render_textures as render_textures
 from .api.textures import score as score
 from .api.textures import synthesize as synthesize
@@ -22,6 +24,7 @@ from .api.textures import texture as texture
 from .api.textures import track_lattice as track_lattice
 from .authoring.conformance import check_plugin as check_plugin
 from .authoring.packages import new_plugin as new_plugin
+from .displacement.defects import PictureDefect as PictureDefect
 from .displacement.deformation_field import Deformation as Deformation
 from .errors import BadInput as BadInput
 from .imaging.convert import Image as Image

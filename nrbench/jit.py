@@ -53,6 +53,7 @@ Int16x2 = Annotated[NDArray[np.int16], "int16[:, ::1]"]
 UInt8x1 = Annotated[NDArray[np.uint8], "uint8[::1]"]
 UInt8x2 = Annotated[NDArray[np.uint8], "uint8[:, ::1]"]
 UInt64x1 = Annotated[NDArray[np.uint64], "uint64[::1]"]
+Float32View4 = Annotated[NDArray[np.float32], "float32[:, :, :, :]"]
 UInt8View3 = Annotated[NDArray[np.uint8], "uint8[:, :, :]"]
 Boolx1 = Annotated[NDArray[np.bool_], "boolean[::1]"]
 Boolx2 = Annotated[NDArray[np.bool_], "boolean[:, ::1]"]
@@ -230,7 +231,13 @@ def _lock(name: str, waits: bool) -> Iterator[bool]:
 def find_cache() -> Path:
     """Return the folder of all machine code: that of the user, or a temporary one, with a warning."""
     own = os.environ.get("NUMBA_CACHE_DIR")
-    return Path(own) if own else _writable(platformdirs.user_cache_path("nrbench", appauthor=False))
+    if own:
+        return Path(own)
+    try:
+        usual = platformdirs.user_cache_path("nrbench", appauthor=False)
+    except RuntimeError:  # a user without an entry in the system's list has no home at all
+        usual = Path()
+    return _writable(usual)
 
 
 @cache
@@ -249,18 +256,16 @@ def _writable(usual: Path) -> Path:
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.lstat()  # machine code is run, so nobody else may be able to write it
-        if (
-            not stat.S_ISDIR(found.st_mode)
-            or found.st_uid != user
-            or (sys.platform != "win32" and found.st_mode & 0o022)
-        ):
+        shared = sys.platform != "win32" and found.st_mode & 0o022
+        if shared or found.st_uid != user or not stat.S_ISDIR(found.st_mode):
             folder = Path(tempfile.mkdtemp(prefix="nrbench-"))
     except OSError:
         return usual
     os.environ.setdefault("MPLCONFIGDIR", str(folder))  # else matplotlib has two lines of its own about it
     warnings.warn(
-        f"compiled kernels: {usual} cannot be written ({why}), so they are kept in {folder}; set XDG_CACHE_HOME to a "
-        "folder that lasts, else they may be compiled again, which takes up to some minutes",
+        f"compiled kernels: {usual if usual.name else 'the cache'} cannot be written ({why}), so they are kept in "
+        f"{folder}; set XDG_CACHE_HOME to a folder that lasts, else they may be compiled again, which takes up to some "
+        "minutes",
         stacklevel=2,
     )
     return folder

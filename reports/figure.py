@@ -68,9 +68,6 @@ class PictureGrid:
     folder: ClassVar[str] = "report"
 
     def __post_init__(self) -> None:
-        for name in ("textures", "methods"):
-            value = getattr(self, name)
-            object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
         if not 2 <= self.width <= 12:
             raise BadInput(f"report figure: width is {self.width:g}; give 2 to 12 inches")
 

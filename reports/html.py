@@ -16,7 +16,7 @@ import numpy as np
 from markupsafe import Markup
 
 from nrbench.errors import strip_control
-from nrbench.labelling.labels import ANSWERS, WHOLE_SCORE, content_hash
+from nrbench.labelling.labels import ANSWERS, WHOLE_SCORE
 from nrbench.plugins.forms import Column
 from nrbench.runs.records import CellRecord, Run
 from nrbench.storage import write_files
@@ -38,7 +38,7 @@ from .page.plots import (
 from .statistics.detections import compare_detectors
 from .statistics.estimates import NO_ESTIMATE
 from .statistics.expectations import BROKEN, compare_levels, compare_with_published, evaluate_claims
-from .statistics.format import format_number, format_percent, make_environment
+from .statistics.format import format_number, format_percent, render_page
 from .statistics.frames import method_classes, print_improvements, print_parameters, print_patches, summary_table
 from .statistics.labelers import compare_labelers
 from .statistics.method_comparison import ComparisonOptions
@@ -147,25 +147,16 @@ class HtmlReport(ComparisonOptions):
             "answers": ANSWERS,
             "whole_score": WHOLE_SCORE,
         }
-        page = _fill_template(content, pictures)
+        embed = pictures.embeds()
+        content |= {"address": cache(lambda picture: pictures.address(picture, embed)), "embedded": embed}
+        filters: dict[str, Any] = {
+            "score_shade": gallery.score_shade,
+            "strip_control": strip_control,
+            "as_image": _as_image,
+        }
+        page = render_page("report.html", content, filters)
         pictures.sweep()
         return page
-
-
-def _fill_template(content: Mapping[str, Any], pictures: PictureStore) -> str:
-    """Return the page; its content policy names style and script by hash, so that nothing else on it can run."""
-    environment = make_environment(
-        {"score_shade": gallery.score_shade, "strip_control": strip_control, "as_image": _as_image}, autoescape=True
-    )
-    embed = pictures.embeds()
-    address = cache(lambda picture: pictures.address(picture, embed))
-    style = Markup(environment.get_template("style.css").render(content))
-    script = Markup(environment.get_template("script.js").render())
-    return environment.get_template("report.html").render(
-        content,
-        **{"style": style, "style_hash": content_hash(style), "script": script, "script_hash": content_hash(script)},
-        **{"address": address, "embedded": embed},
-    )
 
 
 def _as_image(svg: bytes) -> Markup:

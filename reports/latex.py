@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from nrbench.errors import BadInput, strip_control
+from nrbench.errors import strip_control
 from nrbench.runs.records import Run
 from nrbench.storage import write_files
 
@@ -90,13 +90,6 @@ class LatexTables(ComparisonOptions):
 
     version: ClassVar[str] = "2"
     folder: ClassVar[str] = "tables"
-
-    def __post_init__(self) -> None:
-        for name in ("scores", "methods", "textures"):
-            value = getattr(self, name)
-            object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
-        if self.width not in _COLUMNS:
-            raise BadInput(f"report latex: width is {self.width!r}; give one of {', '.join(_COLUMNS)}")
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; without a regularity score only ``patches.tex``, if at all."""

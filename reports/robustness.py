@@ -47,14 +47,10 @@ class RankingRobustness:
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "tables"
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "runs", tuple(Path(root) for root in self.runs))
-
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths."""
         table = self.table(run)
-        texts = {"robustness.csv": csv_text(table), "robustness.md": _markdown(table)}
-        return write_files(directory, texts)
+        return write_files(directory, {"robustness.csv": csv_text(table), "robustness.md": _markdown(table)})
 
     def table(self, run: Run) -> pd.DataFrame:
         """Return one row a ranking: what was changed, Kendall's tau, and each method's place; none for one method.

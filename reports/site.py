@@ -10,14 +10,12 @@ from typing import ClassVar
 
 import numpy as np
 import pandas as pd
-from markupsafe import Markup
 
 from nrbench.errors import BadInput
-from nrbench.labelling.labels import content_hash
 from nrbench.runs.records import Run
 from nrbench.storage import write_text
 
-from .statistics.format import make_environment, pluralize
+from .statistics.format import pluralize, render_page
 from .statistics.method_comparison import compare_methods
 from .statistics.summaries import MethodSummary
 from .statistics.verdicts import QUALITY, tabulate_cells
@@ -107,9 +105,6 @@ class RunSite:
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "site"
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "runs", tuple(Path(root) for root in self.runs))
-
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``index.html`` and a page for each method, and return their paths; none without other runs.
 
@@ -160,16 +155,5 @@ def _read_rows(run: Run, title: str) -> list[SiteRow]:
 
 def _write_page(path: Path, name: str, rows: Sequence[SiteRow]) -> Path:
     tables = [[row for row in rows if row.group == group] for group in sorted({row.group for row in rows})]
-    environment = make_environment({}, autoescape=True)
-    style = Markup(environment.get_template("style.css").render(layers=[]))
-    script = Markup(environment.get_template("script.js").render())
-    page = environment.get_template("site.html").render(
-        name=name,
-        tables=tables,
-        style=style,
-        style_hash=content_hash(style),
-        script=script,
-        script_hash=content_hash(script),
-    )
-    write_text(path, page)
+    write_text(path, render_page("site.html", {"name": name, "tables": tables, "layers": []}, {}))
     return path

@@ -12,6 +12,7 @@ from nrbench.detectors.frdft import Frdft
 from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
+from .gap_filling.holes import leaves_out
 from .pixel_growing.pixel_growth import (
     SEARCH_OF_THE_PAPER,
     Growth,
@@ -24,6 +25,7 @@ from .pixel_growing.pixel_growth import (
 )
 
 
+@leaves_out
 @dataclass(frozen=True)
 class AnnPixel(SearchParameters):
     """Pixel-based synthesis by nearest neighborhoods, without a mask (Nicoll et al. 2005, section 5, figure 7).
@@ -55,6 +57,7 @@ class AnnPixel(SearchParameters):
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "pixels without a lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {"neighborhood": 8, **SEARCH_OF_THE_PAPER}}
     paper: ClassVar[str] = Frdft.paper

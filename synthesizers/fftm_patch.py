@@ -14,6 +14,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 from nrbench.spectra.harmonics import lowest_period
 
+from .gap_filling.holes import leaves_out
 from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .patchwork.patchwork import LEAST_OVERLAP, Patchwork, WholePatches, to_gray_levels
 
@@ -26,6 +27,7 @@ PATCH_WITHOUT_TILE = 40
 LARGEST_WEIGHT = 100.0
 
 
+@leaves_out
 @dataclass(frozen=True)
 class FftmPatch(MaskParameters):
     """Fractional Fourier texture masks, patch-based (Nicoll et al. 2005, sections 4.2 and 4.3).
@@ -105,6 +107,7 @@ class FftmPatch(MaskParameters):
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches and pixels under a mask"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -14,6 +14,7 @@ from nrbench.detectors.frdft import Frdft
 from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Shape, Synthesis, Task
 
+from .gap_filling.holes import leaves_out
 from .masks.texture_mask import MASK_OF_THE_PAPER, MaskParameters, TextureMask
 from .pixel_growing.neighbor_search import Integers
 from .pixel_growing.pixel_growth import (
@@ -37,6 +38,7 @@ CLUSTER_CHANGE = 0.1
 """Gray levels. The clustering stops when the mean distance to the centers decreases by less than this."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class FftmPixel(MaskParameters, SearchParameters):
     """Fractional Fourier texture masks, pixel-based (Nicoll et al. 2005, sections 4.1 and 4.3).
@@ -98,6 +100,7 @@ class FftmPixel(MaskParameters, SearchParameters):
     uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches and pixels under a mask"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

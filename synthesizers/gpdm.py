@@ -13,6 +13,7 @@ from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Synthesis, Task
 
+from .gap_filling.holes import leaves_out
 from .neighbor_fields.pyramid import cover_sample, list_resolutions, rescale, scale_shape
 from .patch_projections.patch_projection_kernels import collect_gradient, match_ranks, project_patches
 
@@ -27,6 +28,7 @@ MOMENTS: Final = (0.9, 0.999)
 """The decay rates of Adam, its default values, which the paper uses."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Gpdm:
     """Generative patch distribution matching, GPDM (Elnekave and Weiss 2022).

@@ -13,6 +13,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Synthesis, Task
 
+from .gap_filling.holes import leaves_out
 from .neighbor_fields.neighbor_field import NeighborField, make_grid, wrap_around
 from .neighbor_fields.pyramid import cover_sample, list_resolutions, rescale, scale_shape
 
@@ -24,6 +25,7 @@ UNIT: Final = 0.5
 """The paper's values lie in [-1, 1], ours in [0, 1]: one of its units is this much."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Gpnn:
     """Generative patch nearest neighbors, GPNN (Granot and others 2022).
@@ -77,6 +79,7 @@ class Gpnn:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "all patches at once"
+    maps: ClassVar[str] = "joint"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"patch": 7, "alpha": 0.005, "iterations": 10, "first_iterations": 1, "noise": 0.75}

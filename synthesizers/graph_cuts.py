@@ -13,6 +13,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
 from .canvas.canvas import Window
+from .gap_filling.holes import leaves_out
 from .patchwork.patchwork import LEAST_OVERLAP, Patchwork, Placement, SeamHeat, WholePatches, to_gray_levels
 
 Refine = Literal["worst", "random", "minima", "extremes"]
@@ -28,6 +29,7 @@ LEAST_FEATHER = 0.1
 """px: the least width of feathering. At this width the weight of a pixel's neighbor is 2e-22."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class GraphCuts:
     """Graph cut textures (Kwatra, Schödl, Essa, Turk, Bobick 2003).
@@ -103,6 +105,7 @@ class GraphCuts:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches without a lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -142,9 +145,9 @@ class GraphCuts:
         """
         work, patches = self.prepare(task)
         patches.assemble_output(self.passes, task.progress, lambda heat: self._choose_region(heat, task.rng), True)
-        image, source = work.feathered(self.feather)
+        image, source, blended = work.feathered(self.feather)
         task.progress(1.0)
-        return Synthesis(image, source=source)
+        return Synthesis(image, source=source, blended=blended)
 
     def prepare(self, task: Task) -> tuple[Patchwork, WholePatches]:
         """Return the empty output, and what lays patches over it. Exceptions are those of :meth:`synthesize`."""

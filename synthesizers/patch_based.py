@@ -16,6 +16,7 @@ from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
 from .canvas.canvas import Box, Canvas, ExactPatch, feather_weights
+from .gap_filling.holes import leaves_out
 from .matching.frame_matching import FrameMatcher, frame_mask
 from .patch_laying.raster_order import (
     LARGEST_SHARE,
@@ -45,6 +46,7 @@ LONGER = 1.05
 """Rounded components are at most this long, and at most so far from orthogonal."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class PatchBased:
     """Patch-based sampling (Liang, Liu, Xu, Guo, Shum 2001).
@@ -97,6 +99,7 @@ class PatchBased:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches without a lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"zone": 4, "epsilon": 0.2, "search": "kdtree"},

@@ -13,6 +13,7 @@ from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Synthesis, Task
 
 from .canvas.canvas import Box, Canvas, ExactPatch, cut_closed_seam, edge_mask, find_paths
+from .gap_filling.holes import leaves_out
 from .matching.frame_matching import FrameMatcher
 from .patch_laying.raster_order import (
     LARGEST_SHARE,
@@ -29,6 +30,7 @@ PARTS = 6
 """An automatic overlap is this part of the block: a sixth (section 2.2)."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Quilting:
     """Image quilting (Efros and Freeman 2001).
@@ -69,6 +71,7 @@ class Quilting:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches without a lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {"overlap": 0, "tolerance": 0.1}}
     patch_shape: ClassVar[str] = "user defined, square block"

@@ -42,6 +42,7 @@ class RandomPhase:
     uses_lattice: ClassVar[bool] = False
     wraps: ClassVar[bool] = True
     right_on: ClassVar[frozenset[Kind]] = frozenset({"stochastic"})
+    maps: ClassVar[str] = "joint"
     version: ClassVar[str] = "1"
 
     def __post_init__(self) -> None:

@@ -19,6 +19,8 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Geometry, Refused, Shape, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .canvas.canvas import FURTHER
+from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import CellTorus, pixel_grid, require_two_periods
 from .sample_reading.patches import Patches, round_places
 
@@ -49,9 +51,9 @@ ZONE: Final = (3.0, 8.0)
 """px: the least and the greatest default breadth of the zone; between them it is a sixth of s."""
 _BAND = 1 << 16
 """Number of output pixels that are computed at a time."""
-_LEAST_WEIGHT = 1e-6
 
 
+@leaves_out
 @dataclass(frozen=True)
 class RegularizedPatch:
     """Regularized patch-based synthesis (Lin et al. 2004, section 2.4 and appendix A): texels pasted on the lattice.
@@ -89,7 +91,8 @@ class RegularizedPatch:
         differs least.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
-        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``;
+        ``"waves"``: bent if the sample waves, straight if it is in perspective, round or distorted by a lens.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself.
 
@@ -103,13 +106,14 @@ class RegularizedPatch:
     texel: TexelKind | Literal["given"] = "hexagon"
     zone: float | None = None
     tolerance: float = 0.05
-    geometry: Geometry = "bent"
+    geometry: Geometry = "waves"
 
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     family: ClassVar[str] = "tiles and patches on the lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
     patch_shape: ClassVar[str] = "user identified lattice, quadrilateral patch"
     patch_placement: ClassVar[str] = "lattice points"
@@ -154,7 +158,7 @@ class RegularizedPatch:
         mosaic = TexelMosaic.grow(stock, extent, d_max, task.rng, task.progress, torus)
         image, source = mosaic.paint(task.shape)
         task.progress(1.0)
-        return Synthesis(image, lattice, source, detection_seconds=seconds)
+        return Synthesis(image, lattice, source[:, :, 0], detection_seconds=seconds, blended=source[:, :, 1:])
 
     def _texel_shape(self, sample: Image, lattice: Lattice) -> TexelShape:
         if self.texel == "given":
@@ -190,7 +194,7 @@ class TexelReader:
     def trace(self, points: Points, weight: NDArray[np.float64]) -> tuple[Image, SourceMap]:
         """Return the values at points ``(n, 2)`` that are shown with a weight, and where they come from."""
         image, source = self.patches.read_with_source(round_places(points)[np.newaxis])
-        source[..., 2] = np.maximum(source[..., 2] * weight, _LEAST_WEIGHT)
+        source[..., 2] *= weight
         return image[0], source[0]
 
 
@@ -466,19 +470,27 @@ class TexelMosaic:
             yield seen, points[seen] + (middles - shape.lattice.from_cell(number)), weights[seen]
 
     def paint(self, size: Shape) -> tuple[Image, SourceMap]:
-        """Return the output, ``(H, W, C)``, and its source map: the weighted sum of the texels at each pixel."""
+        """Return the output, ``(H, W, C)``, the weighted sum of the texels at each pixel, and the four main sources.
+
+        Those are ``(H, W, 4, 3)``, in the order of their weights.
+        """
         (height, width), channels = size, self.stock.reader.sample.shape[2]
-        image, source = np.zeros((height, width, channels), np.float32), np.zeros((height, width, 3), np.float32)
+        image, source = (
+            np.zeros((height, width, channels), np.float32),
+            np.zeros((height, width, FURTHER + 1, 3), np.float32),
+        )
         rows = max(1, _BAND // width)
         for top in range(0, height, rows):
             pixels = pixel_grid(width, min(rows, height - top), top=top).astype(np.float64)
             values = image[top : top + rows].reshape(-1, channels)
-            traced = source[top : top + rows].reshape(-1, 3)
+            traced = source[top : top + rows].reshape(-1, FURTHER + 1, 3)
             for seen, places, weight in self.contributions(pixels.reshape(-1, 2)):
                 shown, origin = self.stock.reader.trace(places, weight)
                 values[seen] += weight[:, np.newaxis].astype(np.float32) * shown
-                larger = origin[:, 2] > traced[seen, 2]
-                traced[seen[larger]] = origin[larger]
+                for rank in range(FURTHER + 1):
+                    old = traced[seen, rank]
+                    larger = origin[:, 2:] > old[:, 2:]
+                    traced[seen, rank], origin = np.where(larger, origin, old), np.where(larger, old, origin)
         return np.clip(image, 0, 1), source
 
 

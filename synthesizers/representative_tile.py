@@ -17,6 +17,7 @@ from nrbench.lattice.geometry import Integers, Lattice, Points, integers_within
 from nrbench.plugins.forms import Geometry, Refused, Shape, SourceMap, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
+from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import PERIOD_SLACK, pixel_grid, require_two_periods
 from .sample_reading.patches import Patches, resample
 from .wang_tiling.wang_tiles import WangTiles
@@ -49,6 +50,7 @@ _WHOLE = 1e-3
 _LEAST_SIDE = 2
 
 
+@leaves_out
 @dataclass(frozen=True)
 class RepresentativeTile:
     """The tile whose repetition best reconstructs the sample and whose borders match: periodic output, small and fast.
@@ -129,6 +131,7 @@ class RepresentativeTile:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     family: ClassVar[str] = "tiles and patches on the lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

@@ -8,6 +8,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from nrbench.errors import require_ranges
 from nrbench.imaging.convert import Image
@@ -16,7 +17,9 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Geometry, Synthesis, Task, require_lattice
 from nrbench.plugins.registry import NamedDetector
 
-from .lattice_places.equal_places import CellTorus, require_two_periods
+from .canvas.canvas import FURTHER
+from .gap_filling.holes import leaves_out
+from .lattice_places.equal_places import CellTorus, pixel_grid, require_two_periods
 from .resampling.element_classes import find_object
 from .resampling.element_colors import ElementColors
 from .resampling.element_copies import ElementCopies
@@ -35,10 +38,13 @@ _TONES = 0.6
 """Least share of the variance of the coarse residual that the colors of elements explain, for colors to be drawn."""
 _COARSE = 1 / 14
 """Standard deviation, in s, of the Gaussian that separates the coarse part of a residual from its detail."""
+_NO_COPY = 0.999
+"""Weight of the only source of a pixel, whose color is another one."""
 _ROWS = 256
 """Rows of the output that are composed at once."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Resample:
     """Draws new elements: bricks, threads and tiles with new colors, whose detail is copied from the sample's.
@@ -59,9 +65,11 @@ class Resample:
        The new colors are laid inside the outlines of the copied instances. Copies are joined along
        the lines on which they differ least.
 
-    The output is the mean tile, plus the new colors times the gain, plus the copied rests. Its pixels are not those of
-    the sample, so there is no source map. The extras hold pictures of the model in the sample: ``template``, the mean
-    tile; ``elements``, one color an element; ``attributes``, the estimated colors of the elements.
+    The output is the mean tile, plus the new colors times the gain, plus the copied rests. The source map says where
+    those come from. Other maps of the sample are copied from there, and change with the new colors as far as the colors
+    of the sample's elements predict them, by linear regression; the rest is that of the copied element. The extras hold
+    pictures of the model in the sample: ``template``, the mean tile; ``elements``, one color an element;
+    ``attributes``, the estimated colors of the elements.
 
     In an output that repeats, threads run around the edges. Where they are turned against the edges, most meet others,
     and few colors are left; the note tells how many.
@@ -87,18 +95,20 @@ class Resample:
         strong.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
-        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``;
+        ``"waves"``: bent if the sample waves, straight if it is in perspective, round or distorted by a lens.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself.
     """
 
     variation: float = 1.0
-    geometry: Geometry = "bent"
+    geometry: Geometry = "waves"
 
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     wraps: ClassVar[bool] = True
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "10"
     family: ClassVar[str] = "elements drawn anew"
 
@@ -119,9 +129,18 @@ class Resample:
         if model.copied:
             tiles = TileSet().synthesize(replace(task, lattice=lattice))
             return replace(tiles, detection_seconds=seconds, note=f"copied by tile-set: {model.copied}")
-        image = model.draw(task, self.variation)
+        image, source = model.draw(task, self.variation)
         note = "; ".join(filter(None, (*model.notes, model.describe_threads(task))))
-        return Synthesis(image, lattice, extras=model.pictures(), detection_seconds=seconds, note=note)
+        return Synthesis(
+            image,
+            lattice,
+            source[:, :, 0],
+            model.pictures(),
+            seconds,
+            note,
+            blended=source[:, :, 1:],
+            tints=model.tints(),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +198,9 @@ class VariationModel:
             why = "their tones vary inside them"
             if explain_tones(residual, drawn.detail) >= _TONES:
                 why = "new ones are stranger than those of the sample are to each other"
-                if test.passes(drawn.draw(task, 1.0)):
+                if test.passes(drawn.draw(task, 1.0)[0]):
                     return drawn
-        if test.passes(copies.draw(task, 1.0)):
+        if test.passes(copies.draw(task, 1.0)[0]):
             return replace(copies, notes=(*copies.notes, f"elements are whole instances: {why}"))
         return replace(copies, copied="what it draws is stranger than the elements of the sample are to each other")
 
@@ -219,8 +238,22 @@ class VariationModel:
             return ""
         return f"threads run around the edges and meet others: {count} differ, {shown} in the sample"
 
-    def draw(self, task: Task, variation: float) -> Image:
-        """Return a new texture of the task's shape, its departures from the mean tile times ``variation``."""
+    def tints(self) -> NDArray[np.float32] | None:
+        """Return the colors of the sample's elements, see :class:`~nrbench.plugins.forms.Synthesis`.
+
+        None if elements are whole instances, whose maps are whole as well.
+        """
+        if self.detail.own is not None:
+            return None
+        shape = self.detail.rest.shape[:2]
+        places = pixel_grid(shape[1], shape[0])
+        return np.concatenate([places, self.colors.render(self.colors.of_sample(shape), shape)], -1, dtype=np.float32)
+
+    def draw(self, task: Task, variation: float) -> tuple[Image, NDArray[np.float32]]:
+        """Return a new texture of the task's shape, its departures from the mean tile times ``variation``.
+
+        Also return the sources of its details, ``(H, W, 4, 3)``, see :meth:`.ElementCopies.render`. No pixel is a copy.
+        """
         height, width = task.shape
         torus = self.torus(task)
         colors = self.colors.draw(task.shape, task.rng, torus)
@@ -231,16 +264,18 @@ class VariationModel:
         cells = self.detail.rest[..., 0].size / self.mean.lattice.area
         strength = np.sqrt(cells / (cells - 1))  # the mean of n cells takes 1 / n of the variance with it
         image = np.empty((height, width, self.detail.rest.shape[2]), np.float32)
+        source = np.empty((height, width, FURTHER + 1, 3), np.float32)
         for top in range(0, height, _ROWS):
             rows = slice(top, min(top + _ROWS, height))
             mean = self.mean.unfold((rows.stop - top, width), (0.0, -top)).astype(np.float64)
             if whole:
-                part = self.detail.render(copied, task.shape, rows, self.detail.colors_of(copied)) - mean
+                part, source[rows] = self.detail.render(copied, task.shape, rows, self.detail.colors_of(copied))
+                part -= mean
             else:
-                part = self.detail.render(copied, task.shape, rows, colors, strength)
+                part, source[rows] = self.detail.render(copied, task.shape, rows, colors, strength)
             image[rows] = np.clip(mean + variation * part, 0, 1)
             task.progress(rows.stop / height)
-        return image
+        return image, source * np.array((1, 1, _NO_COPY), np.float32)
 
     def pictures(self) -> dict[str, Image]:
         """Return the mean tile, the elements and their colors as pictures of the sample's shape."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Final, Literal
 
@@ -20,22 +21,31 @@ from nrbench.plugins.forms import FoundLattice, Geometry, Refused, Synthesis, Ta
 from nrbench.plugins.registry import NamedDetector
 
 from .gap_filling.blocks import Block, BlockGrid, BlockPlacer, SeamMethod, check_border
-from .lattice_places.equal_places import EqualPlaces, Pixels, SearchShape, nearby_pixels, nearest_pixels
+from .gap_filling.holes import TOLERANCE, fill_task, leaves_out
+from .lattice_places.equal_places import (
+    EqualPlaces,
+    Pixels,
+    SearchShape,
+    nearby_pixels,
+    nearest_pixels,
+    warn_of_no_lattice,
+)
 from .matching.frame_matching import FrameMatcher, Match, align_patch
 from .sample_reading.patches import Patches, round_places
 
 Search = Literal["lattice", "everywhere", "stochastic"]
 Finder = Literal["consensus", "gncc", "gncc:preset=paper"]
-TOLERANCE: Final = 0.07
-"""Default tolerance over s, along x and along y: both together are less than a tenth of s."""
 REMEMBERED: Final = 64
 """Number of the latest patches that :class:`PlaceSampler` avoids. A draw costs the same however large the output is."""
+_BLOCKS, _BORDER = (40, 32, 24, 20, 16, 12, 8), 10
+"""px: automatic sizes of blocks, the first one that fits, and the largest automatic border."""
 _STOCHASTIC_TRIALS = 16
 """Random places compared in stochastic mode, where there are too many places to compare all."""
 _OVERLAP_SLACK: Final = 0.05
 """A place is as good as the least used one if its overlap count exceeds that one's by no more than this."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Rsgf:
     """Random sampling and gap filling (RSGF, section 4): random patches on the lattice, and patches that join them.
@@ -65,9 +75,10 @@ class Rsgf:
     Parameters
     ----------
     block
-        Side of a block in px (the paper: 40).
+        Side of a block in px (the paper: 40). 0: 40, or the largest of a few smaller sizes that the sample and its
+        lattice allow; the note says so.
     border
-        Width of the border in px (the paper: 10), at most half a block.
+        Width of the border in px (the paper: 10), at most half a block. 0: 10, or a quarter of a smaller block.
     match
         How the border of a gap is compared with patches: ``"color"`` by squared color differences (eq. 10), ``"ncc"``
         by the generalized normalized cross-correlation (eq. 4, channels combined by eq. 6). Ties are broken at random.
@@ -99,7 +110,8 @@ class Rsgf:
         which is right only where the periods are nearly whole pixels.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
-        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``;
+        ``"waves"``: bent if the sample waves, straight if it is in perspective, round or distorted by a lens.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper.
 
@@ -109,8 +121,8 @@ class Rsgf:
            Filling." Vision, Modeling, and Visualization (VMV 2011), The Eurographics Association, 2011.
     """
 
-    block: int = 40
-    border: int = 10
+    block: int = 0
+    border: int = 0
     match: Match = "color"
     search: Search = "lattice"
     tolerance: float | None = None
@@ -120,12 +132,14 @@ class Rsgf:
     candidate_fraction: float | None = None
     prefer_unused: bool = True
     finder: Finder = "consensus"
-    geometry: Geometry = "bent"
+    geometry: Geometry = "waves"
 
     wraps: ClassVar[bool] = True
+    fills: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "tiles and patches on the lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "4"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -149,8 +163,8 @@ class Rsgf:
     paper: ClassVar[str] = Gncc.paper
 
     def __post_init__(self) -> None:
-        check_border(self.block, self.border)
-        require_ranges(self, candidate_fraction=(0, 1), deform=(0, self.border))
+        check_border(self.block or _BLOCKS[0], self.border or 1)
+        require_ranges(self, candidate_fraction=(0, 1), deform=(0, self.border or _BORDER))
         require(self.tolerance is None or self.tolerance >= 0, f"tolerance {self.tolerance}; choose 0 px or more")
         for name in ("tolerance", "candidate_fraction"):
             effective = getattr(self, name) is None or self.search == "lattice"
@@ -169,26 +183,58 @@ class Rsgf:
         Refused
             If the sample does not hold a block with its borders, or no patch equal to one of the output's.
         """
-        grid = self.block_grid(task)
-        grid.search_shape(task.sample.shape)
         found = FoundLattice(None) if self.search == "stochastic" else find_lattice(task, NamedDetector(self.finder))
-        filler = GapFiller(self, task, found.lattice)
-        filler.place_blocks()
-        filler.fill_gaps()
+        notes = []
+        if self.uses_lattice and found.lattice is None:
+            warn_of_no_lattice("rsgf", found.reason)
+            notes.append(f"stochastic mode, every position is a candidate: no lattice found ({found.reason})")
+        for block, border in (sizes := self._sizes()):
+            method = replace(self, block=block, border=border, deform=min(self.deform, border))
+            try:
+                filler = GapFiller(method, replace(task, rng=deepcopy(task.rng)), found.lattice)
+                filler.place_blocks()
+                filler.fill_gaps()
+                break
+            except Refused:
+                if (block, border) == sizes[-1]:
+                    raise
         image, source = filler.placer.canvas.output()
         task.progress(1.0)
-        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=self._note(found))
+        if (block, border) != sizes[0]:
+            notes.append(f"block={block},border={border}: the sample allows no larger ones")
+        note, blended = "; ".join(notes), filler.placer.canvas.blended()
+        return Synthesis(image, found.lattice, source, detection_seconds=found.seconds, note=note, blended=blended)
+
+    def _sizes(self) -> list[tuple[int, int]]:
+        """Return the sizes of blocks and borders that are tried, the largest first."""
+        blocks = [self.block] if self.block else _BLOCKS
+        sizes = [
+            (block, self.border or border) for block in blocks for border in (min(_BORDER, block // 2), block // 4)
+        ]
+        return [(block, border) for block, border in dict.fromkeys(sizes) if 1 <= border <= block // 2]
+
+    def fill(self, task: Task) -> Synthesis:
+        """Return the sample with its holes filled (:class:`~.gap_filling.holes.HoleFiller`).
+
+        The size of patches follows the lattice. Where there is none, it is ``block``.
+
+        Raises
+        ------
+        Refused
+            If no pixel that counts is equal to one that does not.
+        """
+        found = find_lattice(task, NamedDetector(self.finder))
+        if found.lattice is None:
+            warn_of_no_lattice("rsgf", found.reason)
+        return fill_task(task, found, self.block or _BLOCKS[0])
 
     def block_grid(self, task: Task) -> BlockGrid:
         """Return the blocks of the output. Those of a tileable one are as large as its sides require."""
         if not task.tileable:
-            return BlockGrid(task.shape, self.block, self.border)
+            grid = BlockGrid(task.shape, self.block, self.border)
+            grid.search_shape(task.sample.shape)
+            return grid
         return BlockGrid.closing(task.shape, self.block, self.border, task.sample.shape)
-
-    def _note(self, found: FoundLattice) -> str:
-        if found.lattice or self.search == "stochastic":
-            return ""
-        return f"stochastic mode, every position is a candidate: no lattice found ({found.reason})"
 
 
 class GapFiller:

@@ -32,6 +32,7 @@ class Scatter:
     uses_lattice: ClassVar[bool] = False
     wraps: ClassVar[bool] = True
     right_on: ClassVar[frozenset[Kind]] = frozenset({"stochastic"})
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
 
     def __post_init__(self) -> None:
@@ -57,4 +58,4 @@ class Scatter:
             placer.fill_gap(gap, places[gap.row, gap.column])
         image, source = placer.canvas.output()
         task.progress(1.0)
-        return Synthesis(image, source=source)
+        return Synthesis(image, source=source, blended=placer.canvas.blended())

@@ -15,6 +15,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Task
 
 from .baselines.lattice_baseline import OFFSET, LatticeBaseline, edge_points, half_extent, whole_cell_centers
+from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import CellTorus
 
 _STEPS = 24
@@ -25,6 +26,7 @@ _BLUR = 0.15
 """Standard deviation, in cells, of the blur of the energy."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Shuffle(LatticeBaseline):
     """Random tiles of the sample edge to edge: keeps lattice, variation and colors, but breaks the elements.
@@ -39,6 +41,7 @@ class Shuffle(LatticeBaseline):
     """
 
     wraps: ClassVar[bool] = True
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
 
     def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:

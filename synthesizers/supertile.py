@@ -12,11 +12,13 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Refused, Task
 
 from .baselines.lattice_baseline import LatticeBaseline, half_extent, half_extents
+from .gap_filling.holes import leaves_out
 
 _CANDIDATES = 300
 """Number of lattice vectors tried for each side of the crop: those nearest to the sample's sides."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Supertile(LatticeBaseline):
     """The largest crop of the sample that the lattice can repeat: keeps lattice and variation, but repeats the crop.
@@ -32,6 +34,7 @@ class Supertile(LatticeBaseline):
     """
 
     wraps: ClassVar[bool] = True
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
 
     def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:

@@ -13,6 +13,7 @@ from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Refused, Shape, Synthesis, Task
 
+from .gap_filling.holes import leaves_out
 from .neighbor_fields.neighbor_field import NeighborField, make_grid
 from .neighbor_fields.pyramid import cover_sample, rescale, scale_shape
 
@@ -25,6 +26,7 @@ SOFTENING: Final = 1e-4
 one pixel of the smallest neighborhood."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class TextureOptimization:
     """Texture optimization (Kwatra and others 2005).
@@ -70,6 +72,7 @@ class TextureOptimization:
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "all patches at once"
+    maps: ClassVar[str] = "joint"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"neighborhood": 32, "levels": 3, "iterations": 5, "unsettled": 0.0, "exponent": 0.8}

@@ -17,6 +17,7 @@ from nrbench.plugins.forms import Geometry, Refused, Synthesis, Task, require_la
 from nrbench.plugins.registry import NamedDetector
 
 from .canvas.canvas import Canvas, Window, find_paths
+from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import require_two_periods
 from .tile_laying.tile_kernels import FEATHER, Under, blend_weights, cut_tile, error_surface
 from .tile_laying.tiles import (
@@ -45,6 +46,7 @@ MARGIN: Final = 2.0
 """px by which tiles are longer at each end for exact cuts, so that seams can run around elements."""
 
 
+@leaves_out
 @dataclass(frozen=True)
 class TileSet:
     """Tile set (Liu, Tsin and Lin 2005, section 3.1): tiles drawn at random, laid over one another on the lattice.
@@ -148,7 +150,8 @@ class TileSet:
         Detector that finds the lattice if none is given: ``"consensus"``, or ``"dominance"``, that of the paper.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
-        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``;
+        ``"waves"``: bent if the sample waves, straight if it is in perspective, round or distorted by a lens.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper.
 
@@ -171,12 +174,13 @@ class TileSet:
     anchor: AnchorKind | Literal["given"] = "elements"
     symmetry: Literal["none", "own"] = "none"
     finder: Literal["consensus", "dominance"] = "consensus"
-    geometry: Geometry = "bent"
+    geometry: Geometry = "waves"
 
     wraps: ClassVar[bool] = True
     reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = True
     family: ClassVar[str] = "tiles and patches on the lattice"
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "5"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -233,7 +237,9 @@ class TileSet:
         notes = ["the lattice has no origin: tiles are anchored where their borders are quiet"] if unanchored else []
         if self.symmetry == "own" and not laying.stock.images.copies:
             notes.append("no symmetry of the texture is certain: the sample is used as it is")
-        return Synthesis(image, lattice, source, detection_seconds=seconds, note="; ".join(notes))
+        return Synthesis(
+            image, lattice, source, detection_seconds=seconds, note="; ".join(notes), blended=laying.canvas.blended()
+        )
 
     def _require_within_s(self, s: float) -> None:
         most = max(s, FEATHER)

@@ -16,9 +16,11 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Task
 
 from .baselines.lattice_baseline import OFFSET, LatticeBaseline, half_extent, whole_cell_centers
+from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import pixel_grid
 
 
+@leaves_out
 @dataclass(frozen=True)
 class Tiling(LatticeBaseline):
     """One tile of the sample, repeated on the lattice: keeps the lattice, loses all randomness.
@@ -41,6 +43,7 @@ class Tiling(LatticeBaseline):
     tile: Literal["typical", "random"] = "typical"
 
     wraps: ClassVar[bool] = True
+    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
 
     def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:

@@ -14,10 +14,10 @@ from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Observation
 
 from ..perception import limits
-from ..perception.visible import Lab, perceive, perceive_sample
+from ..perception.visible import Lab, SeenSample, perceive
 from ..registration.coherence import MatchedPicture, SampleMatches, match_sample
 from ..registration.followed import FollowedPicture
-from .known_lattice import KnownLattice, declared_drift, find_known_lattice
+from .known_lattice import KnownLattice, declared_drift, find_known_lattice, perceive_masked
 from .texture_reference import CannotTell, TextureReference, reference_from_draws, reference_from_sample
 
 Followed = TypeVar("Followed", FollowedPicture, MatchedPicture | None)
@@ -41,6 +41,11 @@ class Examination:
         return find_known_lattice(self.observation)
 
     @cached_property
+    def sample(self) -> SeenSample:
+        """What is seen of the sample."""
+        return perceive_masked(self.observation, self.known_lattice.lattice)
+
+    @cached_property
     def lab(self) -> Lab:
         """What is seen of the output."""
         return perceive(self.observation.output)
@@ -55,7 +60,7 @@ class Examination:
         if known.origin == "model" and seen.again is not None:
             vectors, output = (known.lattice.t1, known.lattice.t2), (seen.output.shape[0], seen.output.shape[1])
             return reference_from_draws(seen.again, vectors, output, sample)
-        return reference_from_sample(perceive_sample(seen.sample), known.lattice)
+        return reference_from_sample(self.sample, known.lattice)
 
     @cached_property
     def declared(self) -> Points:
@@ -98,7 +103,7 @@ class Examination:
         known = self.known_lattice
         if known.lattice is None or known.origin == "model":
             return None
-        return match_sample(perceive_sample(self.observation.sample), known.lattice)
+        return match_sample(self.sample, known.lattice)
 
     @cached_property
     def misplaced(self) -> float:
@@ -124,4 +129,5 @@ def examine(observation: Observation) -> Examination:
 
 
 def _start(seen: Observation) -> Examination:
-    return Examination(Observation(seen.sample, seen.output, seen.truth, None, seen.lattice_used, again=seen.again))
+    used, again = seen.lattice_used, seen.again
+    return Examination(Observation(seen.sample, seen.output, seen.truth, None, used, again=again, known=seen.known))

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from nrbench.detectors.dominance import Dominance
+from nrbench.imaging.masks import fill_periodically
 from nrbench.lattice.geometry import Lattice, Points, reduce_basis
 from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import NoLatticeFound, Observation, Shape
@@ -62,16 +63,25 @@ def find_known_lattice(observation: Observation) -> KnownLattice:
     if truth is not None and truth.lattice is not None:
         if again is not None and truth.ideal is not None:
             return KnownLattice(canonical_lattice(truth.lattice), "model")
-        return KnownLattice(
-            split_supercell(perceive_sample(observation.sample), canonical_lattice(truth.lattice)), "given"
-        )
+        sample = perceive_masked(observation, truth.lattice)
+        return KnownLattice(split_supercell(sample, canonical_lattice(truth.lattice)), "given")
     if again is not None or (truth is not None and truth.kind == "stochastic"):
         return KnownLattice(None, "model", NO_LATTICE)
     try:
-        return KnownLattice(canonical_lattice(Dominance().detect(observation.sample).lattice), "dominance")
+        return KnownLattice(
+            canonical_lattice(Dominance().detect(observation.sample, observation.known).lattice), "dominance"
+        )
     except NoLatticeFound as none:
         reason = f"not applicable: no lattice is given, and the detector dominance finds none in the sample: {none}"
         return KnownLattice(None, "dominance", reason)
+
+
+def perceive_masked(observation: Observation, lattice: Lattice | None) -> SeenSample:
+    """Return what is seen of a sample; pixels that do not count show those a lattice vector away, and are marked."""
+    sample, known = observation.sample, observation.known
+    if known is not None and lattice is not None:
+        sample = fill_periodically(sample, known, lattice)
+    return perceive_sample(sample, known)
 
 
 def declared_drift(declared: Lattice | None, true: Lattice | None, shape: Shape) -> Points:
@@ -106,7 +116,7 @@ def split_supercell(sample: SeenSample, lattice: Lattice) -> Lattice:
     """
     lab = sample.lab[..., :3]
     for _ in range(_MOST_SPLITS):
-        net = LatticeNet(sample.shape, reduce_basis(lattice.matrix), np.array(lattice.origin))
+        net = LatticeNet(sample.shape, reduce_basis(lattice.matrix), np.array(lattice.origin), sample.known)
         mean, error = _fold(lab, net)
         steps = [np.array(k) / parts @ net.vectors for parts, k in _FRACTIONS]
         ratios = [_compare_cells(mean, error, *_fold(lab, replace(net, origin=net.origin + step))) for step in steps]

@@ -119,7 +119,7 @@ class TextureReference:
 
     def follow(self, lab: Lab, drift: Points | float = 0.0) -> FollowedPicture:
         """Follow the lattice, stretched and turned by a drift ``(2, 2)``, through an output."""
-        net = replace(self.net, shape=(lab.shape[0], lab.shape[1])).stretch(drift)
+        net = replace(self.net, shape=(lab.shape[0], lab.shape[1]), known=None).stretch(drift)
         picture = self.pictures[0]
         if (net.cells <= picture.size).any():
             raise CannotTell("undecided: the output shows fewer than three cells along a lattice vector")
@@ -202,13 +202,18 @@ def reference_from_sample(sample: SeenSample, lattice: Lattice) -> TextureRefere
     CannotTell
         If the sample is too small.
     """
-    return _learn([sample.lab], lattice, None, Strips.across(sample.shape, STRIPS), sample.shape)
+    return _learn([sample.lab], lattice, None, Strips.across(sample.shape, STRIPS), sample.shape, sample.known)
 
 
 def _learn(
-    labs: Sequence[Lab], lattice: Lattice, ideal: Lab | None, strips: Strips | None, sample_shape: Shape
+    labs: Sequence[Lab],
+    lattice: Lattice,
+    ideal: Lab | None,
+    strips: Strips | None,
+    sample_shape: Shape,
+    counted: Mask | None = None,
 ) -> TextureReference:
-    net = LatticeNet((labs[0].shape[0], labs[0].shape[1]), lattice.matrix, np.array(lattice.origin))
+    net = LatticeNet((labs[0].shape[0], labs[0].shape[1]), lattice.matrix, np.array(lattice.origin), counted)
     if net.cells.min() < _FEWEST_CELLS:
         raise CannotTell("undecided: the sample shows fewer than three cells along a lattice vector")
     models = (_first_model(labs if ideal is None else [ideal], net),) * (STRIPS if strips else 1)

@@ -46,6 +46,8 @@ class SeenSample:
     """What is seen of a sample. Equal samples give one object, so that what is learned from it can be cached."""
 
     lab: Lab
+    known: NDArray[np.bool_] | None = None
+    """The pixels that count; None: all."""
 
     @property
     def shape(self) -> Shape:
@@ -53,14 +55,16 @@ class SeenSample:
         return self.lab.shape[0], self.lab.shape[1]
 
 
-def perceive_sample(sample: Image) -> SeenSample:
+def perceive_sample(sample: Image, known: NDArray[np.bool_] | None = None) -> SeenSample:
     """Return what is seen of a sample; cached, because many outputs have one sample."""
-    return _perceive_pixels(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape)
+    mask = b"" if known is None else known.tobytes()
+    return _perceive_pixels(np.ascontiguousarray(sample, np.float32).tobytes(), sample.shape, mask)
 
 
 @lru_cache(maxsize=4)
-def _perceive_pixels(pixels: bytes, shape: tuple[int, ...]) -> SeenSample:
-    return SeenSample(perceive(np.frombuffer(pixels, np.float32).reshape(shape)))
+def _perceive_pixels(pixels: bytes, shape: tuple[int, ...], mask: bytes) -> SeenSample:
+    known = np.frombuffer(mask, np.bool_).reshape(shape[:2]) if mask else None
+    return SeenSample(perceive(np.frombuffer(pixels, np.float32).reshape(shape)), known)
 
 
 def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> Image:

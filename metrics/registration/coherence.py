@@ -251,14 +251,14 @@ class SampleMatches:
         return np.asarray((own @ np.linalg.inv(np.eye(2) + drift) - matched[match]) @ np.linalg.inv(self.net.vectors))
 
     def _place(self, grid: PointGrid, match: NDArray[np.intp], drift: Points | float = 0.0) -> MatchedPicture:
-        net, moved = replace(self.net, shape=grid.shape).stretch(drift), self._displace(grid, match, drift)
+        net, moved = replace(self.net, shape=grid.shape, known=None).stretch(drift), self._displace(grid, match, drift)
         return MatchedPicture(net, _ROUGHLY, 1, grid, moved, self.trust[match])
 
 
 @lru_cache(maxsize=2)
 def match_sample(sample: SeenSample, lattice: Lattice) -> SampleMatches:
     """Return the matches of a sample."""
-    return SampleMatches(sample.lab, LatticeNet(sample.shape, lattice.matrix, np.array(lattice.origin)))
+    return SampleMatches(sample.lab, LatticeNet(sample.shape, lattice.matrix, np.array(lattice.origin), sample.known))
 
 
 def _find_nearest(rows: Values, others: Values, excluded: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:

@@ -118,8 +118,7 @@ class FollowedPicture(LatticeNodes):
         spread = np.stack([rows @ plane @ columns.T for plane in np.moveaxis(planes, -1, 0)], -1)
         moved, known = spread[..., :2] @ self.net.vectors, spread[..., 2] > 0.5
         points = self.net.points + moved
-        shape = (self.lab.shape[0], self.lab.shape[1])
-        return sample_planes(self.lab[..., :3], points), known & find_inside(points, shape)
+        return sample_planes(self.lab[..., :3], points), known & self.net.contains(points)
 
     @cached_property
     def residual(self) -> tuple[Values, Mask]:
@@ -154,13 +153,13 @@ def _average_windows(plane: Values, net: LatticeNet, size: int) -> tuple[Values,
 
     A point that lies outside in all cells has the value at the nearest border.
     """
-    half = net.samples // 2
+    half, inside = net.samples // 2, find_inside(net.points, net.shape)  # what does not count is filled, as it repeats
     shape = node_shape(net, size)
     windows, cover = np.zeros((*shape, *net.samples, 3), np.float32), np.zeros(shape, np.float32)
     for a, b in np.ndindex(2, 2):
         y, x = a * half[0], b * half[1]
         part = np.s_[y : plane.shape[0] - y, x : plane.shape[1] - x]
-        known = split_cells(np.where(net.inside[part], np.float32(1), np.float32(1e-3)), net.samples)
+        known = split_cells(np.where(inside[part], np.float32(1), np.float32(1e-3)), net.samples)
         cells = split_cells(plane[part], net.samples) * known[..., np.newaxis]
         sums, counts = (_sum_windows(a, size) for a in (cells, known))
         if counts.size:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.imaging.masks import known_at
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Shape
 
@@ -32,11 +33,14 @@ class LatticeNet:
         ``(2, 2)``: the generating vectors, reduced, as rows (x, y) px.
     origin
         (x, y) px of a lattice point.
+    known
+        The pixels of the picture that count; None: all.
     """
 
     shape: Shape
     vectors: Points
     origin: Points
+    known: Mask | None = None
 
     @cached_property
     def s(self) -> float:
@@ -92,8 +96,13 @@ class LatticeNet:
 
     @cached_property
     def inside(self) -> Mask:
-        """``(N1 n1, N2 n2)``: the points inside the picture."""
-        return find_inside(self.points, self.shape)
+        """``(N1 n1, N2 n2)``: the points inside the picture that count."""
+        return self.contains(self.points)
+
+    def contains(self, points: Points, border: int = 0) -> Mask:
+        """Return which points lie inside the picture, ``border`` px from its sides or more, and count."""
+        inside = find_inside(points - border, (self.shape[0] - 2 * border, self.shape[1] - 2 * border))
+        return inside if self.known is None else inside & known_at(self.known, points)
 
     def cut_strips(self, axis: int, count: int) -> list[Mask]:
         """Return the points of each of ``count`` strips of the picture, side by side along x (axis 0) or y (axis 1)."""

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.flags import ARGUMENT, Flag
 from nrbench.plugins.parameters import LARGEST_SIDE, nearest, parse_size, parse_spec, take_label, validated
 
 # The help of a command imports no array library.
 if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
+    from nrbench.imaging.masks import MaskedImage
     from nrbench.lattice.geometry import Lattice, Vector
     from nrbench.plugins.forms import Detection, Shape
     from nrbench.runs.records import Run
@@ -48,6 +49,13 @@ Runlike = Annotated["Run | str | os.PathLike[str]", Flag(ARGUMENT, kind=Path)]
 """A run, or its directory."""
 Suitelike = Annotated["str | os.PathLike[str] | Suite", Flag(ARGUMENT)]
 """A suite, its name, a TOML file, or a directory of pictures."""
+Masklike = Annotated[Any, Flag("--mask", "FILE", kind=Path)]
+"""Which pixels of an image count: an array, bool or in [0, 1], or the path of a picture; white counts, and black is
+left out. None: all count that are not transparent."""
+Maps = Annotated[Sequence[Any], Flag("--with", "MAP", kind=Path, many=True)]
+"""Other maps of a sample: arrays, or paths of pictures."""
+LEAST_CONFIDENCE = 0.5
+"""A lattice of a lower confidence is more probably wrong than right."""
 Picture = Annotated[Imagelike, Flag(ARGUMENT, kind=Path)]
 """An :data:`Imagelike`; on the command line the path of a picture."""
 OutputFolder = Annotated["str | os.PathLike[str]", Flag("-o --output", "DIR", kind=Path)]
@@ -98,7 +106,7 @@ def as_lattice(lattice: Latticelike) -> Lattice | None:
 
 
 def lattice_in(image: Imagelike, lattice: Latticelike) -> Lattice | None:
-    """Return a lattice as :func:`as_lattice`, or find it in the image if a detector is named.
+    """Return a lattice as :func:`as_lattice`, or find it in the image, which may be bent, if a detector is named.
 
     Raises
     ------
@@ -112,26 +120,102 @@ def lattice_in(image: Imagelike, lattice: Latticelike) -> Lattice | None:
     known = plugins.names("detectors")
     if (name := parse_spec(lattice)[0]) not in known:
         raise BadInput(f"lattice {lattice!r}: give x1,y1,x2,y2 in px, or a detector{nearest(name, known)}")
-    detection: Detection = plugin_in("detectors", lattice, {}).detect(image_in(image))
-    return detection.lattice
+    return detect_among(plugin_in("detectors", lattice, {}), masked_in(image), bent=True).lattice
+
+
+def detect_among(detector: Any, image: MaskedImage, bent: bool) -> Detection:
+    """Return the lattice that a detector finds in the pixels that count, or that of a bent image where it finds none.
+
+    Raises
+    ------
+    BadInput
+        If it cannot leave out the others; the message names the detectors that can.
+    NoLatticeFound
+        If it finds none.
+    """
+    from nrbench.plugins.forms import detect_known
+
+    plugins.require_abilities("detectors", detector, masks=image.known is not None)
+    if not bent:
+        return detect_known(detector, *image)
+    from nrbench.displacement.bent_detection import recognize
+
+    return recognize(image.image, detector, image.known)[0]
 
 
 def image_in(image: Imagelike, where: str = "image") -> Image:
-    """Return an :data:`Imagelike` as an image."""
-    import numpy as np
-
+    """Return an :data:`Imagelike` as an image; raise BadInput if it has transparent pixels."""
     from nrbench.imaging.convert import as_image
     from nrbench.pictures.files import read_image
-    from nrbench.plugins.forms import Synthesis, Texture
 
     if isinstance(image, str | os.PathLike):
         return read_image(Path(image))
+    return as_image(_pixels_of(image, where), where)
+
+
+def masked_in(image: Imagelike, mask: Masklike = None, where: str = "image") -> MaskedImage:
+    """Return an :data:`Imagelike` with the pixels that count: those that are opaque, and white in the mask.
+
+    Raises
+    ------
+    BadInput
+        For a bad image or mask, or if no pixel counts.
+    """
+    from nrbench.imaging.masks import MaskedImage, as_mask, as_masked
+    from nrbench.pictures.files import read_mask, read_masked
+
+    if isinstance(image, MaskedImage):
+        found = image
+    elif isinstance(image, str | os.PathLike):
+        found = read_masked(Path(image))
+    else:
+        found = as_masked(_pixels_of(image, where), where)
+    if mask is None:
+        return found
+    shape = found.image.shape[:2]
+    if isinstance(mask, str | os.PathLike):
+        return found.without(~read_mask(Path(mask), shape), f"mask {mask}")
+    return found.without(~as_mask(mask, shape), "mask")
+
+
+def _pixels_of(image: Imagelike, where: str) -> Any:
+    """Return the array of an :data:`Imagelike` that is no path."""
+    import numpy as np
+
+    from nrbench.plugins.forms import Synthesis, Texture
+
     if isinstance(image, Texture | Synthesis):
-        image = image.image
-    elif not isinstance(image, np.ndarray) and np.ndim(image) < 2:
+        return image.image
+    if not isinstance(image, np.ndarray) and np.ndim(image) < 2:
         found = type(image).__name__
         raise BadInput(f"{where}: is of type {found}; pass an array, the path of a picture, or a Texture")
-    return as_image(image, where)
+    return image
+
+
+def layers_in(image: Imagelike) -> Image:
+    """Return an :data:`Imagelike` with its alpha channel as the last of 2 or 4 channels; raise BadInput without one."""
+    from nrbench.imaging.convert import as_layers
+    from nrbench.pictures.files import read_layers
+
+    return read_layers(Path(image)) if isinstance(image, str | os.PathLike) else as_layers(_pixels_of(image, "image"))
+
+
+def list_maps(maps: Any) -> Sequence[Any]:
+    """Return the maps of a sample; one map counts as a list of one."""
+    return maps if isinstance(maps, list | tuple) else [maps]
+
+
+def map_in(image: Any) -> Any:
+    """Return the values of another map of a sample: an array as it is, those of a picture file as they are stored."""
+    import numpy as np
+
+    from nrbench.pictures.files import read_map
+
+    if isinstance(image, str | os.PathLike):
+        return read_map(Path(image))[0]
+    pixels = np.asarray(_pixels_of(image, "map"))
+    require(pixels.dtype.kind in "buif", f"map: dtype {pixels.dtype}; pass truth values, whole numbers or floats")
+    return pixels
 
 
 def stored_image(image: Imagelike, where: str = "image") -> Image:
@@ -139,21 +223,29 @@ def stored_image(image: Imagelike, where: str = "image") -> Image:
 
     Others have 16 bits.
     """
+    return _as_stored(image_in(image, where), image)
+
+
+def stored_masked(image: Imagelike, mask: Masklike = None, where: str = "image") -> MaskedImage:
+    """Return an :data:`Imagelike` as :func:`stored_image` does, with the pixels that count."""
+    found = masked_in(image, mask, where)
+    return found._replace(image=_as_stored(found.image, image))
+
+
+def _as_stored(pixels: Image, image: Imagelike) -> Image:
     from nrbench.imaging.convert import depth_of, quantize
     from nrbench.plugins.forms import Texture
 
-    pixels = image_in(image, where)
     return quantize(pixels, depth_of(pixels, 8 if isinstance(image, Texture) else 16))
 
 
-def picture_file(image: Imagelike, folder: Path) -> Path:
+def picture_file(image: Imagelike, folder: Path, name: str = "picture.png") -> Path:
     """Return the file of an :data:`Imagelike`, which is written into a folder if it is no file yet."""
     from nrbench.pictures.files import write_image
 
     if isinstance(image, str | os.PathLike):
         return Path(image)
-    write_image(folder / "picture.png", stored_image(image))
-    return folder / "picture.png"
+    return write_image(folder / name, stored_image(image))
 
 
 def detector_in(detector: Detectorlike, parameters: Mapping[str, Any]) -> Any:
@@ -171,8 +263,7 @@ def plugin_in(kind: str, plugin: Pluginlike, parameters: Mapping[str, Any]) -> A
     form = plugins.FORMS[kind]
     is_class = isinstance(plugin, type)
     fault = plugins.fault(kind, plugin if is_class else type(plugin))
-    if fault:
-        raise BadInput(f"{fault}. Pass the name of a {form.noun}, its class, or an instance")
+    require(not fault, f"{fault}. Pass the name of a {form.noun}, its class, or an instance")
     if is_class:
         return validated(plugin, parameters, f"{form.noun} {plugin.__name__}")
     if parameters:

@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nrbench import plugins
-from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image
-from nrbench.pictures.files import read_image
+from nrbench.api.arguments import LEAST_CONFIDENCE, Latticelike, lattice_in
+from nrbench.calling.bent_samples import recognize_sample
+from nrbench.calling.lighting import flatten_light, warn_of_light
+from nrbench.displacement.bent_detection import LARGEST_FOLLOWED
+from nrbench.errors import BadInput, require
+from nrbench.imaging.convert import Image, depth_of, quantize
+from nrbench.lattice.geometry import Lattice
+from nrbench.pictures.files import read_image, read_mask, read_masked, read_shape, write_image
 from nrbench.pictures.overlays import contact_sheet, draw_lattice
-from nrbench.plugins.forms import describe_silence
+from nrbench.plugins.forms import Task, describe_silence, find_lattice
 from nrbench.plugins.parameters import parse_size, size_text
+from nrbench.plugins.registry import NamedDetector
 from nrbench.runs.records import CellRecord
+from nrbench.suites.plan import PlannedSample
 from nrbench.suites.suite import Suite, validated_suite
 
 _COLUMNS = (4, 5, 6)
@@ -24,14 +34,64 @@ _LETTERS = 15
 _APART = 0.1
 """Least difference of two qualities of which one is called higher. If a quarter of the sample is left out, an eighth
 of the smaller differences change their sign, and hardly any larger one (docs/photographs.md)."""
+BAD = 0.5
+"""Quality below which an output is marked as bad."""
 _PERILS = ("regularity", "integrity", "randomness", "appearance")
 
 
-def photo_suite(photo: Path, sample: Any, size: Any) -> Suite:
-    """Return a suite of one photograph with all methods that are no references and need no parameter."""
+def prepare_photo(
+    photo: Path, lattice: Latticelike, flatten: bool, folder: Path, masked: bool = False
+) -> tuple[Path, Latticelike]:
+    """Return the file of a photograph that is straight and in even light, if this is wanted, and its lattice.
+
+    A photograph that is to stay as it is keeps its file and the lattice that was given; so does a large one, whose bend
+    is hardly seen in a sample, and one of which pixels are left out (``masked``). A warning names uneven light.
+    """
     with warnings.catch_warnings(action="ignore"):  # the plan reads it again
-        height, width = map(min, read_image(photo).shape[:2], parse_size(sample))
-    row = {"name": "photo", "dataset": plugins.in_role("pictures"), "parameters": {"path": str(photo.absolute())}}
+        image, known_pixels = read_masked(photo)
+    if masked or known_pixels is not None:
+        require(not flatten, "--flatten-light: a sheet takes no masked photograph with it; use synth, or flatten first")
+        return photo, lattice
+    if max(image.shape[:2]) > LARGEST_FOLLOWED and not flatten:
+        return photo, lattice
+    depth = depth_of(image)
+    task = Task(image, (1, 1), lattice_in(image, lattice), np.random.default_rng(0))
+    survey, known = recognize_sample(None, task), lattice
+    if survey.bent is not None and survey.bent.is_global:
+        image, known = survey.bent.straighten()
+        warnings.warn(f"{photo}: {survey.note}", stacklevel=2)
+    if flatten:
+        given = known if isinstance(known, Lattice) else survey.found.lattice
+        image = flatten_light(None, replace(task, sample=image, lattice=given))[0].sample
+    elif survey.found.lattice is not None and survey.bent is None:
+        warn_of_light(image, survey.found.lattice)
+    if known is lattice and not flatten:
+        return photo, lattice
+    return write_image(folder / "prepared.png", quantize(image, depth)), known
+
+
+def find_unjudged_lattice(sample: PlannedSample) -> Lattice | None:
+    """Return the lattice of a sample in which the judge's detector finds none, if it is more probable than not.
+
+    It is given to methods and judge: without a lattice, ruined outputs would have no score.
+    """
+    task = Task(sample.image(), (1, 1), None, np.random.default_rng(0), known=sample.known)
+    if find_lattice(task, NamedDetector(plugins.in_role("judge-detector"))).lattice is not None:
+        return None
+    found = find_lattice(task, NamedDetector(plugins.in_role("detector")))
+    return found.lattice if (found.confidence or 0) >= LEAST_CONFIDENCE else None
+
+
+def photo_suite(photo: Path, sample: Any, size: Any, mask: Path | None = None, lattice: Lattice | None = None) -> Suite:
+    """Return a suite of one photograph with all methods that are no references and need no parameter.
+
+    ``lattice``, if it is known, is given to methods and judge.
+    """
+    height, width = map(min, read_shape(photo), parse_size(sample))
+    files: dict[str, Any] = {"path": str(photo.absolute())}
+    files |= {} if mask is None else {"mask": str(mask.absolute())}
+    files |= {} if lattice is None else {"t1": lattice.t1, "t2": lattice.t2, "origin": lattice.origin}
+    row = {"name": "photo", "dataset": plugins.in_role("pictures"), "parameters": files}
     content = {
         "name": "sheet",
         "sample": f"{width}x{height}",
@@ -118,7 +178,11 @@ def describe_row(row: Mapping[str, Any]) -> str:
     value, bound = row["quality"], "at most " if row["upper_bound"] else ""
     quality = "quality not measured" if value is None else f"quality {bound}{value:.2f}, rank {row['rank']}"
     unknown = [] if row["tied"] else row["not_measured"]  # else the reason of the tie names them
-    words = (("worst: ", row["worst"]), ("cannot tell: ", unknown), ("no peril: ", row["no_peril"]))
+    words = (
+        ("BAD, worst: " if 0 <= _shown(row) < BAD else "worst: ", row["worst"]),
+        ("cannot tell: ", unknown),
+        ("no peril: ", row["no_peril"]),
+    )
     limits = "; ".join(title + ", ".join(names) for title, names in words if names)
     tied = f"tied: {row['why']}" if row["tied"] else row["why"]
     return "\n".join(filter(None, [row["method"], f"{quality}, {row['seconds'] or 0:.1f} s", tied, limits]))
@@ -127,7 +191,9 @@ def describe_row(row: Mapping[str, Any]) -> str:
 def draw_sheet(made: Sequence[tuple[CellRecord, Mapping[str, Any]]]) -> Image:
     """Return the sample with its lattice, and the outputs, each below its caption."""
     records = [one for one, _ in made]
-    sample = read_image(records[0].folder / "sample.png")
+    sample, known = read_image(records[0].folder / "sample.png"), records[0].folder / "known.png"
+    if known.is_file():
+        sample[~read_mask(known, sample.shape[:2])] = 1
     lattice = next((one.cell.lattice_given for one in records if one.cell.lattice_given), None)
     first = sample if lattice is None else draw_lattice(sample, lattice)
     found = "no lattice" if lattice is None else "lattice " + ",".join(f"{x:.2f}" for x in (*lattice.t1, *lattice.t2))

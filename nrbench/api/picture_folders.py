@@ -14,10 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nrbench import plugins
-from nrbench.errors import BadInput
+from nrbench.api.arguments import detect_among
+from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image
+from nrbench.imaging.masks import MaskedImage
 from nrbench.lattice.geometry import Lattice, Vector
-from nrbench.pictures.files import list_pictures, read_image, write_image
+from nrbench.pictures.files import list_pictures, read_image, read_masked, write_image
 from nrbench.pictures.overlays import contact_sheet, draw_overview, zoom_panels
 from nrbench.pictures.truth import (
     KNOWN_FILE,
@@ -205,9 +207,9 @@ class Survey:
         self.directory = self.folder if self.output is None else self.output
         self.table = self.directory / TRUTH_FILE
         self._detector: Detector = plugins.build("detectors", *parse_spec(self.detector))
-        self._pictures = [path for path in list_pictures(self.folder) if not self._is_rendered_sheet(path)]
-        if not self._pictures:
-            raise BadInput(f"directory {self.folder}: has no picture; put PNG, JPEG or TIFF files into it")
+        sheet = SHEET if (self.folder / KNOWN_FILE).is_file() else ""  # that of a render
+        self._pictures = [path for path in list_pictures(self.folder) if path.name != sheet]
+        require(bool(self._pictures), f"directory {self.folder}: has no picture; put PNG, JPEG or TIFF files into it")
         if self.table.exists() and self.existing == "refuse":
             raise BadInput(
                 f"{self.table}: exists, and may hold your corrections; pass --keep to keep its lines and add the "
@@ -216,9 +218,6 @@ class Survey:
         keeps = self.existing == "keep" and self.table.exists()
         self._known = TruthTable.read(self.directory) if keeps else TruthTable(FIELDS, {})
         self._waiting: list[tuple[list[Image], list[str]]] = []
-
-    def _is_rendered_sheet(self, path: Path) -> bool:
-        return path.name == SHEET and (self.folder / KNOWN_FILE).is_file()
 
     def run(self, progress: OnPicture) -> None:
         """Detect all lattices, and write the table and the contact sheets. What was found is written if it is stopped.
@@ -248,19 +247,20 @@ class Survey:
         if not _is_unicode(path.name):
             return SurveyedPicture(path.name, reason="the name is no Unicode text; rename the file", failed=True), None
         try:
-            image = read_image(path)
+            masked = read_masked(path)
+            image = masked.image
             if known is not None:
                 return _read_row(path.name, known), image
-            return self._detect(path.name, image), image
+            return self._detect(path.name, masked), image
         except BadInput as error:
             reason = str(error).removeprefix(f"picture {path}: ")
         except Exception as error:
             reason = f"failed: {type(error).__name__}: {error}"
         return SurveyedPicture(path.name, reason=reason, failed=True, kept=known), image
 
-    def _detect(self, name: str, image: Image) -> SurveyedPicture:
+    def _detect(self, name: str, masked: MaskedImage) -> SurveyedPicture:
         try:
-            detection = self._detector.detect(image)
+            detection = detect_among(self._detector, masked, bent=True)
         except NoLatticeFound as none:
             if none.best is None:
                 return SurveyedPicture(name, reason=none.reason)
@@ -377,7 +377,8 @@ def write_textures(samples: Iterable[Sample], directory: Path) -> list[Path]:
     by_name = _by_name(samples)
     for name, (_, texture) in by_name.items():
         existing.check_replaceable(directory / name, texture.image)
-    existing.check_sheet(directory)
+    if (directory / SHEET).exists() and not (directory / KNOWN_FILE).is_file():
+        raise BadInput(f"{directory / SHEET}: exists, and was not written by `nrbench render`; {_ELSEWHERE}")
     rendered = dataclasses.replace(
         existing,
         rows={**existing.rows, **{name: _row(name, *pair) for name, pair in by_name.items()}},
@@ -434,8 +435,7 @@ class _Rendered:
         BadInput
             When ``folder`` is a file, or a truth file in it is malformed or was not written by a render.
         """
-        if folder.exists() and not folder.is_dir():
-            raise BadInput(f"{folder}: is a file; pass a directory as -o")
+        require(folder.is_dir() or not folder.exists(), f"{folder}: is a file; pass a directory as -o")
         try:
             table = TruthTable.read(folder)
         except BadInput as error:
@@ -453,11 +453,6 @@ class _Rendered:
         recipe = self.textures.get(path.name, {}).get("recipe")
         if path.exists() and not recipe and not (path.is_file() and _holds(path, image)):
             raise BadInput(f"{path}: exists, and no model drew it; {_ELSEWHERE}, or rename the texture")
-
-    def check_sheet(self, folder: Path) -> None:
-        """Raise BadInput if the contact sheet would replace a file of another origin."""
-        if (folder / SHEET).exists() and not (folder / KNOWN_FILE).is_file():
-            raise BadInput(f"{folder / SHEET}: exists, and was not written by `nrbench render`; {_ELSEWHERE}")
 
     def write(self, folder: Path) -> None:
         """Write both truth files, each atomically."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import operator
 import os
 import secrets
@@ -17,6 +18,7 @@ from nrbench.api.arguments import (
     Folder,
     Latticelike,
     LatticeSources,
+    Masklike,
     Methods,
     OutputFolder,
     Picture,
@@ -26,6 +28,7 @@ from nrbench.api.arguments import (
     Suitelike,
     SuiteSeed,
     Textures,
+    as_lattice,
     lattice_source_texts,
     list_of,
     method_text,
@@ -41,6 +44,7 @@ from nrbench.storage import make_writable, read_json
 if TYPE_CHECKING:
     import pandas as pd
 
+    from nrbench.lattice.geometry import Lattice
     from nrbench.running.guard import Limits
     from nrbench.running.options import Options
     from nrbench.running.runner import OnStep
@@ -188,7 +192,8 @@ def plan_cells(
     chosen = find_suite(suite)
     specs = [method_text(method) for method in list_of(methods)]
     sources = lattice_source_texts(lattice)
-    root = run_directory(out, chosen, seed)
+    usual = Path("runs") / (chosen.name + ("-fresh" if seed == "fresh" else ""))
+    root = usual if out is None else Path(out)
     changes |= choose_seed(seed, root)
     return plan_run(changed(chosen, specs, sources, **changes), list_of(textures), limits or LIMITS, progress), root
 
@@ -387,11 +392,6 @@ def choose_seed(seed: int | str | None, root: Path) -> dict[str, Any]:
     content = ((read_json(root / RUN_FILE) or {}).get("suite") or {}).get("content") or {}
     drawn = content["seed"] if content.get("fresh_seed") is True else secrets.randbelow(10**12)
     return {"seed": drawn, "fresh_seed": True}
-
-
-def run_directory(out: str | os.PathLike[str] | None, suite: Suite, seed: int | str | None) -> Path:
-    """Return the directory of a run: ``out``, or ``runs/SUITE``, or ``runs/SUITE-fresh`` for a fresh seed."""
-    return Path(out) if out is not None else Path("runs") / (suite.name + ("-fresh" if seed == "fresh" else ""))
 
 
 def changed(suite: Suite, methods: Sequence[str] = (), lattice: Sequence[str] = (), **changes: Any) -> Suite:
@@ -662,12 +662,15 @@ def sheet(
     size: SampleSize = "384x384",
     lattice: Latticelike = None,
     seed: Number = 0,
+    mask: Masklike = None,
+    flatten_light: Switch = False,
     progress: OnStep | None = None,
     options: Options | None = None,
 ) -> pd.DataFrame:
     """Show what all methods make of a photograph on one sheet, the best first.
 
-    The lattice is detected once and given to all methods that use one.
+    The lattice is detected once and given to all methods that use one. A photograph in perspective, of a round surface
+    or through a distorting lens is straightened first: methods and judge get it straight.
 
     Parameters
     ----------
@@ -689,6 +692,12 @@ def sheet(
         The lattice of PHOTO, or the detector that finds it, once for all methods.  [default: consensus]
     seed
         Equal seeds give equal outputs.
+    mask
+        A picture of the size of PHOTO, in which white counts, and black is left out.
+
+        Or an array, bool or in [0, 1]. Transparent pixels of PHOTO do not count either.
+    flatten_light
+        Divide uneven light out of PHOTO first: methods and judge get it in even light.
     progress, options
         As for :func:`~nrbench.run`.
 
@@ -713,19 +722,36 @@ def sheet(
     """
     import pandas as pd
 
-    from nrbench.api.photo_sheet import draw_sheet, photo_suite, rate_outputs
+    from nrbench.api.photo_sheet import draw_sheet, photo_suite, prepare_photo, rate_outputs
     from nrbench.pictures.files import write_image
     from nrbench.running.runner import execute
 
     with tempfile.TemporaryDirectory() as folder:
-        suite = photo_suite(picture_file(photo, Path(folder)), sample, size)
-        sources = plugins.in_role("detector") if lattice is None else lattice
-        cells, root = plan_cells(suite, methods, (), sources, Path(folder) / "run", seed=seed)
-        rated = rate_outputs(execute(cells, root, options, progress or (lambda step: None)).cells)
+        file = picture_file(photo, Path(folder))
+        left = None if mask is None else picture_file(mask, Path(folder), "mask.png")
+        file, lattice = prepare_photo(file, lattice, flatten_light, Path(folder), left is not None)
+        root, make_suite = Path(folder) / "run", functools.partial(photo_suite, file, sample, size, left)
+        planned = _plan_sheet(make_suite, methods, lattice, root, seed)
+        rated = rate_outputs(execute(planned, root, options, progress or (lambda step: None)).cells)
         made = [pair for pair in rated if pair[0].status == "ok"]
         if made:
             write_image(Path(output), draw_sheet(made))
     return pd.DataFrame([row for _, row in rated])
+
+
+def _plan_sheet(
+    make_suite: Callable[[Lattice | None], Suite], methods: Methods, lattice: Latticelike, root: Path, seed: int
+) -> Plan:
+    """Return the cells of a sheet. A lattice that is given, or that the judge does not find, is the judge's, too."""
+    from nrbench.api.photo_sheet import find_unjudged_lattice
+
+    source, known = plugins.in_role("detector") if lattice is None else lattice, None
+    if isinstance(source, str) and parse_spec(source)[0] in plugins.names("detectors"):
+        planned, _ = plan_cells(make_suite(None), methods, (), source, root, seed=seed)
+        known = find_unjudged_lattice(planned.cells[0][1]) if lattice is None else None
+    else:
+        known = as_lattice(source)
+    return planned if known is None else plan_cells(make_suite(known), methods, (), "given", root, seed=seed)[0]
 
 
 def plan_summary(plan: Plan, root: Path, retry_failed: bool) -> dict[str, Any]:

@@ -11,35 +11,43 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from nrbench import plugins
 from nrbench.api.arguments import (
+    LEAST_CONFIDENCE,
     Detectorlike,
     Imagelike,
     Latticelike,
+    Maps,
+    Masklike,
     Method,
     OutputFolder,
     Picture,
     Pluginlike,
     Shapelike,
     Textures,
+    detect_among,
     detector_in,
     image_in,
     lattice_in,
+    layers_in,
+    list_maps,
     list_of,
+    map_in,
+    masked_in,
     names_of,
     plugin_in,
     shape_in,
     stored_image,
+    stored_masked,
 )
 from nrbench.errors import BadInput, require
-from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber
+from nrbench.flags import ARGUMENT, Count, Flag, Number, OptionalNumber, Switch
 from nrbench.plugins.parameters import parse_spec
 
 # The help of a command imports no array library.
 if TYPE_CHECKING:
-    from nrbench.displacement.bent_detection import Followed
+    from nrbench.displacement.defects import PictureDefect
     from nrbench.displacement.deformation_field import Deformation
     from nrbench.imaging.convert import Image
     from nrbench.imaging.wallpaper_group import FoundGroup
-    from nrbench.lattice.geometry import Lattice
     from nrbench.plugins.forms import Detection, Observation, Score, Shape, Synthesis, Texture, Value
     from nrbench.suites.suite import Suite
 
@@ -48,8 +56,9 @@ Metrics = Annotated[Sequence[str] | str, Flag(metavar="NAME,...")]
 Rendered = Annotated["str | Suite", Flag(ARGUMENT, "MODEL[:param=value,...]|SUITE")]
 RenderedSize = Annotated["Shape | str | None", Flag("--sample --size", "WxH")]
 Tileable = Annotated[bool | str, Flag(metavar="[x|y]", choices=("both", "x", "y"), alone="both")]
-LARGEST_FOLLOWED = 1024
-"""px; a larger image is followed only by :func:`track_lattice` and ``--straighten``, because it takes long."""
+Repeats = Annotated[bool, Flag("--tileable", kind=bool)]
+OtherPicture = Annotated[Imagelike | None, Flag(ARGUMENT, kind=Path)]
+"""A :data:`Picture` that may be left out."""
 FOLLOWS_BENT = "symmetry: the detector follows bent lattices; choose another, or straighten the image first"
 
 
@@ -93,7 +102,9 @@ def texture(model: Pluginlike, shape: Shapelike = (128, 128), seed: int = 0, **p
     return drawn
 
 
-def detect_lattice(image: Imagelike, detector: Detectorlike = None, **parameters: Any) -> Detection:
+def detect_lattice(
+    image: Imagelike, detector: Detectorlike = None, mask: Masklike = None, **parameters: Any
+) -> Detection:
     """Detect the lattice of an image.
 
     Parameters
@@ -101,21 +112,25 @@ def detect_lattice(image: Imagelike, detector: Detectorlike = None, **parameters
     image
         An :data:`Imagelike`.
     detector
-        A detector plugin: its name, its class, or an instance; if None, ``consensus``.
+        A detector plugin: its name, its class, or an instance. If None, ``consensus``; where it finds none, the mean
+        lattice of a bent image of up to 1024 px is looked for.
+    mask
+        A :data:`Masklike` of the size of the image: which pixels count. Transparent pixels do not count either.
     **parameters
         The detector's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
     Returns
     -------
     Detection
-        The lattice, its confidence, the alternatives and the diagnostics.
+        The lattice, its confidence, the alternatives and the diagnostics. Of a bent image, ``vertices`` says where the
+        points of the lattice lie.
 
     Raises
     ------
     NoLatticeFound
         When the detector finds no lattice.
     BadInput
-        For a bad image, detector or parameter.
+        For a bad image, mask, detector or parameter, or if pixels do not count and the detector cannot leave them out.
 
     Examples
     --------
@@ -125,8 +140,7 @@ def detect_lattice(image: Imagelike, detector: Detectorlike = None, **parameters
     >>> found.lattice.is_equivalent(brick.lattice, tolerance=0.5)
     True
     """
-    detection: Detection = detector_in(detector, parameters).detect(image_in(image))
-    return detection
+    return detect_among(detector_in(detector, parameters), masked_in(image, mask), bent=detector is None)
 
 
 def detect_symmetry(
@@ -164,19 +178,15 @@ def detect_symmetry(
     >>> detect_symmetry(brick, brick.lattice).group
     'cmm'
     """
+    from nrbench.displacement.bent_detection import recognize
     from nrbench.imaging.wallpaper_group import find_wallpaper_group
-    from nrbench.plugins.forms import NoLatticeFound
 
     image = image_in(image)
     if (known := lattice_in(image, lattice)) is None:
-        try:
-            detection = detect_lattice(image, detector, **parameters)
-            require(not detection.vertices, FOLLOWS_BENT)
-            known = detection.lattice
-        except NoLatticeFound:
-            if detector is not None or (bent := find_bent_lattice(image, parameters)) is None:
-                raise
-            image, known = bent.deformation.straighten()
+        found = detector_in(detector, parameters)
+        detection, bent = recognize(image, found) if detector is None else (found.detect(image), None)
+        require(bent is not None or not detection.vertices, FOLLOWS_BENT)
+        image, known = (image, detection.lattice) if bent is None else bent.deformation.straighten()
     return find_wallpaper_group(image, known)
 
 
@@ -219,44 +229,63 @@ def track_lattice(
     (True, True)
     >>> straight, mean = bent.straighten()
     """
-    return follow_bent_lattice(image_in(image), lattice_in(image, lattice), detector, parameters).deformation
+    from nrbench.displacement.bent_detection import find_deformation
+
+    image, known = image_in(image), lattice_in(image, lattice)
+    return find_deformation(image, known, detector_in(detector, parameters)).deformation
 
 
-def follow_bent_lattice(
-    image: Image,
-    lattice: Lattice | None = None,
-    detector: Detectorlike = None,
-    parameters: Mapping[str, Any] | None = None,
-    only_promising: bool = False,
-) -> Followed:
-    """Return the deformation of an image as :func:`track_lattice`, with the detection in the straightened image.
+def find_defects(image: Imagelike, lattice: Latticelike = None) -> tuple[PictureDefect, ...]:
+    """Find where a picture leaves its own lattice and look; an empty tuple says that nothing stands out.
+
+    Drifts of the lattice are followed, and a picture in which it is found only where it is straightened is straightened
+    first; the places are those in the picture itself.
 
     Parameters
     ----------
-    image, lattice, only_promising
-        As for :func:`nrbench.displacement.bent_detection.find_deformation`.
-    detector, parameters
-        As for :func:`track_lattice`.
+    image
+        An :data:`Imagelike`.
+    lattice
+        Its lattice, or the detector that finds it, for a picture that is not bent; None: the default detector, if its
+        confidence is at least 0.5.
+
+    Returns
+    -------
+    tuple
+        The defects, the worst one first: place, kind, and size in s or in standard deviations from cell to cell.
+
+    Raises
+    ------
+    NoLatticeFound
+        If no lattice is found, or the picture shows fewer than twelve whole cells.
+    BadInput
+        For a bad image, lattice or detector.
+
+    Examples
+    --------
+    >>> from nrbench import find_defects, texture
+    >>> wall = texture("brick", shape=(160, 160), seed=1, color=0.1)
+    >>> len(find_defects(wall, wall.lattice))
+    0
+    >>> wall.image[70:80, 80:90] = 0
+    >>> len(find_defects(wall, wall.lattice))
+    1
     """
-    from nrbench.displacement.bent_detection import find_deformation
-
-    return find_deformation(image, lattice, detector_in(detector, parameters or {}), only_promising)
-
-
-def find_bent_lattice(image: Image, parameters: Mapping[str, Any] | None = None) -> Followed | None:
-    """Return the lattice of a bent image in which the default detector finds none; None if there is none.
-
-    Little time is spent on images without a lattice, and none on large ones (:data:`LARGEST_FOLLOWED`).
-    """
+    from nrbench.displacement.bent_detection import recognize
+    from nrbench.displacement.defects import find_straight_defects
     from nrbench.plugins.forms import NoLatticeFound
 
-    if max(image.shape[:2]) > LARGEST_FOLLOWED:
-        return None
-    try:
-        followed = follow_bent_lattice(image, parameters=parameters, only_promising=True)
-    except NoLatticeFound:
-        return None
-    return followed if followed.deformation.bent else None
+    picture = image_in(image)
+    given = lattice_in(picture, lattice)
+    if given is not None:
+        return find_straight_defects(picture, given)
+    found, followed = recognize(picture, detector_in(None, {}))
+    if found.confidence < LEAST_CONFIDENCE:
+        raise NoLatticeFound(f"one of the confidence {found.confidence:.2f}, too low to call anything a defect")
+    if followed is None:
+        return find_straight_defects(picture, found.lattice)
+    known = followed.deformation
+    return find_straight_defects(*known.straighten(), lambda points: known.locate(points + known.corner))
 
 
 def synthesize(
@@ -267,6 +296,10 @@ def synthesize(
     seed: Number = 0,
     progress: Callable[[float], None] | None = None,
     tileable: Tileable = False,
+    mask: Masklike = None,
+    maps: Maps = (),
+    keep_alpha: Switch = False,
+    flatten_light: Switch = False,
     **parameters: Any,
 ) -> Synthesis:
     """Synthesize a larger texture from a sample.
@@ -296,6 +329,24 @@ def synthesize(
 
         True, ``"both"``, ``"x"`` or ``"y"``. Its opposite edges continue each other. The sample is strained so that its
         lattice closes, by at most 2.5 %; the note says by how much.
+    mask
+        A picture of the size of the sample, in which white counts, and black is left out.
+
+        Or an array, True where a pixel counts. Transparent pixels do not count. The output holds nothing of the others.
+    maps
+        Another map of the sample, of its size, such as normals, heights or roughness; it gets the layout of the output.
+
+        A list of arrays, of bool, whole numbers or floats of any range, or of the paths of pictures, whose values are
+        taken as they are stored. ``maps`` of the result holds them; see also :meth:`Synthesis.apply`.
+    keep_alpha
+        Give the output the alpha channel of the sample, in the layout of the color.
+
+        For pictures with holes, such as fences. Else transparent pixels do not count.
+    flatten_light
+        Divide uneven light out of the sample first: shadows, dark corners, slopes.
+
+        ``extras["flattened"]`` is the sample in even light, from which the output is made, and to which ``source``
+        points. Without it, a warning names light that varies much. It needs a lattice.
     **parameters
         The method's parameters. ``preset="paper"`` fills in those of its paper; given ones take precedence.
 
@@ -309,7 +360,9 @@ def synthesize(
     Refused
         When the method cannot be applied to the sample, or if a tileable output would need a larger strain.
     BadInput
-        For a bad image, lattice, method or parameter, or if the method cannot make tileable outputs.
+        For a bad image, mask, lattice, method or parameter, or if the method cannot make tileable outputs, or cannot
+        leave out pixels, or lay out maps; the message names those that can. Also if light is to be divided out of a
+        sample without a lattice.
 
     Examples
     --------
@@ -318,30 +371,142 @@ def synthesize(
     >>> synthesize("quilting:block=24", brick, "160x128", seed=1).image.shape
     (128, 160, 3)
     """
+    plugin = plugin_in("synthesizers", method, parameters)
+    along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
+    make = partial(_make_output, plugin, shape_in(shape), lattice, seed, progress, along, flatten_light)
+    if keep_alpha:
+        require(mask is None and not flatten_light, "--keep-alpha: works neither with --mask nor with --flatten-light")
+        return _make_transparent(make, image, list_maps(maps))
+    return make(image, mask, list_maps(maps))
+
+
+def _make_transparent(make: Callable[..., Synthesis], image: Imagelike, maps: Maps) -> Synthesis:
+    """Return a synthesis with the alpha channel of an image; ``make`` gets it over a flat color."""
+    from nrbench.calling.sample_maps import flatten_alpha, restore_alpha
+    from nrbench.imaging.convert import depth_of
+
+    layers = layers_in(image)
+    flat, hidden = flatten_alpha(layers)
+    return restore_alpha(make(flat, None, [*hidden, *maps]), depth_of(layers), float(layers[..., -1].mean()))
+
+
+def _make_output(
+    plugin: Any,
+    shape: Shape,
+    lattice: Latticelike,
+    seed: int,
+    progress: Callable[[float], None] | None,
+    along: str,
+    flatten: bool,
+    image: Imagelike,
+    mask: Masklike,
+    maps: Maps,
+) -> Synthesis:
+    """Return the checked synthesis, along the axes of an output that repeats, in even light if wanted."""
     import numpy as np
 
     from nrbench.calling.bent_samples import synthesize_in_geometry
-    from nrbench.calling.method_calls import briefly_prepared, checked_synthesis, synthesize_from_part
-    from nrbench.calling.tileable import AXES, require_wrapping, synthesize_tileable
+    from nrbench.calling.lighting import flatten_light, warn_of_light
+    from nrbench.calling.method_calls import briefly_prepared, synthesize_from_part
+    from nrbench.calling.sample_maps import synthesize_with_maps
+    from nrbench.calling.tileable import AXES, synthesize_tileable
     from nrbench.imaging.convert import match_ndim
+    from nrbench.imaging.masks import MaskedImage
     from nrbench.plugins.forms import Refused, Task
     from nrbench.streams import pixels_hash, stream
 
-    plugin = plugin_in("synthesizers", method, parameters)
-    along = ("both" if tileable else "") if isinstance(tileable, bool) else str(tileable)
-    require(along in ("", *AXES), f"tileable {tileable!r}: give True, or one of {', '.join(AXES)}")
-    if along:
-        require_wrapping(type(plugin))
-    sample = stored_image(image)
+    sample, known = stored_masked(image, mask)
+    wanted = {"wraps": bool(along), "masks": known is not None, "maps": len(maps) > 0}
+    plugins.require_abilities("synthesizers", plugin, **wanted)
+    joint = wanted["maps"] and getattr(plugin, "maps", "") == "joint"
+    require(not (along and joint), "--tileable with other maps: needs a method with a source map, such as tile-set")
     rng = stream("synthesis", seed, pixels_hash(sample), 0)
-    task = Task(sample, shape_in(shape), lattice_in(sample, lattice), rng, progress or (lambda fraction: None))
+    given = lattice_in(MaskedImage(sample, known), lattice)
+    task = Task(sample, shape, given, rng, progress or (lambda fraction: None), known=known)
+    others = [map_in(each) for each in maps]
+    require(along in ("", *AXES), f"tileable {along!r}: give True, or one of {', '.join(AXES)}")
     if float(np.ptp(sample, axis=(0, 1)).max()) == 0:
-        raise Refused("the sample is constant; there is nothing to synthesize from")
+        where = "the sample" if known is None else "what the mask leaves of the sample"
+        raise Refused(f"{where} is constant; there is nothing to synthesize from")
     make = partial(synthesize_tileable, along=along) if along else synthesize_in_geometry
+    task, lit = flatten_light(plugin, task) if flatten else (task, "")
     with briefly_prepared(plugin, task, seed) as ready:
-        synthesis = checked_synthesis(synthesize_from_part(make, plugin, ready), sample, task.shape)
-    given = image if hasattr(image, "ndim") else sample
-    return dataclasses.replace(synthesis, image=match_ndim(synthesis.image, given))
+        made = synthesize_with_maps(partial(synthesize_from_part, make), plugin, ready, others)
+    if flatten:
+        note = "; ".join(filter(None, (made.note, lit)))
+        made = dataclasses.replace(made, note=note, extras={**made.extras, "flattened": task.sample})
+    elif made.lattice is not None:
+        warn_of_light(sample, made.lattice, known)
+    return dataclasses.replace(made, image=match_ndim(made.image, image if hasattr(image, "ndim") else sample))
+
+
+def fill(
+    image: Imagelike,
+    mask: Masklike = None,
+    method: Pluginlike | None = None,
+    lattice: Latticelike = None,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+    **parameters: Any,
+) -> Synthesis:
+    """Fill the holes of a picture, on its own lattice and in its phase. All other pixels stay as they are.
+
+    Parameters
+    ----------
+    image
+        An :data:`Imagelike`. Its transparent pixels are holes.
+    mask
+        A :data:`Masklike` of the size of the image: white is kept, black is filled. None: the transparent pixels are.
+    method
+        A synthesizer plugin that can fill holes; if None, the first that can: ``rsgf``.
+    lattice
+        The lattice of the image; if None, the method finds it in the pixels that are kept. Where it is bent, it is
+        followed. Without a lattice, patches come from anywhere.
+    seed, progress
+        As for :func:`synthesize`.
+    **parameters
+        The method's parameters.
+
+    Returns
+    -------
+    Synthesis
+        The image has the shape of the given one, no alpha, and 8 or 16 bits as it.
+
+    Raises
+    ------
+    Refused
+        If the kept pixels show nothing that equals a pixel of a hole.
+    BadInput
+        For a bad image, mask, lattice, method or parameter, if there is no hole, or if the method cannot fill holes;
+        the message names those that can.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nrbench import fill, texture
+    >>> brick, kept = texture("brick", shape=(96, 96)), np.ones((96, 96), bool)
+    >>> kept[30:60, 20:70] = False
+    >>> filled = fill(brick, kept, lattice=brick.lattice).image
+    >>> filled.shape, bool(np.abs(filled - brick.image)[kept].max() < 1 / 255)
+    ((96, 96, 3), True)
+    """
+    from nrbench.calling.filling import fill_picture
+    from nrbench.calling.method_calls import checked_synthesis
+    from nrbench.imaging.convert import match_ndim
+    from nrbench.imaging.masks import MaskedImage
+    from nrbench.plugins.forms import Task
+    from nrbench.streams import pixels_hash, stream
+
+    if method is None:
+        method = next(one.cls for one in plugins.inventory("synthesizers") if getattr(one.cls, "fills", False))
+    plugin = plugin_in("synthesizers", method, parameters)
+    plugins.require_abilities("synthesizers", plugin, fills=True)
+    sample, known = stored_masked(image, mask)
+    require(known is not None, "there is no hole to fill: make its pixels transparent, or black in the mask")
+    rng, given = stream("synthesis", seed, pixels_hash(sample), 0), lattice_in(MaskedImage(sample, known), lattice)
+    task = Task(sample, sample.shape[:2], given, rng, progress or (lambda fraction: None), known=known)
+    filled = checked_synthesis(fill_picture(plugin, task), sample, task.shape)
+    return dataclasses.replace(filled, image=match_ndim(filled.image, image if hasattr(image, "ndim") else sample))
 
 
 @dataclass(frozen=True)
@@ -377,12 +542,14 @@ MOST_SCORED = 2 * 2048 * 2048
 
 def score(
     sample: Picture,
-    output: Picture,
+    output: OtherPicture = None,
     lattice: Latticelike = None,
     metrics: Metrics = (),
     progress: Callable[[int, int, str], None] | None = None,
+    mask: Masklike = None,
+    tileable: Repeats = False,
 ) -> Scores:
-    """Score any tool's output against its sample.
+    """Score any tool's output against its sample, or whether one picture repeats.
 
     Parameters
     ----------
@@ -400,6 +567,14 @@ def score(
         Their names, as a list or joined by commas; empty for all.
     progress
         Called after each metric with the number of metrics done, of all, and the name of the last one.
+    mask
+        A picture of the size of the sample, in which white counts, and black is left out.
+
+        Or an array, True where a pixel counts. Transparent pixels of the sample do not count either.
+    tileable
+        Judge whether one picture, SAMPLE, repeats without a seam along x and y.
+
+        The values are those of ``tileable``, see :func:`score_edges`; no metric is computed.
 
     Returns
     -------
@@ -421,20 +596,78 @@ def score(
     True
     """
     from nrbench.imaging.convert import match_channels
+    from nrbench.imaging.masks import MaskedImage
     from nrbench.plugins.forms import Observation, Texture
 
-    pair = stored_image(sample, "sample"), stored_image(output, "output")
+    require(tileable == (output is None), "score: pass a sample and an output, or tileable and one picture")
+    if tileable:
+        require(not names_of(metrics), "score: tileable computes no metrics; leave them out")
+        require(mask is None, "score: tileable judges all pixels of a picture; leave the mask out")
+        return score_edges(sample, lattice)
+    image, known = stored_masked(sample, mask, "sample")
+    pair = image, stored_image(output, "output")
     pair = match_channels(*pair), match_channels(*pair[::-1])
     height, width, _ = pair[1].shape
     if height * width > MOST_SCORED:
         raise BadInput(f"output: {width}x{height} px; at most {MOST_SCORED} px in all are scored: crop it")
     if pair[0].shape[2] != pair[1].shape[2]:
         raise BadInput(f"output: has {pair[1].shape[2]} channels, the sample {pair[0].shape[2]}; convert one of them")
-    given = lattice_in(pair[0], lattice)
+    given = lattice_in(MaskedImage(pair[0], known), lattice)
     if given is None and isinstance(sample, Texture):
         given = sample.lattice
     truth = Texture(pair[0], given, (given,) if given else ())
-    return score_observation_by(Observation(*pair, truth=truth, lattice_given=given), names_of(metrics), progress)
+    seen = Observation(*pair, truth=truth, lattice_given=given, known=known)
+    return score_observation_by(seen, names_of(metrics), progress)
+
+
+def score_edges(picture: Picture, lattice: Latticelike = None) -> Scores:
+    """Judge whether a picture repeats along x and y, across its edges.
+
+    Parameters
+    ----------
+    picture
+        An :data:`Imagelike`.
+    lattice
+        Its lattice, or the detector that finds it; None: the default detector, if its confidence is at least 0.5.
+
+    Returns
+    -------
+    Scores
+        For each axis, here x: ``tileable.x.repeats``; ``tileable.x.score`` in [0, 1], at least 0.5 if it repeats;
+        ``tileable.x.worst``, the pixel along the edge with the largest step; and ``tileable.x.lattice``, ``step``,
+        ``place``, ``color``, ``sharpness`` and ``detail``, departures over what is allowed, see
+        :class:`~nrbench.imaging.wrapped_edges.WrappedEdge`. The picture ``tileable.seam`` is rolled by half, with the
+        seam drawn where it breaks.
+    """
+    from nrbench.imaging.wrapped_edges import FLOORS, SHORTEST, measure_edges
+    from nrbench.pictures.overlays import draw_seams
+    from nrbench.plugins.forms import NoLatticeFound
+
+    image = stored_image(picture, "picture")
+    require(image[..., 0].size <= MOST_SCORED, f"picture: at most {MOST_SCORED} px in all are scored: crop it")
+    found = lattice_in(image, lattice)
+    if found is None:
+        try:
+            detection = detect_lattice(image)
+            found = detection.lattice if detection.confidence >= LEAST_CONFIDENCE else None
+            silent = f"the lattice has the confidence {detection.confidence:.2f}"
+        except NoLatticeFound as none:
+            silent = f"no lattice: {none.reason}"
+    edges = dict(zip("xy", measure_edges(image, found), strict=True))
+    values: dict[str, Value] = {}
+    reasons: dict[str, str] = {}
+    if found:
+        silent = "the picture shows too few cells along the axis"
+    for axis, edge in edges.items():
+        own: dict[str, Value] = dict.fromkeys(("repeats", "score", "worst", *FLOORS))
+        if edge.ratios:
+            own |= {"repeats": edge.ratio <= 1, "score": edge.score, "worst": int(edge.profile.argmax())}
+            own |= edge.ratios
+        why = silent if edge.ratios else f"cannot tell: the side is shorter than {SHORTEST} px"
+        values |= {f"tileable.{axis}.{name}": value for name, value in own.items()}
+        reasons |= {f"tileable.{axis}.{name}": why for name, value in own.items() if value is None}
+    seams = [edge.profile if edge.ratio > 1 else None for edge in edges.values()]
+    return Scores(values, reasons, {"tileable.seam": draw_seams(image, *seams)})
 
 
 def score_observation_by(

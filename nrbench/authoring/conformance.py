@@ -25,7 +25,7 @@ from nrbench.calling.method_calls import InvalidOutput
 from nrbench.errors import BadInput, describe_error
 from nrbench.plugins.forms import Refused
 from nrbench.plugins.parameters import leave_user_folder, nearest
-from nrbench.running.guard import Limits, explain_exit
+from nrbench.running.guard import LIMITS, Limits, explain_exit
 from nrbench.running.phases import FAULTS
 from nrbench.running.runner import Options, execute
 from nrbench.running.supervisor import worker_environment
@@ -33,8 +33,6 @@ from nrbench.storage import read_json, temporary_folder, write_json
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import validated_suite
 
-LIMITS = Limits(120.0, 4096.0)
-"""The limits of one clause, where no others are given."""
 START = 120.0
 """Seconds that a child may take to start and to import a plugin."""
 SHOWN = 4000

@@ -20,8 +20,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import Image, depth_of, quantize, shrink
-from nrbench.lattice.geometry import Lattice
+from nrbench.errors import require
+from nrbench.imaging.convert import MIN_SIDE, Image, box_sums, depth_of, quantize, shrink
+from nrbench.imaging.masks import Mask
+from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import NoLatticeFound, Shape, SourceMap, Synthesis, Synthesizer, Task
 from nrbench.plugins.registry import NamedDetector
 from nrbench.storage import read_json, remove, temporary_folder, write_json
@@ -78,9 +80,7 @@ def prepare_method(method: Any, task: Task, folder: Path, seed: int) -> tuple[Ta
 @contextlib.contextmanager
 def briefly_prepared(method: Any, task: Task, seed: int) -> Iterator[Task]:
     """Yield the task of a method outside of a run, for which it has prepared; the folder does not last."""
-    with contextlib.ExitStack() as stack:
-        lasting = hasattr(method, "prepare")
-        folder = stack.enter_context(temporary_folder()) if lasting else Path()
+    with temporary_folder() if hasattr(method, "prepare") else contextlib.nullcontext(Path()) as folder:
         yield prepare_method(method, task, folder / "prepared", seed)[0]
 
 
@@ -116,14 +116,16 @@ class InvalidOutput(Exception):
     """A method returned something that is no valid :class:`~nrbench.plugins.forms.Synthesis` of its task."""
 
 
-def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
+def checked_synthesis(synthesis: Any, sample: Image, shape: Shape, known: Mask | None = None) -> Synthesis:
     """Return what a method returned, checked, with its image rounded to the bits of the sample.
+
+    ``known`` tells which pixels of the sample count; None: all.
 
     Raises
     ------
     InvalidOutput
         When it is no :class:`~nrbench.plugins.forms.Synthesis`, its image is not finite or of another shape, its
-        source map is not true, or a field is not of its declared type.
+        source map is not true or has pixels that do not count, or a field is not of its declared type.
     """
     if not isinstance(synthesis, Synthesis):
         raise InvalidOutput(f"returned {type(synthesis).__name__} instead of a Synthesis")
@@ -131,6 +133,18 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
     source = None if synthesis.source is None else _numbers(synthesis.source, "source map").astype(np.float32)
     if source is not None:
         check_source(source, image, sample)
+        if known is not None:
+            places = np.rint(source[np.isfinite(source).all(-1)][:, :2]).astype(int)
+            x, y = np.clip(places, 0, np.array(known.shape[::-1]) - 1).T
+            if not known[y, x].all():
+                raise InvalidOutput(f"copied {int((~known[y, x]).sum())} pixels that the mask leaves out")
+    blended = None if synthesis.blended is None else _numbers(synthesis.blended, "array of blended sources")
+    if blended is not None and (blended.ndim != 4 or blended.shape[:2] + blended.shape[3:] != (*shape, 3)):
+        raise InvalidOutput(
+            f"returned blended sources of the wrong shape: expected {(*shape, 'K', 3)}, got {blended.shape}"
+        )
+    if blended is not None and not (np.isfinite(blended).all() and (blended[..., 2] >= 0).all()):
+        raise InvalidOutput("returned blended sources with NaN, infinity or negative weights")
     if not (synthesis.lattice is None or isinstance(synthesis.lattice, Lattice)):
         raise InvalidOutput(
             f"returned a lattice of the wrong type: expected Lattice or None, got {synthesis.lattice!r}"
@@ -142,6 +156,7 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape) -> Synthesis:
     return dataclasses.replace(
         synthesis,
         image=image,
+        sample=sample,
         source=source,
         extras=extras,
         detection_seconds=float(seconds),
@@ -222,6 +237,8 @@ def _count_wrong(source: SourceMap, image: Image, sample: Image) -> int:
     return int((np.abs(image[known][copy] - pixels) > COPY_TOLERANCE).any(-1).sum())
 
 
+_ROWS = 256
+"""Rows whose sources are moved at a time."""
 LARGE: Final = 1024
 """px: smaller samples are used whole."""
 PERIODS: Final = 16
@@ -232,6 +249,8 @@ def synthesize_from_part(
     synthesize: Callable[[Synthesizer, Task], Synthesis], method: Synthesizer, task: Task
 ) -> Synthesis:
     """Return a synthesis from the middle of a large sample, as large as the lattice and the output need.
+
+    If pixels do not count, it is made from the part in which most count, and no larger than the box of all that do.
 
     A method that finds a lattice gets at most :data:`LARGE` px, :data:`PERIODS` periods, or the longer side of the
     output, whichever is the most, so that its time and memory do not grow with the sample. The periods are those of the
@@ -244,26 +263,72 @@ def synthesize_from_part(
     method, task
         The method and its task.
     """
-    shape = task.sample.shape[:2]
-    finder = getattr(method, "finder", "")
-    if max(shape) <= LARGE or not finder or getattr(method, "reference", False):
-        return synthesize(method, task)
-    start = time.perf_counter()
-    side = max(LARGE, *task.shape, math.ceil(PERIODS * _longest_period(task, finder)))
-    seconds = 0.0 if task.lattice else time.perf_counter() - start
-    top, left = (max(length - side, 0) // 2 for length in shape)
-    part = task.sample[top : top + side, left : left + side]
+    whole: tuple[int, int] = task.sample.shape[:2]
+    top, left, shape = _known_part(task)
+    finder = "" if getattr(method, "reference", False) else getattr(method, "finder", "")
+    seconds, where = 0.0, "the known"
+    if max(shape) > LARGE and finder:
+        start = time.perf_counter()
+        side = max(LARGE, *task.shape, math.ceil(PERIODS * _longest_period(task, finder)))
+        seconds = 0.0 if task.lattice else time.perf_counter() - start
+        size = min(side, shape[0]), min(side, shape[1])
+        middle = np.array([top + (shape[0] - size[0]) // 2, left + (shape[1] - size[1]) // 2])
+        if task.known is None:
+            (top, left), where = middle.tolist(), "the middle"
+        else:
+            counts = box_sums(task.known, size)
+            best = np.argwhere(counts == counts.max())
+            (top, left), where = best[np.abs(best - middle).sum(1).argmin()].tolist(), "the best known"
+        shape = size
+    window = np.s_[top : top + shape[0], left : left + shape[1]]
+    part, known = task.sample[window], None if task.known is None else task.known[window]
     lattice = None if task.lattice is None else task.lattice.shifted((-left, -top))
-    made = synthesize(method, replace(task, sample=np.ascontiguousarray(part), lattice=lattice))
-    note = "; ".join(filter(None, (made.note, f"from the middle {part.shape[1]}x{part.shape[0]} px of the sample")))
-    source = None if made.source is None else made.source + np.array([left, top, 0], np.float32)
+    few = known is not None and lattice is not None and known.sum() < 2 * lattice.area
+    require(not few, "mask: leaves less than two periods of the lattice; leave out less, or take a larger picture")
+    if shape != whole:
+        known = None if known is None or known.all() else known
+        task = replace(task, sample=np.ascontiguousarray(part), lattice=lattice, known=known)
+    made = synthesize(method, task)
+    if shape == whole:
+        return replace(made, detection_seconds=made.detection_seconds + seconds) if seconds else made
+    note = "; ".join(filter(None, (made.note, f"from {where} {shape[1]}x{shape[0]} px of the sample")))
+    made = move_sources(made, lambda places: places + np.array((left, top)))
     return replace(
         made,
         lattice=None if made.lattice is None else made.lattice.shifted((left, top)),
-        source=source,
         detection_seconds=made.detection_seconds + seconds,
-        note=note if max(shape) > side else made.note,
+        note=note,
     )
+
+
+def _known_part(task: Task) -> tuple[int, int, tuple[int, int]]:
+    """Return the first row and column, and the size, of the box of all pixels of a sample that count."""
+    whole: tuple[int, int] = task.sample.shape[:2]
+    if task.known is None:
+        return 0, 0, whole
+    rows, columns = (np.flatnonzero(task.known.any(axis)) for axis in (1, 0))
+    size = int(np.ptp(rows)) + 1, int(np.ptp(columns)) + 1
+    return (int(rows[0]), int(columns[0]), size) if min(size) >= MIN_SIDE else (0, 0, whole)
+
+
+def move_sources(made: Synthesis, locate: Callable[[Points], Points]) -> Synthesis:
+    """Return a synthesis from a part of a sample, or from a deformed one, with its sources in the sample itself.
+
+    Parameters
+    ----------
+    made
+        The synthesis.
+    locate
+        Returns the places (x, y) in the sample of those that the method saw, ``(..., 2)``.
+    """
+    moved: dict[str, Any] = {}
+    for name in ("source", "blended", "tints"):
+        if (before := getattr(made, name)) is not None:
+            moved[name] = np.array(before, np.float32)
+            for rows in (moved[name][top : top + _ROWS] for top in range(0, len(before), _ROWS)):
+                places = locate(np.nan_to_num(rows[..., :2].astype(np.float64)))
+                rows[..., :2] = np.where(np.isfinite(rows[..., :2]), places, np.nan)
+    return replace(made, **moved)
 
 
 def _longest_period(task: Task, finder: str) -> float:

@@ -15,20 +15,17 @@ from numpy.typing import NDArray
 from nrbench import plugins
 from nrbench.calling.method_calls import synthesize_exactly
 from nrbench.displacement.deformation_field import pixel_places, read_spline
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image, depth_of, largest_box, quantize
+from nrbench.imaging.masks import known_at
 from nrbench.lattice.geometry import Lattice, Points
-from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task, find_lattice
-from nrbench.plugins.registry import NamedDetector, in_role
+from nrbench.plugins.forms import Refused, Shape, Synthesis, Synthesizer, Task
 
-from .bent_samples import find_bend, trace_points
+from .bent_samples import recognize_sample, trace_sources
 
 _LITTLE = 0.0025
 """Strain at which the note names no better size."""
 _NEAR = 0.2
 """Largest change of a side, as a share of it, to a size that needs little strain."""
-_ROWS = 256
-"""Rows of an output whose sources are traced at a time."""
 AXES: Final[dict[str, tuple[int, ...]]] = {"both": (0, 1), "x": (0,), "y": (1,)}
 """The axes along which an output can repeat: x to the right, y down."""
 _BEYOND = 48
@@ -42,8 +39,8 @@ def synthesize_tileable(method: Synthesizer, task: Task, along: str = "both") ->
 
     The sides of the output must be vectors of the lattice. The sample is therefore stretched and sheared by the
     smallest change that makes them so, and the method gets the strained sample with its lattice, and a task whose
-    ``tileable`` is True. Where the sample is bent and the method has a ``geometry``, it is straightened first, and the
-    output stays straight. If the sample has no lattice, it is not changed.
+    ``tileable`` is True. Where the sample is bent, it is straightened first unless the method has
+    ``geometry="as-is"``, and the output stays straight. If the sample has no lattice, it is not changed.
 
     Parameters
     ----------
@@ -62,30 +59,28 @@ def synthesize_tileable(method: Synthesizer, task: Task, along: str = "both") ->
         If the strain would exceed :data:`MOST_STRAIN`; the message names the nearest size that closes. Also if the
         method refuses the sample.
     """
-    require_wrapping(type(method))
-    found = find_lattice(task, NamedDetector(getattr(method, "finder", "") or in_role("detector")))
-    axes = AXES[along]
+    plugins.require_abilities("synthesizers", method, wraps=True)
+    survey, axes = recognize_sample(method, task), AXES[along]
+    found = survey.found
     if found.lattice is None:
         shape = _lengthened(None, task.shape, axes)
         return _cut(synthesize_exactly(method, replace(task, shape=shape, tileable=True)), task.shape)
-    bent, bending = None, ""
-    if getattr(method, "geometry", "as-is") != "as-is":
-        bent, bending = find_bend(task.sample, found.lattice, task.lattice is not None)
+    bent, bending = (None, "") if getattr(method, "geometry", "") == "as-is" else (survey.bent, survey.note)
     sample, lattice = (task.sample, found.lattice) if bent is None else bent.straighten()
     strained = StrainedSample.of(sample, lattice, task.shape, axes, depth_of(task.sample))
     wrapped = replace(task, sample=strained.image, shape=strained.shape, lattice=strained.lattice, tileable=True)
+    if task.known is not None:
+        known = task.known if bent is None else bent.straighten_mask(task.known)
+        places = strained.locate(pixel_places(*strained.image.shape[:2]))
+        wrapped = replace(wrapped, known=known if strained.image is sample else known_at(known, places))
     made = _cut(synthesize_exactly(method, wrapped), task.shape)
-    source = made.source
-    if source is not None and (strained.image is not sample or bent is not None):
-        source = source.copy()
-        for rows in (source[top : top + _ROWS] for top in range(0, len(source), _ROWS)):
-            points = strained.locate(np.nan_to_num(rows[..., :2]))
-            if bent is not None:
-                points = bent.locate(points + bent.corner)
-            rows[:] = np.where(np.isfinite(rows), trace_points(points, task.sample.shape, rows[..., 2]), np.nan)
+    if bent is not None:
+        made = trace_sources(made, lambda at: bent.locate(strained.locate(at) + bent.corner), task.sample.shape)
+    elif strained.image is not sample:
+        made = trace_sources(made, strained.locate, task.sample.shape)
     note = "; ".join(filter(None, (made.note, bending, describe_strain(lattice, task.shape, axes))))
-    seconds = made.detection_seconds + found.seconds
-    return replace(made, lattice=found.lattice, source=source, detection_seconds=seconds, note=note)
+    seconds = made.detection_seconds + (0.0 if task.lattice else survey.seconds)
+    return replace(made, lattice=found.lattice, detection_seconds=seconds, note=note)
 
 
 def _lengthened(lattice: Lattice | None, shape: Shape, axes: tuple[int, ...]) -> Shape:
@@ -107,16 +102,8 @@ def _cut(made: Synthesis, shape: Shape) -> Synthesis:
         return made
     kept = {name: array for name, array in made.extras.items() if name != "tileable"}
     extras = {name: array[part] if np.shape(array)[:2] == whole else array for name, array in kept.items()}
-    source = None if made.source is None else made.source[part]
-    return replace(made, image=made.image[part], source=source, extras=extras)
-
-
-def require_wrapping(method: type) -> None:
-    """Raise :class:`BadInput` unless methods of a class can make an output that repeats."""
-    if not getattr(method, "wraps", False):
-        able = ", ".join(one.name for one in plugins.inventory("synthesizers") if getattr(one.cls, "wraps", False))
-        name = plugins.name_of("synthesizers", method) or method.__name__
-        raise BadInput(f"--tileable: {name} cannot make an output that repeats without a seam; {able} can")
+    source, blended = (each if each is None else each[part] for each in (made.source, made.blended))
+    return replace(made, image=made.image[part], source=source, blended=blended, extras=extras)
 
 
 def describe_strain(lattice: Lattice, shape: Shape, axes: tuple[int, ...] = (0, 1)) -> str:

@@ -23,7 +23,7 @@ import click
 import numpy as np
 
 from nrbench import plugins
-from nrbench.api.arguments import as_lattice
+from nrbench.api.arguments import as_lattice, masked_in
 from nrbench.api.picture_folders import (
     SHOWN,
     Survey,
@@ -34,25 +34,28 @@ from nrbench.api.picture_folders import (
     rank_candidates,
     vector_texts,
 )
-from nrbench.api.textures import FOLLOWS_BENT, find_bent_lattice, follow_bent_lattice
+from nrbench.api.textures import FOLLOWS_BENT, find_defects
 from nrbench.cli.lattice_question import LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
+from nrbench.displacement.bent_detection import find_deformation, recognize
 from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
+from nrbench.imaging.masks import MaskedImage
 from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
 from nrbench.jit import load_kernels, work_clock
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.lattice.vertices import Vertex, lay_vertices
-from nrbench.pictures.files import encode_png, read_image, write_image
+from nrbench.pictures.files import encode_png, write_image
 from nrbench.pictures.overlays import (
     COLOR,
     contact_sheet,
+    draw_outlines,
     draw_overlay,
     draw_vertices,
     stack,
 )
 from nrbench.pictures.truth import vertices_text
-from nrbench.plugins.forms import Alternative, Curve, Detection, NoLatticeFound, Surface
+from nrbench.plugins.forms import Alternative, Curve, Detection, NoLatticeFound, Surface, detect_known
 from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_aside, write_text
 
@@ -72,7 +75,8 @@ class LatticeResult:
     comparison. ``failed`` marks a detector that raised an error. ``deformation`` is that of a bent image, of which
     ``lattice`` is the mean lattice, and ``detection`` what the detector found in the straightened image, whose own
     lattice is ``straightened`` if it was written. ``detector`` is empty if a lattice was given that was followed.
-    ``symmetry`` is that of the image, or of the straightened one, if it was looked for.
+    ``symmetry`` is that of the image, or of the straightened one, if it was looked for. ``superposed`` are the lattices
+    of an image that has several.
     """
 
     detector: str
@@ -85,6 +89,7 @@ class LatticeResult:
     deformation: Deformation | None = None
     straightened: Lattice | None = None
     symmetry: FoundGroup | None = None
+    superposed: tuple[Lattice, ...] = ()
 
     @classmethod
     def of_detection(cls, detector: str, detection: Detection, seconds: float | None = None) -> LatticeResult:
@@ -118,12 +123,10 @@ class LatticeResult:
 
     def finish(self, image: Image, options: LatticeQuestion) -> None:
         """Print the result on standard output, and write a file of the points of the lattice if one is named."""
-        vertices = self.vertices
-        if self.lattice is not None and not vertices:
-            vertices = lay_vertices(self.lattice, image.shape[:2])
-        if options.vertices is not None and vertices:
-            write_text(options.vertices, vertices_text(vertices))
         if options.vertices is not None:
+            vertices = self.vertices or (lay_vertices(self.lattice, image.shape[:2]) if self.lattice else ())
+            if vertices:
+                write_text(options.vertices, vertices_text(vertices))
             state = f"{len(vertices)} vertices" if vertices else "not written, there is no lattice in the picture"
             click.echo(f"{options.vertices}: {state}", err=True)
         self.print(options.as_json)
@@ -155,7 +158,8 @@ class LatticeResult:
     def as_dict(self) -> dict[str, Any]:
         """Return the lattice for JSON, with the alternatives and the probabilities of a detector; or the reason."""
         if self.lattice is None:
-            return {"lattice": None, "reason": self.reason}
+            several = {"lattices": [known_vectors(each, False) for each in self.superposed]} if self.superposed else {}
+            return {"lattice": None, "reason": self.reason, **several}
         found: dict[str, Any] = dict(known_vectors(self.lattice, self.has_origin))
         if self.detector:
             found |= {"detector": self.detector, "confidence": self.detection and self.detection.confidence}
@@ -206,15 +210,25 @@ def answer_question(options: LatticeQuestion) -> int:
     """Print and draw the answer; return the exit code, which is 1 if a detector failed."""
     if options.image.is_dir():
         return _survey_folder(options)
-    image = read_image(options.image)
+    masked = masked_in(options.image, options.mask)
+    image = masked.image
+    if masked.known is not None and (options.symmetry or options.straighten):
+        click.echo("--symmetry and --straighten see pixels that are left out in the nearest color", err=True)
     if options.every:
-        return _compare_detectors(image, options)
-    if options.straighten:
-        _straighten_picture(image, options, options.straighten)
-    elif options.pick or options.lattice is not None:
-        _show_given(image, options)
-    else:
-        _show_detection(image, options)
+        return _compare_detectors(masked, options)
+    try:
+        if options.defects:
+            require(masked.known is None, "--defects: compares all cells, so none can be left out; see synth --fill")
+            _show_defects(image, options, options.defects)
+        elif options.straighten:
+            _straighten_picture(image, options, options.straighten)
+        elif options.pick or options.lattice is not None:
+            _show_given(image, options)
+        else:
+            _show_detection(masked, options)
+    except NoLatticeFound as none:
+        click.echo(f"{options.defects or options.straighten}: not written, there is no lattice", err=True)
+        LatticeResult("", None, reason=none.reason).print(options.as_json)
     return 0
 
 
@@ -263,28 +277,24 @@ def _print_numbers(lattice: Lattice) -> None:
     click.echo(f"for other verbs: --lattice {lattice_text(lattice, has_origin=True)}", err=True)
 
 
-def _show_detection(image: Image, options: LatticeQuestion) -> None:
-    """Print and draw the lattice that one detector finds.
-
-    If the default detector finds none, the mean lattice of a bent image is looked for.
-    """
-    spec = options.spec
+def _show_detection(masked: MaskedImage, options: LatticeQuestion) -> None:
+    """Print and draw the lattice that one detector finds; the default detector also that of a bent image."""
+    image, spec = masked.image, options.spec
     name, parameters = parse_spec(spec)
     detector = plugins.build("detectors", name, parameters)
+    detection: Detection | None
     try:
         with waiting(f"{name} looks for the lattice"):
-            detection = detector.detect(image)
-        result = LatticeResult.of_detection(name, detection)
-        title = f"{spec}: {result.vectors}, confidence {detection.confidence:.3f}"
+            plugins.require_abilities("detectors", detector, masks=masked.known is not None)
+            usual = options.detector is None
+            found, bent = recognize(image, detector, masked.known) if usual else (detect_known(detector, *masked), None)
+        result = LatticeResult.of_followed(name, bent) if bent else LatticeResult.of_detection(name, found)
+        detection = found
+        title = f"{spec}: {result.vectors}, confidence {found.confidence:.3f}{', straightened' if bent else ''}"
     except NoLatticeFound as none:
-        result, detection = LatticeResult(name, None, reason=none.reason), none.best
+        result = LatticeResult(name, None, reason=none.reason, superposed=none.lattices)
+        detection = none.best
         title = f"{spec}: no lattice: {none.reason}"
-    if result.lattice is None and options.detector is None:
-        with waiting(f"{name} looks for a bent lattice"):
-            bent = find_bent_lattice(image)
-        if bent is not None:
-            result, detection = LatticeResult.of_followed(name, bent), bent.detection
-            title = f"{spec}, of the straightened image: {result.vectors}"
     result = result.with_symmetry(image, options)
     if options.diagnostics is not None:
         _draw_diagnostics(detection.diagnostics if detection else {}, title, options.diagnostics)
@@ -320,17 +330,20 @@ def _draw_diagnostics(diagnostics: Mapping[str, Any], title: str, output: Path) 
         write_aside(output, lambda file: figure.savefig(file, dpi=110, format=output.suffix.lstrip(".") or "png"))
 
 
-def _compare_detectors(image: Image, options: LatticeQuestion) -> int:
+def _compare_detectors(masked: MaskedImage, options: LatticeQuestion) -> int:
     """Print and draw the lattices of all detectors; return 1 if one of them failed, else 0."""
     load_kernels()
     names = [plugin.name for plugin in plugins.inventory("detectors") if plugin.cls is not None]
     results = []
+    unable = [name for name in names if not getattr(plugins.find("detectors", name).cls, "masks", False)]
+    if masked.known is not None:
+        click.echo(f"{', '.join(unable)}: cannot leave pixels out; they see them filled", err=True)
     with live_progress(patience=True) as progress:
         for number, name in enumerate(names, 1):
-            results.append(_run_detector(image, name))
+            results.append(_run_detector(masked, name))
             progress(number, len(names), name)
     if options.output is not None:
-        _draw_comparison(image, results, options.output)
+        _draw_comparison(masked.image, results, options.output)
     if options.as_json:
         print(json.dumps([result.comparison_dict() for result in results], indent=1))
     else:
@@ -339,12 +352,12 @@ def _compare_detectors(image: Image, options: LatticeQuestion) -> int:
     return int(any(result.failed for result in results))
 
 
-def _run_detector(image: Image, name: str) -> LatticeResult:
+def _run_detector(masked: MaskedImage, name: str) -> LatticeResult:
     """Return the result of a detector; an error of the detector is a failed result."""
     detector = plugins.build("detectors", name)
     start = work_clock()
     try:
-        detection = detector.detect(image)
+        detection = detect_known(detector, *masked)
     except NoLatticeFound as none:
         return LatticeResult(name, None, reason=none.reason, seconds=work_clock() - start)
     except BadInput:
@@ -369,12 +382,8 @@ def _draw_comparison(image: Image, results: Sequence[LatticeResult], output: Pat
 def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) -> None:
     """Print the mean lattice, the deformation and the short list, and write the image with its deformation undone."""
     name, parameters = parse_spec(options.spec)
-    try:
-        followed = follow_bent_lattice(image, as_lattice(options.lattice), name, parameters)
-    except NoLatticeFound as none:
-        click.echo(f"{output}: not written, there is no lattice to straighten by", err=True)
-        LatticeResult(name, None, reason=none.reason).print(options.as_json)
-        return
+    detector = plugins.build("detectors", name, parameters)
+    followed = find_deformation(image, as_lattice(options.lattice), detector)
     straight, straight_lattice = followed.deformation.straighten()
     write_image(output, quantize(straight, depth_of(image)))
     if options.output is not None:
@@ -382,6 +391,18 @@ def _straighten_picture(image: Image, options: LatticeQuestion, output: Path) ->
     numbers = ",".join(f"{number:.4f}" for number in straight_lattice.numbers)
     click.echo(f"{output}: its lattice is {numbers}", err=True)
     LatticeResult.of_followed("" if options.lattice else name, followed, straight_lattice).finish(image, options)
+
+
+def _show_defects(image: Image, options: LatticeQuestion, output: Path) -> None:
+    """Print the defects of an image, or that there are none, and draw them."""
+    with waiting("each cell is compared with all others"):
+        defects = find_defects(image, options.lattice or options.detector)
+    write_image(output, draw_outlines(image, [each.outline for each in defects]))
+    if options.as_json:
+        print(json.dumps({"defects": [each.as_dict() for each in defects]}, indent=1))
+    else:
+        lines = [f"{number}: {each}" for number, each in enumerate(defects, 1)]
+        print("\n".join(lines) or "no defects: no cell stands out from the others")
 
 
 PANEL = (5.6, 4.8)
@@ -556,8 +577,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Take the answer."""
         with self._of_page():
             size = int(self.headers.get("Content-Length") or 0)
-            if not 0 < size <= MOST_BYTES:
-                raise BadInput(f"an answer of {size} bytes; at most {MOST_BYTES} are read")
+            require(0 < size <= MOST_BYTES, f"an answer of {size} bytes; at most {MOST_BYTES} are read")
             text = self.server.answer(self.rfile.read(size))
             self._send(200, "text/plain; charset=utf-8", text.encode())
             self.server.shutdown()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from nrbench import plugins
+from nrbench.api.arguments import Masklike
 from nrbench.cli.verbs import check_output, choose_one
 from nrbench.errors import BadInput
 from nrbench.flags import ARGUMENT, Flag, Json, Switch
@@ -39,6 +40,8 @@ class LatticeQuestion:
         Pick a lattice in the browser by three clicks.
     lattice
         Use this lattice; -o draws it.
+    mask
+        For one picture: a picture of its size, in which white counts, and black is left out.
     output
         Draw the lattice over the image. For a folder: the directory of truth.csv.  [default: FOLDER]
     diagnostics
@@ -51,6 +54,8 @@ class LatticeQuestion:
         Replace truth.csv of a folder, or the file of --vertices.
     straighten
         Follow the lattice through a bent image, and write the image with its deformation undone.
+    defects
+        List where the picture leaves its own lattice and look, or "none", and draw these places.
     symmetry
         Print the wallpaper group and the symmetries; -o draws them.
     vertices
@@ -64,12 +69,14 @@ class LatticeQuestion:
     every: All = False
     pick: Switch = False
     lattice: LatticeText = None
+    mask: Masklike = None
     output: OverlayOrFolder = None
     diagnostics: OutputPicture = None
     least: Confidence = LEAST
     keep: Switch = False
     force: Switch = False
     straighten: OutputPicture = None
+    defects: OutputPicture = None
     symmetry: Switch = False
     vertices: OutputTable = None
     as_json: Json = False
@@ -87,7 +94,7 @@ class LatticeQuestion:
     def _check_folder(self) -> None:
         given: dict[str, object] = {"--all": self.every, "--pick": self.pick, "--lattice": self.lattice}
         given |= {"--diagnostics": self.diagnostics, "--straighten": self.straighten, "--vertices": self.vertices}
-        given["--symmetry"] = self.symmetry
+        given |= {"--symmetry": self.symmetry, "--defects": self.defects, "--mask": self.mask}
         for name in filter(given.get, given):
             raise BadInput(f"{name}: needs one picture, and {self.image} is a folder; pass a picture in it")
         choose_one({"--keep": self.keep, "--force": self.force})
@@ -107,10 +114,13 @@ class LatticeQuestion:
             raise BadInput("--vertices: writes those of one lattice; leave --all out")
         if self.straighten and (self.every or self.pick or self.diagnostics):
             raise BadInput("--straighten: follows one lattice; leave --all, --pick and --diagnostics out")
+        alone = self.every or self.pick or self.diagnostics or self.straighten or self.symmetry or self.output
+        if self.defects and (alone or self.vertices):
+            raise BadInput("--defects: is an answer of its own; only -d, --lattice and --json go with it")
         from nrbench.pictures.files import WRITTEN
 
         written = {os.path.realpath(self.image): "is the picture itself, which would be lost; choose another name"}
-        for path in filter(None, (self.output, self.diagnostics, self.straighten, self.vertices)):
+        for path in filter(None, (self.output, self.diagnostics, self.straighten, self.vertices, self.defects)):
             check_output(path, *((".csv",) if path is self.vertices else WRITTEN))
             if os.path.realpath(path) in written:
                 raise BadInput(f"{path}: {written[os.path.realpath(path)]}")

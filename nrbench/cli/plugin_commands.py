@@ -13,7 +13,7 @@ import click
 from nrbench.api import catalog
 from nrbench.authoring import packages
 from nrbench.cli.verbs import choose_one, verb
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.flags import ARGUMENT, Flag, Json, Mebibytes, Seconds, Switch
 
 PLUGIN_KINDS = ("synthesizers", "detectors", "metrics", "datasets", "reports")
@@ -146,8 +146,7 @@ def _find_plugins(name: str, kind: str | None, files: Collection[str]) -> list[t
     if not name:
         listed = [(each, plugin) for each in kinds for plugin in plugins.inventory(each) if plugin.in_file]
         found = [(each, plugin.name) for each, plugin in listed if plugin.distribution in files]
-        if not found:
-            raise BadInput("no plugin of that kind in these files; name one")
+        require(bool(found), "no plugin of that kind in these files; name one")
         return found
     found = [(each, name) for each in kinds if name in plugins.names(each)]
     if not found:

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.flags import ARGUMENT, Flag
 from nrbench.running.options import Options
 from nrbench.storage import find_path, make_writable
@@ -66,10 +66,8 @@ class Verb(click.Command):
 
     def _complete(self, args: list[str]) -> Iterator[str]:
         """Yield the words of a command line, each option that may stand alone with its value."""
-        choices = [
-            each for each in self.params if isinstance(each, click.Option) and isinstance(each.type, click.Choice)
-        ]
-        alone: dict[str, Any] = {each.opts[0]: each for each in choices if isinstance(each.flag_value, str)}
+        options: list[Any] = [each for each in self.params if isinstance(each, click.Option)]
+        alone = {each.opts[0]: each for each in options if isinstance(each.flag_value, str)}
         for word, following in zip_longest(args, args[1:]):
             yield word
             if word in alone and following not in alone[word].type.choices:
@@ -140,8 +138,7 @@ def _click_type(flag: Flag) -> Any:
 def choose_one(given: Mapping[str, object]) -> None:
     """Raise :class:`~nrbench.errors.BadInput` if more than one of some options is given."""
     names = [name for name, value in given.items() if value]
-    if len(names) > 1:
-        raise BadInput(f"{' and '.join(names)}: choose one of them")
+    require(len(names) < 2, f"{' and '.join(names)}: choose one of them")
 
 
 def check_output(path: Path, *suffixes: str) -> None:
@@ -151,9 +148,7 @@ def check_output(path: Path, *suffixes: str) -> None:
     files.
     """
     if path.suffix.lower() not in suffixes:
-        raise BadInput(f"{path}: outputs are {suffixes[0][1:].upper()}; end the name in {' or '.join(suffixes)}")
-    if not path.absolute().parent.is_dir():
-        raise BadInput(f"{path}: its directory does not exist; make it first")
-    if path.is_dir():
-        raise BadInput(f"{path}: is a directory; give the name of a file")
+        raise BadInput(f"{path}: cannot be written in this format; end the name in {' or '.join(suffixes)}")
+    require(path.absolute().parent.is_dir(), f"{path}: its directory does not exist; make it first")
+    require(not path.is_dir(), f"{path}: is a directory; give the name of a file")
     make_writable(path.absolute().parent, f"choose another directory for {path.name}")

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.lattice_evidence import LatticeEvidence, highest_added
-from nrbench.detectors.autocorrelation.surrogates import require_texture
+from nrbench.detectors.autocorrelation.pixel_structure import detect_content
+from nrbench.detectors.autocorrelation.repeated_holes import join_holes
 from nrbench.detectors.candidate_search.candidates import (
     SHARE,
     TOLERANCE,
@@ -26,6 +27,7 @@ from nrbench.detectors.candidate_search.self_similarity_map import (
     compute_self_similarity,
     make_view,
     view_factors,
+    view_mask,
 )
 from nrbench.detectors.candidate_search.sublattice_search import (
     MIN_CONTRAST,
@@ -33,11 +35,13 @@ from nrbench.detectors.candidate_search.sublattice_search import (
     propose_lattices,
     ridge_height,
 )
+from nrbench.detectors.candidate_search.superposed_lattices import find_wave_lattices
 from nrbench.detectors.frdft import Frdft
 from nrbench.detectors.gncc import Gncc
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
-from nrbench.lattice.geometry import Lattice, Points, reduce_basis
+from nrbench.imaging.masks import Mask
+from nrbench.lattice.geometry import Lattice, Points, Vector, reduce_basis
 from nrbench.lattice.relation import relate
 from nrbench.plugins.forms import Alternative, Detection, NoLatticeFound, Probabilities, Surface
 
@@ -58,6 +62,8 @@ COARSEST = 8
 MIN_PERIOD = 14.0
 """px; least length of the shorter vector of a lattice in an image that is shrunk. Lattices of half its cell, which
 compete with it, are still resolved."""
+FINEST = 5.0
+"""px; screens of this period are found at any angle. Finer ones may repeat better with the grid of pixels."""
 LISTED = 6
 """Largest number of alternatives."""
 
@@ -84,7 +90,9 @@ class Consensus:
     4. The remaining lattices, their coarser and finer neighbors, and the proposals of the other detectors are the
        candidates. A conditional logit computes from six traits of each candidate how probable it is that it is exact
        (:mod:`nrbench.detectors.candidate_search.candidates`). The most probable one is returned.
-    5. If this lattice is not certain, the image is shrunk to half, a quarter ... of its size, as far as that leaves
+    5. If the strongest waves of the image belong to two to four lattices, such as the screens of printed inks, none of
+       them is returned: the error names all (:mod:`nrbench.detectors.candidate_search.superposed_lattices`).
+    6. If this lattice is not certain, the image is shrunk to half, a quarter ... of its size, as far as that leaves
        14 px a period, and the same is done again: fine grain that does not repeat hides the lattice of large elements.
        The most certain of these lattices is returned.
 
@@ -118,15 +126,19 @@ class Consensus:
     sigmas: float = 10.0
     min_explained: float = 0.02
 
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
+    masks: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check(self.reject in ("none", "bartlett"), f"reject is {self.reject!r}; give none or bartlett")
         _check(self.sigmas >= 0, f"sigmas is {self.sigmas}; give 0 or more")
         _check(0 <= self.min_explained < 1, f"min_explained is {self.min_explained}; give a share from 0 to below 1")
 
-    def detect(self, image: Image) -> Detection:
+    def detect(self, image: Image, known: Mask | None = None) -> Detection:
         """Return the lattice of ``image``. Its origin is (0, 0) because the detector does not find the phase.
+
+        Pixels that ``known`` ``(H, W)`` has False do not count. If they themselves repeat, as the holes of a fence do,
+        they are a channel of the image (:func:`~nrbench.detectors.autocorrelation.repeated_holes.join_holes`).
 
         The confidence is the probability that the lattice is exact, as measured on texture models and on textures that
         the models lack (``benchmarks/consensus_calibration.py``).
@@ -140,11 +152,18 @@ class Consensus:
         ------
         NoLatticeFound
             If the image is constant, has no stable lattice, or is striped. Unless ``reject`` is ``"none"``, also if the
-            best lattice may have occurred by chance.
+            best lattice may have occurred by chance, or if several lattices are superposed, which its ``lattices`` are.
         """
-        require_texture(image)
+        return detect_content(self._detect, *join_holes(self, image, known))
+
+    def _detect(self, image: Image, known: Mask | None = None) -> Detection:
+        """Return the lattice of an image that is not constant, of any range."""
+        waves = [] if self.reject == "none" or known is not None else find_wave_lattices(image)
+        vectors = "; ".join(f"t1 = {_round(each.t1)}, t2 = {_round(each.t2)} px" for each in waves)
+        if len(waves) > 1:
+            raise NoLatticeFound(f"several lattices are superposed: {vectors}", None, waves)
         chosen, highest = None, (False, -1.0)
-        for level in rate_levels(image):
+        for level in rate_levels(image, known):
             best = level.candidates[0]
             rating = (level.evidence.explained_variance_loo(best.basis) >= self.min_explained, best.probability)
             is_resolved = level.factor == 1 or np.hypot(*best.basis[0]) >= MIN_PERIOD
@@ -159,6 +178,9 @@ class Consensus:
             raise NoLatticeFound(
                 "the image repeats along one direction by any vector: stripes, not a lattice", detection
             )
+        if waves and waves[0].s < FINEST and not detection.lattice.is_equivalent(waves[0], waves[0].s / 8):
+            reason = f"the waves repeat by {vectors}; periods under {FINEST:g} px may be mixed with the grid of pixels"
+            raise NoLatticeFound(f"{reason}: enlarge the image, or give this lattice", detection, waves)
         return detection if self.reject == "none" else self._check_strength(detection)
 
     def _check_strength(self, detection: Detection) -> Detection:
@@ -171,6 +193,10 @@ class Consensus:
                 f"the best lattice ({sigmas:.1f} standard deviations) may be chance (below {self.sigmas:g})", detection
             )
         return detection
+
+
+def _round(vector: Vector) -> str:
+    return f"({vector[0]:.2f}, {vector[1]:.2f})"
 
 
 class Level(NamedTuple):
@@ -208,9 +234,9 @@ class Level(NamedTuple):
         return striped and own - ridge_height(self.colors, basis) < MIN_CONTRAST * own
 
 
-def rate_levels(image: Image) -> Iterator[Level]:
+def rate_levels(image: Image, known: Mask | None = None) -> Iterator[Level]:
     """Yield the candidates of an image at full detail, at half, a quarter ..., where there are any."""
-    proposer = _Proposer(image)
+    proposer = _Proposer(image, known)
     factor = 1
     while factor == 1 or (factor <= COARSEST and min(image.shape[:2]) >= 2 * MIN_PERIOD * factor):
         similarity = proposer.compute_similarity(factor, PRECISE)
@@ -228,11 +254,13 @@ def rate_levels(image: Image) -> Iterator[Level]:
 class _Proposer:
     """The lattices that are proposed for an image and its shrunk copies. What two copies share is computed once."""
 
-    def __init__(self, image: Image) -> None:
-        self.image = image
+    def __init__(self, image: Image, known: Mask | None) -> None:
+        self.image, self.known = image, known
         self._propose = functools.cache(self._propose_for_view)
         self._find_waves = functools.cache(self._find_waves_of_middle)
-        self._compute = functools.cache(lambda factor, side: compute_self_similarity(make_view(image, factor, side)))
+        self._compute = functools.cache(
+            lambda *view: compute_self_similarity(make_view(image, *view), view_mask(known, *view))
+        )
 
     def compute_similarity(self, factor: int, side: int) -> SimilarityMap:
         """Return the self-similarity map of the middle of the shrunk image; ``side`` px in its pixels."""
@@ -294,7 +322,7 @@ def _describe(level: Level) -> Detection:
     """Return the detection of the most probable candidate, with the others as alternatives."""
     best, *others = level.candidates
     evidence, basis = level.evidence, best.basis
-    lattice = Lattice.from_basis(level.factor * basis).reduced()
+    lattice = Lattice.from_basis(level.factor * basis).oriented()
     between, repeated = highest_added(evidence, basis), evidence.repeated(basis)
     peaks = np.concatenate([basis, *level.proposals])
     diagnostics: dict[str, Any] = {
@@ -318,6 +346,6 @@ def _sum_probabilities(best: Candidate, others: Sequence[Candidate]) -> Probabil
 
 
 def _describe_alternative(candidate: Candidate, factor: int, chosen: Lattice) -> Alternative:
-    lattice = Lattice.from_basis(factor * candidate.basis).reduced()
+    lattice = Lattice.from_basis(factor * candidate.basis).oriented()
     change = relate(lattice, chosen, TOLERANCE, SHARE)
     return Alternative(lattice, candidate.probability, change.name if change else "unrelated", candidate.merit)

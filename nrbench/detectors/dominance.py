@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 from nrbench.detectors.autocorrelation.lattice_evidence import LatticeEvidence, highest_added
 from nrbench.detectors.autocorrelation.peak_kernels import region_radii
 from nrbench.detectors.autocorrelation.peaks import UNIT, find_prominent_peaks, fit_multiples, fit_pair, subpixel
-from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
+from nrbench.detectors.autocorrelation.pixel_structure import detect_content
+from nrbench.detectors.autocorrelation.repeated_holes import join_holes
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
 from nrbench.detectors.autocorrelation.vector_pair_kernels import count_hits
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
+from nrbench.imaging.masks import Mask
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
 
@@ -138,7 +141,8 @@ class Dominance:
     surrogates: int = 30
     false_alarms: float = 0.01
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
+    masks: ClassVar[bool] = True
     paper: ClassVar[str] = """@article{liu2004computational,
   author  = {Liu, Yanxi and Collins, Robert T. and Tsin, Yanghai},
   title   = {A Computational Model for Periodic Pattern Perception Based on Frieze and Wallpaper Groups},
@@ -155,8 +159,11 @@ class Dominance:
         _check(0 < self.tolerance < 0.5, f"tolerance is {self.tolerance}; give a share between 0 and 0.5")
         check_test(self, _check)
 
-    def detect(self, image: Image) -> Detection:
+    def detect(self, image: Image, known: Mask | None = None) -> Detection:
         """Return the lattice of ``image``. Its origin is (0, 0) because the method does not find the phase.
+
+        Pixels that ``known`` ``(H, W)`` has False do not count, see ``consensus``. The test against chance sees them
+        filled.
 
         Diagnostics: ``correlation`` (right half, with the dominant peaks and the pair), ``evidence``, ``support``,
         ``multiples`` and ``hits`` (numbers); with ``"surrogate"`` also ``tested_support``, ``surrogate_support`` and
@@ -168,8 +175,11 @@ class Dominance:
             If the image is constant or has too few peaks. Unless ``reject`` is ``"none"``, also if the dominant peaks
             fit a lattice no better than chance, or if the image is striped.
         """
-        require_texture(image)
-        gamma = half_autocorrelation(image)
+        return detect_content(self._detect, *join_holes(self, image, known))
+
+    def _detect(self, image: Image, known: Mask | None = None) -> Detection:
+        """Return the lattice of an image that is not constant, of any range."""
+        gamma = half_autocorrelation(image, known)
         best = self._find_pair(gamma)
         if best is None:
             raise NoLatticeFound("no two peaks of the autocorrelation could generate a lattice")
@@ -230,7 +240,7 @@ class Dominance:
         """Return the lattice of the best pair, fitted, with its diagnostics."""
         pair = best.pairs.vectors[best.row]
         first, second = fit_pair(gamma, pair, _find_reach(gamma)) if self.subpixel else pair
-        lattice = Lattice.from_basis((first, second)).reduced()
+        lattice = Lattice.from_basis((first, second)).oriented()
         numbers = {name: best.get(name) for name in ("evidence", "support", "multiples", "hits")}
         dominant = best.pairs.peaks[: int(numbers["multiples"])]
         surface = Surface(gamma, (0, gamma.shape[0] // 2), dominant, np.stack([first, second]))

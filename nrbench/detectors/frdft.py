@@ -11,7 +11,8 @@ import numpy as np
 import skimage
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.surrogates import check_test, reject_chance, require_texture
+from nrbench.detectors.autocorrelation.pixel_structure import detect_content
+from nrbench.detectors.autocorrelation.surrogates import check_test, reject_chance
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image, crop_middle
 from nrbench.lattice.geometry import Lattice, Points, Vector
@@ -112,7 +113,7 @@ class Frdft:
     false_alarms: float = 0.01
     tile: Literal["all", "lowest"] = "all"
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"threshold": 2.0, "waves": 400, "reject": "none", "tile": "lowest"}
     }
@@ -147,7 +148,10 @@ class Frdft:
             If the image is constant, or has fewer than two waves, or if all waves lie along one direction. Unless
             ``reject`` is ``"none"``, also if the best lattice is no better than chance.
         """
-        require_texture(image)
+        return detect_content(self._detect, image)
+
+    def _detect(self, image: Image) -> Detection:
+        """Return the lattice of an image that is not constant, of any range."""
         middle = crop_middle(image, WINDOW)
         if self.tile == "lowest":
             detection = self._read_lowest(middle)
@@ -185,7 +189,7 @@ class Frdft:
         width, height = lowest_period(waves.frequencies, waves.amplitudes, (shape[0], shape[1]))
         if width is None or height is None:
             raise NoLatticeFound(f"no wave of the image varies along {'x' if width is None else 'y'}")
-        lattice = Lattice((width, 0.0), (0.0, height)).reduced()
+        lattice = Lattice((width, 0.0), (0.0, height)).oriented()
         return Detection(lattice, min(max(waves.share, 0.0), 1.0), {"frequencies": waves.frequencies})
 
     def _search(self, image: NDArray[np.float32], quick: bool = False) -> FoundBasis:
@@ -245,7 +249,7 @@ def _fit_lattice(candidate: FoundBasis, start: Vector) -> Detection:
     fit = fit_frequencies(spectrum, basis.vectors / spectrum.size, orders)
     crest = _origin(fit, orders)
     origin = (0.0, 0.0) if crest is None else np.add(crest, start)
-    lattice = Lattice.from_basis(np.linalg.inv(fit.fundamentals).T, origin).reduced()
+    lattice = Lattice.from_basis(np.linalg.inv(fit.fundamentals).T, origin).oriented()
     share = float(fit.waves.explained.sum() / spectrum.energy.sum())
     diagnostics = {
         "spectrum": _surface(detection, fit.fundamentals * spectrum.size),

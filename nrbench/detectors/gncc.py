@@ -19,11 +19,14 @@ from nrbench.detectors.autocorrelation.peaks import (
     quantize_correlation,
     subpixel,
 )
-from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
+from nrbench.detectors.autocorrelation.pixel_structure import detect_content
+from nrbench.detectors.autocorrelation.repeated_holes import join_holes
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
 from nrbench.detectors.autocorrelation.vector_pair_kernels import best_pair
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
+from nrbench.imaging.masks import Mask
 from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Detection, NoLatticeFound, Surface
@@ -112,7 +115,8 @@ class Gncc:
     surrogates: int = 30
     false_alarms: float = 0.01
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
+    masks: ClassVar[bool] = True
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
             "alpha": 1.12,
@@ -141,8 +145,11 @@ class Gncc:
         _check(self.peaks is None or self.peaks >= 2, f"peaks is {self.peaks}; give at least 2, or none for all")
         check_test(self, _check)
 
-    def detect(self, image: Image) -> Detection:
+    def detect(self, image: Image, known: Mask | None = None) -> Detection:
         """Return the lattice of ``image``; its origin is (0, 0), for the method finds no phase.
+
+        Pixels that ``known`` ``(H, W)`` has False do not count, see ``consensus``. The test against chance sees them
+        filled.
 
         Diagnostics: ``correlation`` (right half, with the candidates and the pair), ``goodness``, ``multiples`` (their
         number); with ``"surrogate"`` also ``relief``, ``tested_goodness`` (of the pair, without stripes),
@@ -154,8 +161,11 @@ class Gncc:
             If the image is constant, if too few peaks are prominent, or, unless ``reject`` is ``"none"``, if the best
             pair is no better than chance or is a grating.
         """
-        require_texture(image)
-        gamma = half_autocorrelation(image)
+        return detect_content(self._detect, *join_holes(self, image, known))
+
+    def _detect(self, image: Image, known: Mask | None = None) -> Detection:
+        """Return the lattice of an image that is not constant, of any range."""
+        gamma = half_autocorrelation(image, known)
         best = self._search(gamma)
         if best is None:
             raise NoLatticeFound("no two peaks of the autocorrelation could generate a lattice that the image holds")
@@ -204,7 +214,7 @@ class Gncc:
     def _detection(self, gamma: Correlation, best: Pair) -> Detection:
         """Return the lattice of the best pair, fitted, with its diagnostics."""
         first, second = fit_pair(gamma, best.vectors, self._reach(gamma)) if self.subpixel else best.vectors
-        lattice = Lattice.from_basis((first, second)).reduced()
+        lattice = Lattice.from_basis((first, second)).oriented()
         mean = (best.goodness * best.multiples) ** (1 / self.alpha) / best.multiples
         surface = Surface(gamma, (0, gamma.shape[0] // 2), best.candidates, np.stack([first, second]))
         diagnostics = {"correlation": surface, "goodness": best.goodness, "multiples": best.multiples}

@@ -9,14 +9,15 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import scipy
+import skimage
 from numpy.typing import NDArray
 
-from nrbench.detectors.autocorrelation.peak_kernels import inner_relief
-from nrbench.detectors.autocorrelation.peaks import find_vertex, quantize_correlation
-from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance, require_texture
+from nrbench.detectors.autocorrelation.peaks import quantize_correlation
+from nrbench.detectors.autocorrelation.pixel_structure import detect_content
+from nrbench.detectors.autocorrelation.surrogates import check_test, crop_for_test, reject_chance
 from nrbench.errors import checker
 from nrbench.imaging.convert import Image
-from nrbench.imaging.correlation import FLAT, Correlation, half_autocorrelation
+from nrbench.imaging.correlation import FLAT, Correlation, find_vertex, half_autocorrelation
 from nrbench.imaging.mean_tile import Values, fold
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Curve, Detection, NoLatticeFound
@@ -99,7 +100,7 @@ class Ssdn:
     surrogates: int = 30
     false_alarms: float = 0.01
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"depth": 0.8, "overlap": 0.1, "subpixel": False, "primitive": False, "reject": "none"}
     }
@@ -130,7 +131,10 @@ class Ssdn:
             If the image is constant, if an axis has no period or none better than chance, or if the lattice is not
             rectangular along the axes.
         """
-        require_texture(image)
+        return detect_content(self._detect, image)
+
+    def _detect(self, image: Image) -> Detection:
+        """Return the lattice of an image that is not constant, of any range."""
         curves = [shift_ssdn(image, axis) for _, axis in AXES]
         x, y = (self._period(*curve) for curve in curves)
         if x is None or y is None:
@@ -147,7 +151,7 @@ class Ssdn:
         return find_period(likeness[: int(len(g) * (1 - self.overlap)) + 1], self.depth, self.subpixel)
 
     def _detection(self, periods: tuple[Period, Period], curves: list[Sequence]) -> Detection:
-        lattice = Lattice((periods[0].length, 0.0), (0.0, periods[1].length)).reduced()
+        lattice = Lattice((periods[0].length, 0.0), (0.0, periods[1].length)).oriented()
         diagnostics = {
             f"ssdn_{name}": Curve(np.arange(len(g), dtype=np.float64), g, period.peaks, f"lag along {name}, px")
             for (name, _), g, period in zip(AXES, curves, periods, strict=True)
@@ -298,7 +302,7 @@ def _follow_multiples(curve: Sequence, level: float, lag: int, subpixel: bool) -
     while abs(period - lag) <= MAX_SHIFT * lag and (k := len(peaks) + 1) * period <= len(curve) - 2:
         low = max(round(k * period - near), 1)
         peak = low + int(curve[low : min(round(k * period + near) + 1, len(curve) - 1)].argmax())
-        peaks.append(peak + float(find_vertex(*curve[peak - 1 : peak + 2])[0]) if subpixel else float(peak))
+        peaks.append(peak + float(find_vertex(*curve[peak - 1 : peak + 2])) if subpixel else float(peak))
         heights.append(float(curve[peak]))
         products, squares = products + k * peaks[-1], squares + k * k
         period = products / squares if subpixel else peaks[-1] / k
@@ -337,5 +341,34 @@ def inner_repetition(gamma: Correlation, width: float, height: float, reach: tup
     tile = fold(right[..., np.newaxis], Lattice((width, 0), (0, height), (0, y_end)), others).values[..., 0]
     heights = quantize_correlation(tile.astype(np.float32))
     rows, columns = (np.abs(np.fft.fftfreq(n)) > CORNER for n in tile.shape)
-    order = np.argsort(-heights.ravel(), kind="stable")
-    return inner_relief(heights, rows[:, np.newaxis] | columns, order)
+    return inner_relief(heights, rows[:, np.newaxis] | columns)
+
+
+def inner_relief(tile: NDArray[np.int32], inside: NDArray[np.bool_]) -> float:
+    """Return the relief of the most prominent inner peak of a periodic tile, relative to that of the corner peak.
+
+    The relief of an inner peak is its height above the highest pass to the corner peak. It is divided by the height of
+    the corner peak above the same pass. The passes are a morphological reconstruction of the corner peak.
+
+    Parameters
+    ----------
+    tile
+        One rectangle of a surface, ``(H, W)``, with periodic borders.
+    inside
+        ``(H, W)``: the pixels that are not near a corner. The corner peak is the highest of the other pixels.
+
+    Returns
+    -------
+    float
+        The largest ratio over all inner peaks; 0 if there is no inner peak, infinite if the corners have no peak.
+    """
+    corner = np.unravel_index(np.where(inside, tile.min() - 1, tile).argmax(), tile.shape)
+    before, passes = tile, np.full_like(tile, tile.min())
+    passes[corner] = tile[corner]
+    while (passes != before).any():
+        before, (seed, mask) = passes, (np.pad(each, 1, mode="wrap") for each in (passes, tile))
+        passes = skimage.morphology.reconstruction(seed, mask)[1:-1, 1:-1]  # type: ignore[no-untyped-call]
+    peaks = inside & (tile > passes)
+    with np.errstate(divide="ignore"):
+        ratios = (tile - passes)[peaks] / (tile[corner] - passes)[peaks]
+    return float(ratios.max(initial=0.0))

@@ -1,7 +1,7 @@
 """The lattice of an image that may be bent: detected in views, followed through the image, checked when straight.
 
-"Is this picture bent?" has one answer, :attr:`.Deformation.bent` of what :func:`find_deformation` returns, for the
-command line, the Python functions and the methods.
+Commands, Python functions, runs and methods find the lattice of a picture by :func:`recognize`. "Is this picture bent?"
+has one answer for them, :attr:`.Deformation.bent` of what :func:`find_deformation` returns.
 """
 
 from __future__ import annotations
@@ -13,17 +13,22 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import MIN_SIDE, Image, shrink
+from nrbench.imaging.convert import MIN_SIDE, Image, crop_middle, shrink
+from nrbench.imaging.masks import Mask
+from nrbench.imaging.mean_tile import fold
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.relation import lattice_error, relate
-from nrbench.plugins.forms import Detection, Detector, NoLatticeFound
+from nrbench.plugins.forms import Detection, Detector, NoLatticeFound, detect_known
 from nrbench.plugins.registry import NamedDetector, bent_finders
 
 from .deformation_field import LEAST_AMPLITUDE, Deformation
 from .following import find_knots, follow_on, follow_roughly, merit, probe
 from .growth import Knots
 
-__all__ = ["Followed", "find_deformation"]
+__all__ = ["Followed", "find_bent_lattice", "find_deformation", "recognize"]
+
+LARGEST_FOLLOWED: Final = 1024
+"""px; larger side of an image up to which commands look for a bent lattice by themselves: it takes long."""
 
 LARGEST_VIEW: Final = 512
 """px; largest side of a view other than the whole image, as the detector sees it."""
@@ -75,11 +80,85 @@ class Followed(NamedTuple):
     detection: Detection | None
 
 
+def recognize(image: Image, detector: Detector, known: Mask | None = None) -> tuple[Detection, Followed | None]:
+    """Return the lattice of an image, and how it was followed if the image is bent.
+
+    The lattice that the detector finds is followed through the image. If it finds none, a bent lattice is looked for.
+
+    Parameters
+    ----------
+    image
+        ``(H, W, C)``.
+    detector
+        Looks at the image as it is.
+    known
+        The pixels that count; None: all.
+
+    Returns
+    -------
+    detection
+        Of a bent image: its mean lattice, and the places of its points as ``vertices``.
+    followed
+        None if the image is not bent, or larger than 1024 px.
+
+    Raises
+    ------
+    NoLatticeFound
+        If the detector finds none, and there is no bent lattice either, or the image is larger than 1024 px.
+    """
+    try:
+        detection = detect_known(detector, image, known)
+        deformation = (
+            None if max(image.shape[:2]) > LARGEST_FOLLOWED else measure_deformation(image, detection.lattice, known)
+        )
+        if deformation is None or not deformation.bent:
+            return detection, None
+        followed = Followed(deformation, detection)
+    except NoLatticeFound as none:
+        bent = None if none.lattices else find_bent_lattice(image, known)
+        if bent is None or bent.detection is None:
+            raise none from None
+        followed = bent
+    assert followed.detection is not None
+    found = followed.deformation
+    mean = replace(followed.detection, lattice=found.lattice, has_origin=False, vertices=found.lattice_points)
+    return mean, followed
+
+
+def measure_deformation(image: Image, lattice: Lattice | None, known: Mask | None = None) -> Deformation | None:
+    """Return the deformation of an image by its lattice, None: it is detected; None if it cannot be followed.
+
+    ``known`` are the pixels that count; None: all.
+    """
+    try:
+        found = find_deformation(image, lattice, known=known).deformation
+    except (NoLatticeFound, BadInput):
+        return None
+    return found if found.covered else None
+
+
+def find_bent_lattice(image: Image, known: Mask | None = None) -> Followed | None:
+    """Return the lattice of a bent image in which a detector finds none; None if there is none.
+
+    It is followed through the pixels that ``known`` counts, through all if that is None.
+
+    Little time is spent on images without a lattice, and none on large ones (:data:`LARGEST_FOLLOWED`).
+    """
+    if max(image.shape[:2]) > LARGEST_FOLLOWED:
+        return None
+    try:
+        followed = find_deformation(image, only_promising=True, known=known)
+    except NoLatticeFound:
+        return None
+    return followed if followed.deformation.bent else None
+
+
 def find_deformation(
     image: Image,
     lattice: Lattice | None = None,
     detector: Detector | None = None,
     only_promising: bool = False,
+    known: Mask | None = None,
 ) -> Followed:
     """Return the lattice of an image, and its deformation.
 
@@ -95,6 +174,8 @@ def find_deformation(
     only_promising
         Whether to give up if no lattice that the quick detector finds in a view can be followed through about half of
         the image. This costs little where there is no lattice.
+    known
+        The pixels that count; None: all. The others show the mean tile of a given lattice. Knots at them are left out.
 
     Raises
     ------
@@ -120,12 +201,19 @@ def find_deformation(
     Fine detail of large elements is not shown to the detector: the lattice is measured when it is followed. The quick
     detector has the role ``quick-detector``. It should rather be wrong than silent: a wrong lattice cannot be followed.
     """
+    if known is not None:
+        shown = image if lattice is None else fold(image, lattice, known).unfold(image.shape[:2])
+        shown = np.where(known[..., np.newaxis], image, shown)
+        followed = find_deformation(shown, lattice, detector, only_promising)
+        knots = followed.deformation.knots.among(known)
+        if followed.deformation.covered and not knots.spans_plane:
+            raise NoLatticeFound("the lattice cannot be followed through the pixels that count")
+        return followed._replace(deformation=replace(followed.deformation, image=image, knots=knots))
     if lattice is not None:
         return Followed(_follow_given(image, lattice), None)
     thorough, quick = (NamedDetector(name) for name in bent_finders())
     detector = detector or thorough
-    top, left = (max(side - LARGEST_VIEW, 0) // 2 for side in image.shape[:2])
-    middle = _best_lattice(quick, image[top : top + LARGEST_VIEW, left : left + LARGEST_VIEW], 1)
+    middle = _best_lattice(quick, crop_middle(image, LARGEST_VIEW), 1)
     first, reason = _look(detector, image, _detail_factor([] if middle is None else [(middle, None)]))
     if first is not None:
         still = _look_straight(image, first.lattice, first.confidence)
@@ -157,11 +245,9 @@ def _worth(answer: Followed) -> float:
 
 def _followed(deformation: Deformation, detection: Detection) -> Followed:
     """Return a lattice with the alternatives of a detection, named by their relation to the mean lattice."""
-    alternatives = []
-    for alternative in detection.alternatives:
-        change = relate(alternative.lattice, deformation.lattice)
-        alternatives.append(replace(alternative, relation=change.name if change else "unrelated"))
-    return Followed(deformation, replace(detection, alternatives=tuple(alternatives)))
+    named = ((each, relate(each.lattice, deformation.lattice)) for each in detection.alternatives)
+    alternatives = tuple(replace(each, relation=change.name if change else "unrelated") for each, change in named)
+    return Followed(deformation, replace(detection, alternatives=alternatives))
 
 
 def _look(detector: Detector, image: Image, factor: int = 1) -> tuple[Detection | None, str]:
@@ -226,12 +312,10 @@ def _follow_all(image: Image, views: list[View]) -> list[Knots]:
     found: list[tuple[float, int, Knots]] = []
     for number, (lattice, middle) in enumerate(views):
         knots = find_knots(image, lattice, middle)
-        if knots is None or Deformation(image, knots).score < _LEAST:
+        if knots is None or (score := Deformation(image, knots).score) < _LEAST:
             continue
         mean = knots.mean_lattice()
-        agree = Deformation(image, knots).score >= _COMPLETE and any(
-            _is_same(mean, other.mean_lattice()) for _, _, other in found
-        )
+        agree = score >= _COMPLETE and any(_is_same(mean, other.mean_lattice()) for _, _, other in found)
         found.append((-merit(image, knots), number, knots))
         if agree:
             break
@@ -281,9 +365,7 @@ def _answer(image: Image, detector: Detector, factor: int, knots: Knots) -> Foll
     for last in (False, True):
         found = Deformation(image, knots)
         straight, lattice = found.rectify()
-        detection = None
-        if min(straight.shape[:2]) >= LEAST_VIEW:
-            detection, _ = _look(detector, straight, factor)
+        detection = _look(detector, straight, factor)[0] if min(straight.shape[:2]) >= LEAST_VIEW else None
         if detection is None:
             return None
         if _is_same(detection.lattice, lattice):

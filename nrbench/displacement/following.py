@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, shrink
-from nrbench.imaging.mean_tile import Values, fold, interpolate
+from nrbench.imaging.mean_tile import Values, explained_share, fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 
 from .growth import Knots, Start, grow_from, grow_on
@@ -172,12 +172,8 @@ def merit(image: Image, knots: Knots) -> float:
     tiles = float(inside.sum()) / lattice.area
     if tiles <= 2:
         return 0.0
-    mean = fold(straight, lattice.shifted(-corner), inside).unfold(straight.shape[:2])
-    pixels, rest = straight[inside], (straight - mean)[inside]
-    share = float(
-        np.square(rest).sum(dtype=np.float64) / max(pixels.var(0, dtype=np.float64).sum() * len(pixels), 1e-9)
-    )
-    explained = 1 - share * (tiles + 1) / (tiles - 1)
+    rest = 1 - explained_share(straight, lattice.shifted(-corner), inside)
+    explained = 1 - rest * (tiles + 1) / (tiles - 1)
     covered = min(knots.area / (image.shape[0] * image.shape[1]), 1.0)
     return float(explained * covered * tiles**_SIZE_EXPONENT)
 

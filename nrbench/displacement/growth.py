@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from nrbench.imaging.masks import Mask
 from nrbench.imaging.mean_tile import Tile, Values, sample_tile
 from nrbench.lattice.geometry import Lattice, Points
 
@@ -40,6 +41,8 @@ _FIRST = 1e-3
 """Correlation that the knot of a start has before it is registered."""
 _LEAST_SEEN, _LAST_SEEN = 0.6, 0.45
 """Share of a window that must lie in the image, and in the last round, in which knots at the border are found, too."""
+_LEAST_KNOWN = 0.9
+"""Share of the pixels around a knot, in a square as broad as its window, that must count."""
 _THINNEST = 1e-4
 """Area of a cell, over the sum of its squared sides, below which knots count as lying on one line."""
 
@@ -92,6 +95,18 @@ class Knots:
         rows, columns = self.correlation.shape
         u, v = np.meshgrid(np.arange(columns) + self.first[0], np.arange(rows) + self.first[1])
         return np.stack([u / self.parts[0], v / self.parts[1]], -1)
+
+    def among(self, known: Mask) -> Knots:
+        """Return the knots without those around which pixels do not count, so that nothing was there to be followed.
+
+        Those stay around which nine tenths of the pixels count, in a square as broad as the window of a knot.
+        """
+        side = max(round(_WIDTH * math.sqrt(abs(float(np.linalg.det(self._fit()[:2]))))), 1)
+        share = scipy.ndimage.uniform_filter(known.astype(np.float32), side)
+        columns, rows = np.moveaxis(
+            np.clip(np.rint(self.places), 0, np.array(known.shape[::-1]) - 1).astype(int), -1, 0
+        )
+        return replace(self, correlation=np.where(share[rows, columns] > _LEAST_KNOWN, self.correlation, 0.0))
 
     @property
     def quality(self) -> float:

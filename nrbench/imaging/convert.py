@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 
 Image = NDArray[np.float32]
 """``float32 (H, W, C)`` in [0, 1], C is 1 or 3, sRGB values as stored."""
@@ -15,6 +15,8 @@ Image = NDArray[np.float32]
 MIN_SIDE = 8
 """px; the smallest side of an input."""
 Number = TypeVar("Number", np.float32, np.float64)
+OPAQUE = 0.98
+"""Least alpha, or brightness in a mask, of a pixel that counts. Soft edges do not: they show what lies below them."""
 _INTEGER_PEAK = {np.dtype(np.bool_): 1, np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}
 
 
@@ -25,7 +27,7 @@ def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Imag
     ----------
     array
         bool, uint8, uint16 or float in [0, 1]; ``(H, W)``, ``(H, W, 1)`` or ``(H, W, 3)``, or with an alpha channel,
-        ``(H, W, 2)`` or ``(H, W, 4)``, that is opaque everywhere. Such a channel is left out.
+        ``(H, W, 2)`` or ``(H, W, 4)``, that is opaque everywhere (:data:`OPAQUE`). Such a channel is left out.
     where
         The name of the input in error messages.
     smallest
@@ -49,11 +51,21 @@ def as_image(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> Imag
     (16, 24, 1)
     """
     pixels = np.asarray(array)
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
     pixels = pixels[..., np.newaxis] if pixels.ndim == 2 else pixels
     _check_shape(pixels, where, smallest)
     if pixels.shape[2] in (2, 4):
         _check_opaque(pixels[..., -1], where)
         pixels = pixels[..., :-1]
+    return _scale_to_unit(pixels, where)
+
+
+def as_layers(array: Any, where: str = "image", smallest: int = MIN_SIDE) -> NDArray[np.float32]:
+    """Convert an image with an alpha channel as :func:`as_image` does, with alpha as the last of 2 or 4 channels."""
+    pixels = np.asarray(array)
+    if pixels.ndim != 3 or pixels.shape[2] not in (2, 4):
+        raise BadInput(f"{where}: has no alpha channel to keep; leave out --keep-alpha")
+    _check_shape(pixels, where, smallest)
     return _scale_to_unit(pixels, where)
 
 
@@ -64,9 +76,14 @@ def _check_shape(pixels: NDArray[Any], where: str, smallest: int) -> None:
         raise BadInput(f"{where}: {pixels.shape[1]}x{pixels.shape[0]} px; at least {smallest} px a side are needed")
 
 
+def is_opaque(alpha: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return where an alpha channel is at least :data:`OPAQUE`."""
+    return np.asarray(alpha >= OPAQUE * _INTEGER_PEAK.get(alpha.dtype, 1))
+
+
 def _check_opaque(alpha: NDArray[Any], where: str) -> None:
-    """Raise BadInput if an alpha channel ``(H, W)`` is not full, to 8 bits, at every pixel."""
-    transparent = ~(alpha >= _INTEGER_PEAK.get(alpha.dtype, 1) * (1 - 0.5 / 255))
+    """Raise BadInput if an alpha channel ``(H, W)`` is not opaque at every pixel."""
+    transparent = ~is_opaque(alpha)
     if transparent.any():
         y, x = np.argwhere(transparent)[0]
         raise BadInput(
@@ -84,8 +101,7 @@ def _scale_to_unit(pixels: NDArray[Any], where: str) -> Image:
     if not np.isfinite(pixels).all():
         raise BadInput(f"{where}: has NaN or infinite pixels; replace them first, e.g. with numpy.nan_to_num")
     low, high = float(pixels.min()), float(pixels.max())
-    if low < 0 or high > 1:
-        raise BadInput(f"{where}: values from {low:g} to {high:g}; scale floats to [0, 1] first")
+    require(low >= 0 and high <= 1, f"{where}: values from {low:g} to {high:g}; scale floats to [0, 1] first")
     return np.array(pixels, np.float32)
 
 

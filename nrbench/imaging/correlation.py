@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from nrbench.imaging.convert import Image
+from nrbench.imaging.masks import Mask
 
 Correlation = NDArray[np.float32]
 """Normalized autocorrelation gamma in [-1, 1]. In full: ``(2H-1, 2W-1)``, lag (dx, dy) at ``[H-1+dy, W-1+dx]``. Right
@@ -19,7 +21,11 @@ FLAT = 1e-5
 """gamma is 0 at overlaps with less than this share of the image's sum of squares, where rounding errors dominate."""
 
 
-def half_autocorrelation(image: Image) -> Correlation:
+LEAST_OVERLAP = 0.02
+"""gamma is 0 where fewer pairs of pixels that count overlap, as a share of all pixels that count."""
+
+
+def half_autocorrelation(image: Image, known: Mask | None = None) -> Correlation:
     """Return the right half of the normalized autocorrelation, ``(2H-1, W)``; gamma(-x) = gamma(x).
 
     At each lag the image is compared with its shifted copy over their overlap, of any size. Channels are weighted by
@@ -30,18 +36,24 @@ def half_autocorrelation(image: Image) -> Correlation:
     ----------
     image
         :data:`~nrbench.imaging.convert.Image`.
+    known
+        The pixels that count: an overlap is that of pixels of which both count. None: all count.
 
     Returns
     -------
     Correlation
-        0 if the overlap is flat (:data:`FLAT`).
+        0 if the overlap is flat (:data:`FLAT`), or too small a part of the pixels that count (:data:`LEAST_OVERLAP`).
 
     Notes
     -----
     RSGF (2011), section 3.1, equations 3 to 6, and section 3.2, equations 7 and 8. One transform for each channel and
     one inverse transform; the sums over overlaps are cumulative sums from the corners. The masked correlation of
-    scikit-image takes one channel and any mask, and 7 to 12 times as long (``benchmarks/speed.py correlation``).
+    scikit-image takes one channel and any mask, and 7 to 12 times as long (``benchmarks/speed.py correlation``). With a
+    mask the sums are correlations with it, as there: D. Padfield, "Masked object registration in the Fourier domain",
+    IEEE Transactions on Image Processing 21(5), 2012.
     """
+    if known is not None:
+        return _masked_autocorrelation(image, known)
     height, width = image.shape[:2]
     channels = np.ascontiguousarray(np.moveaxis(image, 2, 0))
     channels = channels - channels.mean((1, 2), np.float64, keepdims=True).astype(np.float32)
@@ -56,6 +68,60 @@ def half_autocorrelation(image: Image) -> Correlation:
     gamma = np.divide(covariance, scale, out=np.zeros_like(scale), where=structured)
     np.clip(gamma, -1, 1, out=gamma)
     return np.concatenate([gamma[1, :0:-1], gamma[0]])
+
+
+def find_vertex(before: ArrayLike, middle: ArrayLike, after: ArrayLike) -> NDArray[np.float64]:
+    """Return the position of the vertex of the parabola through three equally spaced samples.
+
+    Parameters
+    ----------
+    before, middle, after
+        The samples at -1, 0 and 1; arrays of one shape, or numbers.
+
+    Returns
+    -------
+    NDArray
+        In [-0.5, 0.5] steps from the middle sample; 0 if that is no maximum.
+
+    Examples
+    --------
+    >>> from nrbench.imaging.correlation import find_vertex
+    >>> float(find_vertex(0.0, 3.0, 2.0))
+    0.25
+    """
+    before, middle, after = (np.asarray(sample, np.float64) for sample in (before, middle, after))
+    bend = 2 * middle - before - after
+    offset = np.clip((after - before) / 2 / np.maximum(bend, 1e-12), -0.5, 0.5)
+    return np.where((middle >= before) & (middle >= after) & (bend > 0), offset, 0.0)
+
+
+def _masked_autocorrelation(image: Image, known: Mask) -> Correlation:
+    """Return the normalized autocorrelation of the pixels that count, right half."""
+    height, width = known.shape
+    sizes = [scipy.fft.next_fast_len(2 * side - 1, real=True) for side in (height, width)]
+
+    def transform(values: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(scipy.fft.rfft2(values, sizes))
+
+    def correlate(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
+        """Return the sums of the products with a copy that is shifted back by each lag, for dx >= 0."""
+        whole = scipy.fft.irfft2(one.conj() * other, sizes)
+        return np.concatenate([whole[-height + 1 :, :width], whole[:height, :width]])
+
+    mask = transform(known.astype(np.float64))
+    pairs = np.rint(correlate(mask, mask))
+    number, covariance, scale = np.maximum(pairs, 1), np.zeros(pairs.shape), np.zeros(pairs.shape)
+    for channel in np.moveaxis(image.astype(np.float64), 2, 0):
+        values = np.where(known, channel - channel[known].mean(), 0)
+        first, squares = transform(values), transform(values**2)
+        sums = correlate(first, mask), correlate(mask, first)
+        covariance += correlate(first, first) - sums[0] * sums[1] / number
+        before = correlate(squares, mask) - sums[0] ** 2 / number
+        after = correlate(mask, squares) - sums[1] ** 2 / number
+        scale += np.sqrt(np.maximum(before, 0) * np.maximum(after, 0))
+    structured = (scale > FLAT * scale[height - 1, 0]) & (pairs >= LEAST_OVERLAP * pairs[height - 1, 0])
+    gamma = np.divide(covariance, scale, out=np.zeros(pairs.shape), where=structured)
+    return np.clip(gamma, -1, 1).astype(np.float32)
 
 
 def _products(channels: NDArray[np.float32]) -> NDArray[np.float32]:

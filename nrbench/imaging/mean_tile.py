@@ -8,11 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.mean_tile_kernels import (
-    accumulate_pixels,
-    interpolate_image,
-    interpolate_tile,
-)
+from nrbench.imaging.mean_tile_kernels import accumulate_pixels, interpolate_image, interpolate_tile
 from nrbench.lattice.geometry import Lattice
 
 Values = NDArray[np.float32]
@@ -92,6 +88,14 @@ def fold(
     values = sums[:, 1:] / np.maximum(counts, 1e-12)[:, np.newaxis]
     values[counts <= 1e-9] = values[counts > 1e-9].mean(0)
     return Tile(values.reshape(rows, columns, -1).astype(np.float32), counts.reshape(rows, columns), lattice)
+
+
+def explained_share(image: Values, lattice: Lattice, mask: NDArray[np.bool_] | None = None) -> float:
+    """Return the share of the variance of an image, or of the pixels of a mask, that its mean tile explains."""
+    used = np.ones(image.shape[:2], np.bool_) if mask is None else mask
+    pixels, rest = image[used], (image - fold(image, lattice, mask).unfold(image.shape[:2]))[used]
+    around = np.square(pixels - pixels.mean(0, dtype=np.float64)).sum(dtype=np.float64)
+    return 1 - float(np.square(rest).sum(dtype=np.float64) / max(float(around), 1e-12))
 
 
 def sample_tile(values: Values, uv: NDArray[np.float64]) -> Values:

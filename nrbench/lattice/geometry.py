@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +24,8 @@ Points = NDArray[np.float64]
 
 LONGEST = 1e9
 """px; the longest vector of a lattice: squares and products of longer ones may overflow."""
+SAME_LENGTH, SAME_ANGLE = 0.02, math.radians(3)
+"""Lengths (as a share of the shortest one) and angles that differ by less count as equal when a basis is chosen."""
 MOST_STEPS = 64
 """Most steps of a reduction. Each shortens a vector, and vectors up to :data:`LONGEST` need fewer."""
 
@@ -135,6 +138,40 @@ class Lattice:
         """
         a, b = (_point_down(vector) for vector in _break_ties(*reduce_bases(self.matrix[np.newaxis], False)[0]))
         return Lattice.from_basis((a, -b if _is_obtuse(a, b) else b), self.origin)
+
+    def oriented(self) -> Lattice:
+        """Return the same lattice in the reduced basis in which detectors report it, which noise hardly changes.
+
+        t1 points right and is nearer to the direction of x than t2 is. The basis is right-handed: from t1 to t2 is a
+        turn like that from x to y (down), by 60 to 120 degrees. Lengths that differ by less than :data:`SAME_LENGTH`
+        and angles that differ by less than :data:`SAME_ANGLE` count as equal. Of equal choices, t1 is the one that
+        points most upwards, and t2 makes the smallest angle with it. So noisy copies of a square, rhombic or
+        hexagonal lattice have one basis. Those of a lattice that lies just at one of these limits have two.
+
+        Returns
+        -------
+        Lattice
+            It has the same origin.
+
+        Examples
+        --------
+        >>> from nrbench.lattice.geometry import Lattice
+        >>> Lattice((12.0, 9.0), (-12.1, 8.9)).oriented()
+        Lattice(t1=(12.1, -8.9), t2=(12.0, 9.0), origin=(0.0, 0.0))
+        """
+        a, b = self._reduced
+        vectors = _point_right(np.stack([a, b, b - a, b + a]))
+        slopes, squares = np.arctan2(vectors[:, 1], vectors[:, 0]), _dot(vectors, vectors)
+        shortest, next_one = squares[:2] + 2 * SAME_LENGTH * squares[0]
+        choices = []
+        for i, j in itertools.permutations(np.flatnonzero(squares <= next_one), 2):
+            t1, t2 = vectors[i], vectors[j]
+            cross = t1[0] * t2[1] - t1[1] * t2[0]
+            if abs(abs(cross) - self.area) < self.area / 2 and min(squares[i], squares[j]) <= shortest:
+                choices.append((slopes[i], t1, t2 if cross > 0 else -t2))
+        flattest = min(abs(slope) for slope, _, _ in choices) + SAME_ANGLE
+        flat = [choice for choice in choices if abs(choice[0]) <= flattest]
+        return Lattice.from_basis(min(flat, key=lambda choice: (choice[0], -choice[1] @ choice[2]))[1:], self.origin)
 
     def dual(self) -> Lattice:
         """Return the reciprocal lattice, in cycles per px: vectors d_i with ``d_i . t_j`` = 1 where i = j, else 0.

@@ -120,8 +120,9 @@ def find_color_space(picture: PIL.Image.Image, head: bytes) -> ColorSpace | None
     info, codes = picture.info, _CODES.search(head)
     if codes is not None and (codes[1] or not info.get("icc_profile")):
         return _from_codes(*(codes[1] or codes[2] + codes[3]))
-    if info.get("icc_profile"):
-        return read_profile(info["icc_profile"])
+    profile = info.get("icc_profile") or _find_box(head)
+    if profile:
+        return None if picture.mode == "LAB" else read_profile(profile)  # Pillow knows what L*a*b* is
     if "srgb" in info:
         return None
     if "gamma" in info or "chromaticity" in info:
@@ -132,6 +133,12 @@ def find_color_space(picture: PIL.Image.Image, head: bytes) -> ColorSpace | None
         return _from_exif(picture.getexif())
     except Exception:  # a broken block says nothing
         return None
+
+
+def _find_box(head: bytes) -> bytes:
+    """Return the ICC profile in the header of a JPEG 2000 file, which Pillow does not read; empty if there is none."""
+    at = head.find(b"colr") if head[4:8] == b"jP  " else -1
+    return head[at + 7 : at - 4 + int.from_bytes(head[at - 4 : at], "big")] if at > 0 and head[at + 4] == 2 else b""
 
 
 def _from_codes(primaries: int, transfer: int) -> ColorSpace | None:

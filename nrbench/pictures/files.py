@@ -10,10 +10,10 @@ import struct
 import sys
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import numpy as np
 import PIL.ExifTags
@@ -26,13 +26,15 @@ import PIL.TiffImagePlugin
 import tifffile
 from numpy.typing import NDArray
 
-from nrbench.errors import BadInput, strip_control
-from nrbench.imaging.convert import MIN_SIDE, Image, as_image, depth_of, to_bytes, to_integers
+from nrbench.errors import BadInput, require, strip_control
+from nrbench.imaging.convert import MIN_SIDE, Image, as_image, as_layers, depth_of, to_bytes, to_integers
+from nrbench.imaging.masks import Mask, MaskedImage, as_mask, as_masked
 from nrbench.pictures.color_spaces import LINEAR, ColorSpace, apply_profile, find_color_space, read_profile
 from nrbench.storage import find_path, write_aside
 
 for _library in ("PIL", "tifffile"):  # they print the faults of a damaged file, of which we make one error
     logging.getLogger(_library).addHandler(logging.NullHandler())
+Read = TypeVar("Read", NDArray[Any], MaskedImage)
 _Opened = PIL.ImageFile.ImageFile | tifffile.TiffPage
 ENDINGS = frozenset(
     {
@@ -109,26 +111,90 @@ def read_image(path: str | Path, smallest: int = MIN_SIDE) -> Image:
     >>> read_image(path).shape
     (64, 96, 3)
     """
+    return _read(path, smallest, as_image)
+
+
+def read_masked(path: str | Path, smallest: int = MIN_SIDE) -> MaskedImage:
+    """Read an image file as :func:`read_image` does; transparent pixels do not count."""
+    return _read(path, smallest, as_masked)
+
+
+def read_layers(path: str | Path, smallest: int = MIN_SIDE) -> Image:
+    """Read an image file as :func:`read_image` does, with alpha as the last of 2 or 4 channels."""
+    return _read(path, smallest, as_layers)
+
+
+def read_map(path: str | Path) -> tuple[NDArray[Any], bytes]:
+    """Read the values of a picture file that are no colors, such as normals or heights, as they are stored.
+
+    Nothing is converted: what a file says of its colors says nothing about heights, and a map of colors keeps its
+    profile. A palette is replaced by its colors, by one channel if they are gray.
+
+    Parameters
+    ----------
+    path
+        As for :func:`read_image`; also float TIFF of any range.
+
+    Returns
+    -------
+    values
+        ``(H, W)`` or ``(H, W, C)``: uint8, uint16 or float32.
+    profile
+        The ICC profile of the file; empty if it has none.
+
+    Raises
+    ------
+    BadInput
+        If there is no such file, or it is no image.
+    """
     where, notes = f"picture {path}", list[str]()
-    with _opened(path, where) as (picture, file, head):
-        if isinstance(picture, tifffile.TiffPage):
-            pixels, space = _page_pixels(picture, where, notes)
-        else:
-            pixels, space = _pixels(picture, file, head, where, notes)
+    values, _, profile = _load(path, where, notes, stored=True)
+    if notes:
+        warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=2)
+    return values, profile or b""
+
+
+def read_mask(path: str | Path, shape: tuple[int, int]) -> Mask:
+    """Read a picture as a mask of ``shape`` (height, width): white counts, and black is left out."""
+    with warnings.catch_warnings(action="ignore"):  # of what its colors mean
+        return as_mask(read_masked(path, 1), shape, f"mask {path}")
+
+
+def _read(path: str | Path, smallest: int, convert: Callable[[NDArray[Any], str, int], Read]) -> Read:
+    """Return what ``convert`` makes of the pixels of a file, which may have alpha, and warn of what is odd."""
+    where, notes = f"picture {path}", list[str]()
+    pixels, space, _ = _load(path, where, notes)
     pixels = pixels if pixels.ndim == 3 else pixels[..., np.newaxis]
     if pixels.dtype.kind == "f":
-        as_image(pixels, where, smallest)  # the range of floats is checked before the conversion
+        pixels = pixels.astype(np.float32) if pixels.dtype == np.float16 else pixels
+        convert(pixels, where, smallest)  # the range of floats is checked before the conversion
         if space is None:
             notes.append("float values without a profile are read as linear light; store other quantities with 16 bits")
         space = space or LINEAR
     if space is not None:
         pixels, remark = space.to_srgb(pixels)
         notes += [remark] if remark else []
-    image = as_image(pixels, where, smallest)
-    notes += _range_remark(image)
+    read = convert(pixels, where, smallest)
+    notes += _range_remark(read.image if isinstance(read, MaskedImage) else read)
     if notes:
-        warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=2)
-    return image
+        warnings.warn(f"{where}: {'; '.join(notes)}", UserWarning, stacklevel=3)
+    return read
+
+
+def _load(
+    path: str | Path, where: str, notes: list[str], stored: bool = False
+) -> tuple[NDArray[Any], ColorSpace | None, bytes | None]:
+    """Return the pixels of a file, the color space from which they must be converted, and its profile; add notes.
+
+    ``stored``: the values as they are stored, without a color space.
+    """
+    with _opened(path, where) as (picture, file, head):
+        if isinstance(picture, tifffile.TiffPage):
+            return *_page_pixels(picture, where, notes), picture.iccprofile
+        pixels, space = _pixels(picture, file, head, where, notes, stored)
+        if stored and picture.mode == "P" and pixels.ndim == 3 and not np.ptp(pixels, axis=2).any():
+            pixels = pixels[..., 0]
+        return pixels, space, picture.info.get("icc_profile")
 
 
 def _range_remark(image: Image) -> list[str]:
@@ -166,8 +232,7 @@ def _opened(path: str | Path, where: str) -> Iterator[tuple[_Opened, IO[bytes], 
                     raise BadInput(f"{where}: {_name_format(head, file)}") from None
                 picture = opened.enter_context(tifffile.TiffFile(file)).pages.first
                 width, height = picture.imagewidth, picture.imagelength
-            if width * height == 0:
-                raise BadInput(f"{where}: {_NO_PICTURE}")
+            require(width * height > 0, f"{where}: {_NO_PICTURE}")
             if width * height > MOST_PIXELS:
                 most = f"at most {MOST_PIXELS} px in all are read"
                 raise BadInput(f"{where}: {width}x{height} px; {most}: crop it, or scale it down")
@@ -217,8 +282,7 @@ def list_pictures(folder: Path) -> list[Path]:
     BadInput
         If there is no such folder.
     """
-    if not folder.is_dir():
-        raise BadInput(f"directory {folder}: there is no such directory; check the path")
+    require(folder.is_dir(), f"directory {folder}: there is no such directory; check the path")
     names = sorted(entry.name for entry in os.scandir(folder) if entry.is_file() and not entry.name.startswith("."))
     skipped = [name for name in names if Path(name).suffix.lower() not in ENDINGS | _COMPANIONS]
     if skipped:
@@ -246,12 +310,9 @@ def read_shape(path: str | Path) -> tuple[int, int]:
 
 
 def _check_file(path: Path, where: str) -> None:
-    if path.is_dir():
-        raise BadInput(f"{where}: is a directory; pass one picture in it")
-    if not path.is_file():
-        raise BadInput(f"{where}: there is no such file; check the path")
-    if path.stat().st_size == 0:
-        raise BadInput(f"{where}: is empty (0 bytes); save or download it again")
+    require(not path.is_dir(), f"{where}: is a directory; pass one picture in it")
+    require(path.is_file(), f"{where}: there is no such file; check the path")
+    require(path.stat().st_size > 0, f"{where}: is empty (0 bytes); save or download it again")
 
 
 def _has_several_frames(picture: PIL.Image.Image) -> bool:
@@ -265,15 +326,24 @@ def _has_several_frames(picture: PIL.Image.Image) -> bool:
 
 
 def _pixels(
-    picture: PIL.ImageFile.ImageFile, file: IO[bytes], head: bytes, where: str, notes: list[str]
+    picture: PIL.ImageFile.ImageFile,
+    file: IO[bytes],
+    head: bytes,
+    where: str,
+    notes: list[str],
+    stored: bool = False,
 ) -> tuple[NDArray[Any], ColorSpace | None]:
-    """Return the pixels of a picture, upright, and the color space from which they must be converted; add notes."""
+    """Return the pixels of a picture, upright, and the color space from which they must be converted; add notes.
+
+    ``stored``: the values as they are stored, without a color space.
+    """
     if _has_several_frames(picture):
         notes.append(_FRAMES)
     deep, twelve = _is_deep(picture, head), "I;12" in str(picture.tile)
     # Before EXIF is read, for which Pillow decodes a PNG.
     wide = _read_wide(picture, file) if deep and picture.tile else None
-    space, upright = find_color_space(picture, head), PIL.ImageOps.exif_transpose(picture)
+    space = None if stored else find_color_space(picture, head)
+    upright = PIL.ImageOps.exif_transpose(picture)
     if upright.mode.startswith("I"):
         wide = np.rint(np.asarray(upright) * (65535 / 4095)) if twelve else np.asarray(upright)
     if wide is not None:
@@ -348,8 +418,7 @@ def _plain_pixels(picture: PIL.Image.Image, where: str) -> NDArray[Any]:
         picture = picture.convert(_VIA_ALPHA.get(picture.mode, "RGBA"))
     elif picture.mode in _VIA:
         picture = picture.convert(_VIA[picture.mode])
-    if picture.mode not in _DIRECT:
-        raise BadInput(f"{where}: has pixels of mode {picture.mode}; save it with 8 or 16 bits a channel")
+    require(picture.mode in _DIRECT, f"{where}: has pixels of mode {picture.mode}; save it with 8 or 16 bits a channel")
     return np.asarray(picture)
 
 
@@ -373,8 +442,7 @@ def to_rgb(picture: PIL.Image.Image) -> NDArray[np.uint8]:
 
 def to_pil(image: Image) -> PIL.Image.Image:
     """Return an image as a picture of Pillow, of 8 bits a channel; gray if it has one channel."""
-    pixels = to_bytes(image)
-    return PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
+    return _to_pil(to_bytes(image))
 
 
 def encode_png(image: Image) -> bytes:
@@ -396,7 +464,7 @@ def write_image(path: str | Path, image: Image) -> Path:
         The path; its name must end in ``.png``, ``.tif``, ``.tiff`` or ``.webp``. An existing file is replaced. All
         pixels are kept, but that WebP has only 8 bits; then there is a warning.
     image
-        float32 ``(H, W, C)`` in [0, 1]; values outside are clipped.
+        uint8, uint16, or float in [0, 1], ``(H, W)`` or ``(H, W, C)``; floats outside are clipped. Alpha is opaque.
 
     Returns
     -------
@@ -418,56 +486,95 @@ def write_image(path: str | Path, image: Image) -> Path:
     >>> read_image(path).shape
     (64, 96, 3)
     """
-    target, deep = Path(path), depth_of(image) == 16
-    kind = target.suffix.lower()
+    image = np.asarray(image)
+    image = as_image(np.clip(image, 0, 1) if image.dtype.kind == "f" else image, f"picture {path}", 1)
+    return write_map(path, to_integers(image, depth_of(image)))
+
+
+def write_map(path: str | Path, values: NDArray[Any], profile: bytes | None = None) -> Path:
+    """Write the values of a map as :func:`write_image` writes an image, with the profile of :func:`read_map`.
+
+    Parameters
+    ----------
+    path
+        As for :func:`write_image`. Floats need TIFF.
+    values
+        ``(H, W)`` or ``(H, W, C)``: uint8, uint16 or float32.
+    profile
+        An ICC profile; empty: none, the values are no colors. None: the values are sRGB.
+
+    Returns
+    -------
+    Path
+        The path written.
+
+    Raises
+    ------
+    BadInput
+        As for :func:`write_image`.
+    """
+    target, deep = Path(path), values.dtype == np.uint16
+    kind, pixels = target.suffix.lower(), values if values.ndim == 3 else values[..., np.newaxis]
     if kind not in WRITTEN:
         raise BadInput(f"picture {path}: is not written, because only {_WRITTEN} keep every pixel; end its name so")
     if kind == ".webp" and deep:
-        warnings.warn(
-            f"picture {path}: WebP has 8 bits a channel; .png and .tif keep the 16 of the image", stacklevel=2
-        )
+        kept = "WebP has 8 bits a channel; .png and .tif keep the 16 of the image"
+        warnings.warn(f"picture {path}: {kept}", stacklevel=2)
     write = {".png": _write_deep_png if deep else _write_png, ".webp": _write_webp}.get(kind, _write_tiff)
     try:
         if not target.parent.is_dir():
             raise NotADirectoryError(errno.ENOENT, "No such file or directory")
-        write_aside(target, lambda file: write(file, image))
+        write_aside(target, lambda file: write(file, pixels, profile))
     except OSError as error:
         raise BadInput(f"picture {path}: cannot be written ({error.strerror}); check its folder") from None
     return target
 
 
-def _write_png(file: IO[bytes], image: Image) -> None:
+def _to_pil(pixels: NDArray[Any]) -> PIL.Image.Image:
+    return PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
+
+
+def _write_png(file: IO[bytes], pixels: NDArray[Any], profile: bytes | None) -> None:
     chunks = PIL.PngImagePlugin.PngInfo()
-    chunks.add(b"sRGB", b"\x00")
-    to_pil(image).save(file, "PNG", compress_level=1, pnginfo=chunks)
+    if profile is None:
+        chunks.add(b"sRGB", b"\x00")
+    _to_pil(pixels).save(file, "PNG", compress_level=1, pnginfo=chunks, icc_profile=profile)
 
 
-def _write_deep_png(file: IO[bytes], image: Image) -> None:
+def _write_deep_png(file: IO[bytes], pixels: NDArray[Any], profile: bytes | None) -> None:
     """Write a PNG of 16 bits a channel. Pillow writes such files in gray alone."""
-    height, width, channels = image.shape
-    rows = to_integers(image, 16).astype(">u2").reshape(height, -1).view(np.uint8)
+    height, width, channels = pixels.shape
+    rows = pixels.astype(">u2").reshape(height, -1).view(np.uint8)
     lines = np.full((height, 1 + rows.shape[1]), 2, np.uint8)  # 2: differences from the line above
     lines[:, 1:] = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint8))
     file.write(b"\x89PNG\r\n\x1a\n")
-    header = struct.pack(">IIBBBBB", width, height, 16, 2 if channels == 3 else 0, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, 16, (0, 4, 2, 6)[channels - 1], 0, 0, 0)
+    meaning = (b"iCCP", b"ICC profile\0\0" + zlib.compress(profile)) if profile else (b"sRGB", b"\x00")
     for name, data in (
         (b"IHDR", header),
-        (b"sRGB", b"\x00"),
+        *([] if profile == b"" else [meaning]),
         (b"IDAT", zlib.compress(lines.tobytes(), 1)),
         (b"IEND", b""),
     ):
         PIL.PngImagePlugin.putchunk(file, name, data)
 
 
-def _write_webp(file: IO[bytes], image: Image) -> None:
-    to_pil(image).save(file, "WEBP", lossless=True, exact=True)
+def _write_webp(file: IO[bytes], pixels: NDArray[Any], profile: bytes | None) -> None:
+    pixels = np.rint(pixels / 257).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
+    _to_pil(pixels).save(file, "WEBP", lossless=True, exact=True, icc_profile=profile)
 
 
-def _write_tiff(file: IO[bytes], image: Image) -> None:
+def _write_tiff(file: IO[bytes], pixels: NDArray[Any], profile: bytes | None) -> None:
     """Write a TIFF; one in color has the profile of sRGB, without which the meaning of its values would be open."""
-    pixels, color = to_integers(image, depth_of(image)), image.shape[2] == 3
-    profile = PIL.ImageCms.ImageCmsProfile(PIL.ImageCms.createProfile("sRGB")).tobytes() if color else None
-    photometric = "rgb" if color else "minisblack"
+    color, alpha = pixels.shape[2] > 2, pixels.shape[2] % 2 == 0
+    if profile is None and color:
+        profile = PIL.ImageCms.ImageCmsProfile(PIL.ImageCms.createProfile("sRGB")).tobytes()
     tifffile.imwrite(
-        file, pixels if color else pixels[..., 0], photometric=photometric, compression="zlib", iccprofile=profile
+        file,
+        pixels if pixels.shape[2] > 1 else pixels[..., 0],
+        photometric="rgb" if color else "minisblack",
+        planarconfig="contig" if pixels.shape[2] > 1 else None,
+        extrasamples=["unassalpha"] if alpha else None,
+        compression="zlib",
+        iccprofile=profile or None,
     )

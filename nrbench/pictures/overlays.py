@@ -14,6 +14,7 @@ import PIL.Image
 import PIL.ImageDraw
 import PIL.ImageFont
 import skimage
+from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.wallpaper_group import FoundGroup, Symmetry
@@ -171,12 +172,43 @@ def draw_vertices(image: Image, vertices: Sequence[Vertex]) -> Image:
     return canvas
 
 
+def draw_outlines(image: Image, outlines: Sequence[Sequence[tuple[float, float]]]) -> Image:
+    """Return the image in color with closed outlines, each given by its corners (x, y) px, and their numbers from 1."""
+    picture = to_pil(np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image)
+    pen = PIL.ImageDraw.Draw(picture)
+    color = tuple(round(255 * part) for part in COLOR)
+    for number, corners in enumerate(outlines, 1):
+        pen.polygon(list(corners), outline=color, width=2)
+        pen.text(min(corners), str(number), fill=color, font=_load_font(_SIZE), anchor="rb", stroke_width=1)
+    return np.asarray(picture, np.float32) / np.float32(255)
+
+
 def _draw_line(canvas: Image, start: Iterable[float], end: Iterable[float]) -> None:
     x0, y0, x1, y1 = np.rint([*start, *end]).astype(int)
     rows, columns, weight = skimage.draw.line_aa(y0, x0, y1, x1)  # type: ignore[no-untyped-call]
     inside = (rows >= 0) & (rows < canvas.shape[0]) & (columns >= 0) & (columns < canvas.shape[1])
     rows, columns, weight = rows[inside], columns[inside], weight[inside, np.newaxis].astype(np.float32)
     canvas[rows, columns] = canvas[rows, columns] * (1 - weight) + np.array(COLOR, np.float32) * weight
+
+
+def draw_seams(image: Image, *profiles: NDArray[np.float32] | None) -> Image:
+    """Return the image in color, rolled by half, with the seams drawn that its edges make.
+
+    Parameters
+    ----------
+    image
+        Any :data:`~nrbench.imaging.convert.Image`.
+    profiles
+        Of the right edge and of the lower edge: numbers along it. The seam is drawn where they exceed 1, or whole where
+        none does; None: not at all.
+    """
+    half = (image.shape[0] // 2, image.shape[1] // 2)
+    canvas = np.roll(np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image, half, (0, 1))
+    for part, middle, before, profile in zip((canvas.swapaxes(0, 1), canvas), half[::-1], half, profiles, strict=True):
+        if profile is not None:
+            drawn = np.roll(profile > min(1.0, float(profile.max()) / 2), before)
+            part[middle - 1 : middle + 1, drawn] = COLOR
+    return canvas
 
 
 def zoom_panels(image: Image, lattices: Sequence[Lattice], side: int = PANEL) -> list[Image]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.lattice.vertices import Vertex, find_grid_fault
 from nrbench.storage import decimal_point, find_path, read_table
@@ -73,8 +73,7 @@ class TruthTable:
         for line, values in lines:
             row = _row(values, f"{path} line {line}", len(fields), folder)
             name = row.values["file"]
-            if name in rows:
-                raise BadInput(f"{row.where}: {name!r} occurs a second time; keep one")
+            require(name not in rows, f"{row.where}: {name!r} occurs a second time; keep one")
             rows[name] = row
         return cls(fields, rows)
 
@@ -126,8 +125,7 @@ def read_vertices(path: Path, shape: tuple[int, int]) -> tuple[Vertex, ...]:
             if (first := seen.setdefault(part, line)) != line:
                 raise BadInput(f"{path} line {line}: has the {part[0]} of line {first}; keep one")
     fault = find_grid_fault(vertices)
-    if fault:
-        raise BadInput(f"{path}: {fault}; number vertices by row and column, neighbors by neighboring numbers")
+    require(not fault, f"{path}: {fault}; number vertices by row and column, neighbors by neighboring numbers")
     return tuple(vertices)
 
 

@@ -46,8 +46,12 @@ class Form:
 
 FORMS: Mapping[str, Form] = {
     "datasets": Form("dataset", {"render": 2, "again": 3}, ("model", "shape", "seed")),
-    "detectors": Form("detector", {"detect": 1}, ("image", "detector")),
-    "synthesizers": Form("method", {"synthesize": 1}, ("method", "image", "shape", "lattice", "seed", "progress")),
+    "detectors": Form("detector", {"detect": 1}, ("image", "detector", "mask")),
+    "synthesizers": Form(
+        "method",
+        {"synthesize": 1},
+        ("method", "image", "shape", "lattice", "seed", "progress", "mask", "maps", "keep_alpha", "flatten_light"),
+    ),
     "metrics": Form("metric", {"score": 1}),
     "reports": Form("report", {"write": 2}),
 }
@@ -75,30 +79,27 @@ def methods_wanted() -> str:
 def find_fault(kind: str, cls: Any) -> str:
     """Return one sentence about why a class is no valid plugin of a kind; empty if it is valid."""
     checks = (_form_fault, _version_fault, _field_fault, _method_fault, _column_fault, _preset_fault, _patch_fault)
-    return next((found for check in checks if (found := check(kind, cls))), "")
+    found = next((found for check in checks if (found := check(kind, cls))), "")
+    return f"{FORMS[kind].noun} {getattr(cls, '__name__', cls)!r}{found}" if found else ""
 
 
-def _form_fault(kind: str, cls: Any) -> str:
-    label = f"{FORMS[kind].noun} {getattr(cls, '__name__', cls)!r}"
+# Each check returns the rest of the sentence, after the noun and the name of the class.
+def _form_fault(_: str, cls: Any) -> str:
     if not (inspect.isclass(cls) and dataclasses.is_dataclass(cls)):
-        return f"{label} is no dataclass; decorate it with @dataclass(frozen=True)"
+        return " is no dataclass; decorate it with @dataclass(frozen=True)"
     if not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]
-        return f"{label} is not frozen; decorate it with @dataclass(frozen=True)"
+        return " is not frozen; decorate it with @dataclass(frozen=True)"
     name = str(getattr(cls, "name", "x"))
     if not re.fullmatch(r"[\w.-]+", name):
-        return f"{label}: its name {name!r} is not valid; use letters, digits, '.', '-' and '_'"
+        return f": its name {name!r} is not valid; use letters, digits, '.', '-' and '_'"
     own_page = cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
-    return "" if own_page else f"{label} has no docstring; write one, it is the plugin's page"
+    return "" if own_page else " has no docstring; write one, it is the plugin's page"
 
 
-def _version_fault(kind: str, cls: Any) -> str:
-    label = f"{FORMS[kind].noun} {cls.__name__!r}"
+def _version_fault(_: str, cls: Any) -> str:
     version = getattr(cls, "version", "")
-    if not is_stable(version):
-        return (
-            f"{label}: its version {version!r:.60} is no text and no finite number; set `version: ClassVar[str] = ...`"
-        )
-    return ""
+    wrong = f": its version {version!r:.60} is no text and no finite number; set `version: ClassVar[str] = ...`"
+    return "" if is_stable(version) else wrong
 
 
 def is_stable(value: object) -> bool:
@@ -107,24 +108,19 @@ def is_stable(value: object) -> bool:
 
 
 def _field_fault(kind: str, cls: Any) -> str:
-    form = FORMS[kind]
-    label = f"{form.noun} {cls.__name__!r}: parameter"
+    taken, bare = FORMS[kind].taken, missing(cls, ())
     for field in dataclasses.fields(cls):
-        if field.name in form.taken:
-            taken = ", ".join(form.taken)
-            return f"{label} {field.name!r} has the name of an argument of the call; rename it (taken: {taken})"
+        label = f": parameter {field.name!r} has"
+        if field.name in taken:
+            return f"{label} the name of an argument of the call; rename it (taken: {', '.join(taken)})"
         if field.name in (PRESET, LABEL):
             use = "presets are chosen" if field.name == PRESET else "methods get their names in tables"
-            return f"{label} {field.name!r} has the name by which {use}; rename it"
-        if not _has_default(field) and kind in ("detectors", "metrics", "reports"):
-            return f"{label} {field.name!r} has no default; give it one"
-        if _has_default(field) and not _is_plain(field):
-            return f"{label} {field.name!r} has a default that JSON cannot hold; use numbers, text or None"
+            return f"{label} the name by which {use}; rename it"
+        if field.name in bare and kind in ("detectors", "metrics", "reports"):
+            return f"{label} no default; give it one"
+        if field.name not in bare and not _is_plain(field):
+            return f"{label} a default that JSON cannot hold; use numbers, text or None"
     return ""
-
-
-def _has_default(field: dataclasses.Field[Any]) -> bool:
-    return field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
 
 
 def _is_plain(field: dataclasses.Field[Any]) -> bool:
@@ -141,12 +137,12 @@ def _method_fault(kind: str, cls: Any) -> str:
     for method, arguments in FORMS[kind].methods.items():
         function = getattr(cls, method, None)
         if not callable(function):
-            return f"{FORMS[kind].noun} {cls.__name__!r} lacks the method {method}()"
+            return f" lacks the method {method}()"
         try:
             inspect.signature(function).bind(*[None] * (arguments + 1))
         except TypeError as error:
             wanted = f"self and {arguments} argument{'s' * (arguments > 1)}"
-            return f"{FORMS[kind].noun} {cls.__name__!r}: {method}() must take {wanted} ({error})"
+            return f": {method}() must take {wanted} ({error})"
     return ""
 
 
@@ -157,11 +153,9 @@ def _column_fault(kind: str, cls: Any) -> str:
 
     columns = getattr(cls, "columns", None)
     if not (isinstance(columns, Mapping) and columns and all(isinstance(c, Column) for c in columns.values())):
-        return f"metric {cls.__name__!r} declares no columns; set `columns: ClassVar = {{name: Column(...)}}`"
-    wrong = next((name for name, column in columns.items() if not _is_column(name, column)), None)
-    if wrong is not None:
-        return f"metric {cls.__name__!r}: column {wrong!r} is not valid: {columns[wrong]}; see Column"
-    return ""
+        return " declares no columns; set `columns: ClassVar = {name: Column(...)}`"
+    wrong = (f": column {n!r} is not valid: {c}; see Column" for n, c in columns.items() if not _is_column(n, c))
+    return next(wrong, "")
 
 
 def _is_column(name: Any, column: Column) -> bool:
@@ -173,16 +167,14 @@ def _is_column(name: Any, column: Column) -> bool:
     return texts and numbers and column.range[0] <= column.range[1] and column.better in get_args(Better)
 
 
-def _preset_fault(kind: str, cls: Any) -> str:
+def _preset_fault(_: str, cls: Any) -> str:
     """Return what is wrong with the presets of a plugin: an unknown parameter, or a value that it refuses."""
     presets = getattr(cls, "presets", {})
-    label = f"{FORMS[kind].noun} {cls.__name__!r}"
     if not (isinstance(presets, Mapping) and all(isinstance(values, Mapping) for values in presets.values())):
-        return f"{label}: presets must be a mapping; set `presets: ClassVar = {{name: {{parameter: value}}}}`"
+        return ": presets must be a mapping; set `presets: ClassVar = {name: {parameter: value}}`"
     for name, parameters in presets.items():
-        where = f"{label}: preset {name!r}"
         try:
-            (converted if missing(cls, parameters) else validated)(cls, parameters, where)
+            (converted if missing(cls, parameters) else validated)(cls, parameters, f": preset {name!r}")
         except BadInput as error:
             return str(error)
     return ""
@@ -199,9 +191,9 @@ def _patch_fault(kind: str, cls: Any) -> str:
     said = [name for name in PATCH_TERMS if hasattr(cls, name)]
     wrong = next((name for name in said if not isinstance(getattr(cls, name), str)), "")
     if wrong:
-        return f"method {cls.__name__!r}: {wrong} must be text; set `{wrong}: ClassVar[str] = ...`"
+        return f": {wrong} must be text; set `{wrong}: ClassVar[str] = ...`"
     lacking = ", ".join(name for name in PATCH_TERMS if name not in said)
-    return f"method {cls.__name__!r} has {said[0]}, but not {lacking}; give all or none" if said and lacking else ""
+    return f" has {said[0]}, but not {lacking}; give all or none" if said and lacking else ""
 
 
 def plain_value(value: Any) -> Any:

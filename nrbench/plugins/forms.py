@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -10,7 +10,9 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, runtim
 import numpy as np
 from numpy.typing import NDArray
 
+from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
+from nrbench.imaging.masks import Mask
 from nrbench.jit import work_clock
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.vertices import Vertex
@@ -20,10 +22,11 @@ Shape = tuple[int, int]
 """(height, width) in px."""
 Region = tuple[int, int, int, int]
 """(x0, y0, x1, y1) in px of the picture that a crop was cut from, half-open."""
-Geometry = Literal["bent", "argmax", "straight", "as-is"]
+Geometry = Literal["waves", "bent", "argmax", "straight", "as-is"]
 """How a method is run where the sample is bent. It gets the straightened sample, and its output is ``"bent"`` by a
 field like the sample's, bent by ``"argmax"`` as in Lin and others 2004 (appendix A, equation 3; one pass of each warp),
-or left ``"straight"``. ``"as-is"``: it gets the sample itself."""
+or left ``"straight"``. ``"waves"``: bent where the sample waves, straight where it shows a plane in perspective, a
+round surface or the distortion of a lens. ``"as-is"``: it gets the sample itself."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,8 @@ class Texture:
     vertices
         Where the points of the lattice lie in a photograph, as a person set them; empty if nobody did. Those of a model
         follow from ``lattice`` and ``displacement``.
+    known
+        ``bool (H, W)``: which pixels of a photograph count, see :class:`Task`; None: all.
 
     Examples
     --------
@@ -82,6 +87,7 @@ class Texture:
     region: Region | None = None
     draw_seed: int | None = None
     vertices: tuple[Vertex, ...] = ()
+    known: Mask | None = field(default=None, repr=False)
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""
@@ -276,6 +282,8 @@ class NoLatticeFound(Exception):
         One sentence that says which test failed.
     best
         The best candidate that was rejected, or None.
+    lattices
+        The lattices of an image in which several are superposed; empty otherwise.
 
     Examples
     --------
@@ -288,18 +296,24 @@ class NoLatticeFound(Exception):
     None
     """
 
-    def __init__(self, reason: str, best: Detection | None = None) -> None:
+    def __init__(self, reason: str, best: Detection | None = None, lattices: Sequence[Lattice] = ()) -> None:
         super().__init__(reason)
         self.reason = reason
         self.best = best
+        self.lattices = tuple(lattices)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.reason, self.best)
+        return type(self), (self.reason, self.best, self.lattices)
 
 
 @runtime_checkable
 class Detector(Protocol):
-    """The form of a detector plugin: a frozen dataclass with this method."""
+    """The form of a detector plugin: a frozen dataclass with this method.
+
+    A detector that can leave pixels out declares the class variable ``masks = True``. Its method is then
+    ``detect(image, known=None)``: ``known`` is ``bool (H, W)``, True where a pixel counts. The others have the color of
+    the nearest one that counts. Detectors without it get such an image as if all counted.
+    """
 
     def detect(self, image: Image) -> Detection:
         """Return the lattice of ``image``, or raise :class:`NoLatticeFound`."""
@@ -309,8 +323,9 @@ class Detector(Protocol):
 Again = Callable[[Shape, int], Texture | None]
 """``again(shape, k)`` returns the k-th independent draw of the sample's texture, of the same lattice and origin."""
 SourceMap = NDArray[np.float32]
-"""``float32 (H, W, 3)``: for each output pixel the (x, y) of the sample pixel that it was copied from, and the weight
-of that pixel in (0, 1]. Where several pixels were blended, the one of the largest weight. NaN where none was copied."""
+"""``float32 (H, W, 3)``: for each output pixel the place (x, y) in the sample that it shows, and the weight of that
+place in (0, 1]. A place between pixels is interpolated; a pixel whose place is whole and whose weight is 1 is a copy.
+Where several places were blended, the one of the largest weight. NaN where the sample is not shown."""
 Value = float | bool | None
 Better = Literal["higher", "lower", "one", "none"]
 T = TypeVar("T")
@@ -369,6 +384,10 @@ class Task:
     detected
         What a detector found in a sample before the method ran: the sample, the detector, and the answer.
         :func:`find_lattice` returns this answer for the same sample and an equal detector; None if there is none.
+    known
+        ``bool (h, w)``: True where a pixel of ``sample`` counts; None if all do. It is None unless the class variable
+        ``masks`` of the method is True: then the output holds nothing of the other pixels, which were transparent or
+        left out by a mask. They have the color of the nearest pixel that counts.
 
     Examples
     --------
@@ -388,6 +407,7 @@ class Task:
     cache: Path | None = None
     tileable: bool = False
     detected: tuple[Image, Detector, FoundLattice] | None = None
+    known: Mask | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
@@ -411,6 +431,18 @@ class Synthesis:
     files
         Functions by the names of text files, which are kept beside the pictures of ``extras``. Each takes a prefix of
         the names of these pictures, and returns the text: "" in a run, "OUT-" for ``nrbench synth -o OUT.png``.
+    blended
+        ``float32 (H, W, K, 3)``: the next K places of each pixel that is blended, in the order of their weights; weight
+        0 where there is none. None if no pixel is blended.
+    tints
+        ``float32 (h, w, 2 + C)``: places (x, y) in the sample, and the part of its color there that the method drew
+        anew; None if it drew none. Then the output differs from its sources, and other maps follow by regression.
+    sample
+        The sample; nrbench adds it.
+    maps
+        The maps of the call, in the layout of the output; nrbench adds them.
+    able
+        The names of the methods that give source maps, for a message; nrbench adds them if there is none.
 
     Examples
     --------
@@ -427,6 +459,53 @@ class Synthesis:
     detection_seconds: float = 0.0
     note: str = ""
     files: Mapping[str, Callable[[str], str]] = field(default_factory=dict, repr=False)
+    blended: NDArray[np.float32] | None = field(default=None, repr=False)
+    tints: NDArray[np.float32] | None = field(default=None, repr=False)
+    sample: Image | None = field(default=None, repr=False)
+    maps: tuple[NDArray[Any], ...] = field(default=(), repr=False)
+    able: str = field(default="", repr=False)
+
+    def apply(self, other: NDArray[Any]) -> NDArray[Any]:
+        """Return another map of the sample, such as heights, in the layout of the output.
+
+        Copies are exact. Between pixels the map is interpolated, and where the output is blended, so is the map. The
+        vectors of a normal map, which is recognized by their lengths, get length 1 again. Truth values are those of the
+        nearest pixel of the largest weight.
+
+        Parameters
+        ----------
+        other
+            ``(h, w)`` or ``(h, w, C)``, of the size of the sample: bool, whole numbers, or finite floats of any range.
+
+        Returns
+        -------
+        NDArray
+            ``(H, W)`` or ``(H, W, C)``, of the same dtype.
+
+        Raises
+        ------
+        BadInput
+            If the method gives no source map, the map is not finite, or it has another size than the sample.
+
+        Examples
+        --------
+        >>> from nrbench import synthesize, texture
+        >>> brick = texture("brick", shape=(96, 96))
+        >>> made = synthesize("quilting:block=24", brick, (80, 60))
+        >>> heights = brick.image[..., 1] ** 2
+        >>> bool(abs(made.apply(heights) - made.image[..., 1] ** 2).max() < 1 / 255)  # the image has 8 bits
+        True
+        """
+        from nrbench.imaging.source_maps import as_layers_of_map, follow_tints, lay_out, like_map, read_nearest
+
+        if self.source is None or self.sample is None or not np.isfinite(self.source).all():
+            raise BadInput(f"apply: the method gives no complete source map; {self.able or 'others'} do")
+        values = as_layers_of_map(other, self.sample.shape)
+        laid, nearest = lay_out(values, self.source, self.blended), read_nearest(values, self.source)
+        if self.tints is not None:
+            copies = lay_out(self.sample.astype(np.float64), self.source, self.blended)
+            laid += follow_tints(values, self.tints, self.image.reshape(copies.shape) - copies)
+        return like_map(laid, other, nearest)
 
     def _repr_png_(self) -> bytes:
         """Return the picture as PNG, for notebooks."""
@@ -495,7 +574,7 @@ def find_lattice(task: Task, detector: Detector) -> FoundLattice:
         sample, earlier, found = task.detected
         if sample is task.sample and earlier == detector:
             return replace(found, seconds=0.0)
-    return timed_detection(detector, task.sample)
+    return timed_detection(detector, task.sample, task.known)
 
 
 def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Lattice, float]:
@@ -534,8 +613,30 @@ def require_lattice(task: Task, detector: Detector, without: str) -> tuple[Latti
     return found.lattice, found.seconds
 
 
-def timed_detection(detector: Detector, image: Image) -> FoundLattice:
+def detect_known(detector: Any, image: Image, known: Mask | None) -> Detection:
+    """Return the lattice that a detector finds in the pixels that count, or in all if it can leave none out.
+
+    Raises
+    ------
+    NoLatticeFound
+        If it finds none.
+    """
+    masked = known is not None and getattr(detector, "masks", False)
+    found: Detection = detector.detect(image, known) if masked else detector.detect(image)
+    return found
+
+
+def timed_detection(detector: Detector, image: Image, known: Mask | None = None) -> FoundLattice:
     """Detect the lattice of an image, and measure the wall seconds; if there is none, return the reason.
+
+    Parameters
+    ----------
+    detector
+        The detector.
+    image
+        The image.
+    known
+        The pixels that count, see :func:`detect_known`.
 
     Raises
     ------
@@ -544,7 +645,7 @@ def timed_detection(detector: Detector, image: Image) -> FoundLattice:
     """
     start = work_clock()
     try:
-        found: object = detector.detect(image)
+        found: object = detect_known(detector, image, known)
     except NoLatticeFound as none:
         return FoundLattice(None, work_clock() - start, none.reason)
     if not isinstance(found, Detection):
@@ -593,6 +694,8 @@ class Observation:
         cells ran at the same time.
     detected
         The answer of the detector that the lattice comes from; None if it comes from no detector.
+    known
+        As in :class:`Task`: which pixels of the sample count; None: all.
 
     Examples
     --------
@@ -615,6 +718,7 @@ class Observation:
     rng: np.random.Generator = field(default_factory=np.random.default_rng)
     cost: Mapping[str, float] = field(default_factory=dict)
     detected: FoundLattice | None = None
+    known: Mask | None = field(default=None, repr=False)
     _shared: dict[Callable[[Observation], Any], Any] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )

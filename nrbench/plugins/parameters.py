@@ -7,7 +7,6 @@ import dataclasses
 import difflib
 import fnmatch
 import inspect
-import itertools
 import os
 import re
 import sys
@@ -17,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.storage import find_path
 
 if TYPE_CHECKING:
@@ -67,10 +66,8 @@ def parse_spec(text: str) -> tuple[str, dict[str, Any]]:
     parameters: dict[str, Any] = {}
     for part in re.split(r",(?=\w+=)", rest) if rest else []:
         key, equals, value = part.partition("=")
-        if not equals or not key:
-            raise BadInput(f"{text!r}: {part!r} is no parameter; write NAME:param=value,param=value")
-        if key in parameters:
-            raise BadInput(f"{text!r}: parameter {key!r} is given twice; leave one")
+        require(bool(equals and key), f"{text!r}: {part!r} is no parameter; write NAME:param=value,param=value")
+        require(key not in parameters, f"{text!r}: parameter {key!r} is given twice; leave one")
         parameters[key] = value
     return name, parameters
 
@@ -96,8 +93,7 @@ def take_label(parameters: dict[str, Any]) -> str:
     if LABEL not in parameters:
         return ""
     text = str(parameters.pop(LABEL)).strip()
-    if not 0 < len(text) <= 60 or not text.isprintable():
-        raise BadInput(f"label is {text[:60]!r}; give 1 to 60 printable characters")
+    require(0 < len(text) <= 60 and text.isprintable(), f"label is {text[:60]!r}; give 1 to 60 printable characters")
     return text
 
 
@@ -182,12 +178,7 @@ def prepare_conversion(cls: type[Any] | None) -> None:
 def _adapter(cls: type[Any], name: str) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
 
-    return TypeAdapter(_types(cls)[name])  # type: ignore[arg-type]
-
-
-@cache
-def _types(cls: type[Any]) -> dict[str, Any]:
-    return get_type_hints(cls)
+    return TypeAdapter(get_type_hints(cls)[name])
 
 
 def _convert(cls: type[Any], key: str, value: Any, where: str) -> Any:
@@ -287,16 +278,11 @@ def nearest(word: str, known: Iterable[str]) -> str:
     returned, of the others up to three.
     """
     options = list(known)
-    begun = [each for each in options if _shared_start(word, each) >= max(3, min(4, len(word), len(each)))]
+    begun = [each for each in options if len(word) > 2 and each.startswith(word[: max(3, min(4, len(each)))])]
     close = difflib.get_close_matches(word, options, n=1, cutoff=0.66) or begun
     if 0 < len(close) <= 3:
         return f" (did you mean {' or '.join(map(repr, close))}?)"
     return f" (known: {', '.join(options)})" if options else " (there are none)"
-
-
-def _shared_start(first: str, second: str) -> int:
-    """Return the number of letters at the beginning that two words have in common."""
-    return sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], zip(first, second, strict=False)))
 
 
 def fields_by_call(cls: type[Any]) -> list[dataclasses.Field[Any]]:

@@ -23,15 +23,16 @@ from functools import cache, cached_property
 from importlib.machinery import SourceFileLoader
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, require
 from nrbench.plugins.form_checks import FORMS, find_fault, is_stable, kinds_of, methods_wanted, plain_value
 from nrbench.plugins.parameters import converted, nearest, parse_spec, validated
 
 # The forms import numpy, which the names of plugins do not need.
 if TYPE_CHECKING:
     from nrbench.imaging.convert import Image
+    from nrbench.imaging.masks import Mask
     from nrbench.plugins.forms import Detection
 
 
@@ -157,16 +158,16 @@ def add_file(path: str | Path) -> None:
     file = Path(path).resolve()
     if file in _files:
         return
-    if not file.is_file():
-        raise BadInput(f"plugin {file}: there is no such file")
+    require(file.is_file(), f"plugin {file}: there is no such file")
     found = _file_plugins(file, _import_file(file))
-    if not found:
-        raise BadInput(f"plugin {path}: defines no plugin; write a frozen dataclass with one of: {methods_wanted()}")
+    require(bool(found), f"plugin {path}: defines no plugin; write a frozen dataclass with one of: {methods_wanted()}")
     for plugin in found:
         if wrong := fault(plugin.kind, plugin.cls):
             raise BadInput(f"plugin {path}: {wrong}")
-        if plugin.name in names(plugin.kind):
+        if plugin.name in names(plugin.kind) and plugin.name not in _session:
             raise BadInput(f"plugin {path}: the name {plugin.name!r} is taken; give the class another `name`")
+    for plugin in found:  # a class that moves from a notebook to a file keeps its name
+        _session.pop(plugin.name, None)
     _files[file] = found
 
 
@@ -246,8 +247,9 @@ def in_role(role: str) -> str:
     ----------
     role
         ``detector``, which finds a lattice where no detector is named; ``quick-detector``, which proposes lattices of
-        bent pictures; ``pictures``, which reads files; ``comparison``, which compares two runs; ``run-site``;
-        ``tables``, which has the frames of a run; ``plot``, which has the plot of a run.
+        bent pictures; ``judge-detector``, which finds a lattice for scores; ``pictures``, which reads files;
+        ``comparison``, which compares two runs; ``run-site``; ``tables``, which has the frames of a run; ``plot``,
+        which has the plot of a run.
     """
     declared = entry_points(group="nrbench.roles", name=role)
     value = next(point.value for point in declared if _name_and_version(point.dist)[0] == "nrbench")
@@ -327,14 +329,17 @@ class NamedDetector:
     """
 
     spec: str
+    masks: ClassVar[bool] = True
 
-    def detect(self, image: Image) -> Detection:
+    def detect(self, image: Image, known: Mask | None = None) -> Detection:
         """Return what the detector finds; see :class:`~nrbench.plugins.forms.Detector`.
 
         Parameters
         ----------
         image
             The image.
+        known
+            The pixels that count. A detector that cannot leave out the others gets the filled image.
 
         Returns
         -------
@@ -347,8 +352,32 @@ class NamedDetector:
             If the detector finds none.
         """
         name, parameters = parse_spec(self.spec)
-        found: Detection = build("detectors", name, parameters).detect(image)
-        return found
+        from nrbench.plugins.forms import detect_known
+
+        return detect_known(build("detectors", name, parameters), image, known)
+
+
+ABILITIES: Final = {
+    "wraps": "--tileable: {} cannot make an output that repeats without a seam",
+    "masks": "{} cannot leave out transparent or masked pixels",
+    "maps": "--with, --keep-alpha: {} cannot lay out other maps as its output",
+    "fills": "--fill: {} cannot fill holes",
+}
+"""What a plugin lacks whose class variable of this name is not true."""
+
+
+def describe_lack(kind: str, cls: type[Any], ability: str) -> str:
+    """Return that a plugin's class lacks one of :data:`ABILITIES`, and which ones have it; empty if it has it."""
+    if getattr(cls, ability, False):
+        return ""
+    able = ", ".join(one.name for one in inventory(kind) if getattr(one.cls, ability, False))
+    return f"{ABILITIES[ability].format(name_of(kind, cls) or cls.__name__)}; {able or 'none'} can"
+
+
+def require_abilities(kind: str, plugin: Any, **wanted: bool) -> None:
+    """Raise :class:`BadInput` if a plugin lacks a wanted one of :data:`ABILITIES`; the message names those that can."""
+    for lack in (describe_lack(kind, type(plugin), ability) for ability, needed in wanted.items() if needed):
+        require(not lack, lack)
 
 
 def read_fingerprint(plugin: Any, where: str) -> str | int | float | None:

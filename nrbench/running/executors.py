@@ -18,9 +18,9 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from nrbench import plugins
 from nrbench.errors import BadInput, describe_error
 from nrbench.running.options import print_notice
 from nrbench.running.phases import Request
-from nrbench.running.supervisor import InProcessRunner, close_all, own_supervisor, run_job
+from nrbench.running.supervisor import close_all, own_supervisor, run_here, run_job
 from nrbench.runs.store import CellFolder, Result
 
 CONNECT = 10.0
@@ -44,6 +44,10 @@ PROBE = 1.0
 LIBRARIES = ("numpy", "scipy", "scikit-image", "numba")
 """Packages whose versions may decide the last bits of a result."""
 WINGS = ("nrbench.synthesizers", "nrbench.metrics", "nrbench.datasets_procedural", "nrbench.reports")
+
+
+_one_thread: Callable[[], AbstractContextManager[Any]] = partial(threadpool_limits, 1)
+"""Limits libraries to one thread, as in a worker: sums over several threads round otherwise."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ def _run_now(job: Request) -> Future[Result]:
     """Run a job in the caller's thread, for the debugger; return its finished future."""
     future: Future[Result] = Future()
     try:
-        future.set_result(run_job(job, InProcessRunner()))
+        future.set_result(run_job(job, run_here))
     except Exception as error:
         future.set_exception(error)
     return future
@@ -77,8 +81,7 @@ def _run_now(job: Request) -> Future[Result]:
 
 def synthesize_here(job: Request) -> None:
     """Do the part of a job that needs its method, in the caller's thread; whoever runs the job then does the rest."""
-    limit_threads: Any = threadpool_limits
-    with limit_threads(1):  # as in a worker: sums over several threads round otherwise
+    with _one_thread():
         _run_now(dataclasses.replace(job, metrics=())).result()
 
 
@@ -118,7 +121,7 @@ class _GroupedThreads:
             self._groups[thread] = job.group
         if future.set_running_or_notify_cancel():
             try:
-                future.set_result(run_job(job, own_supervisor(self._tell)))
+                future.set_result(run_job(job, own_supervisor(self._tell).run))
             except BaseException as error:
                 future.set_exception(error)
 
@@ -152,8 +155,7 @@ def executor(
         with connect(scheduler, worker_wait, tell) as cluster:
             yield Executor(cluster.submit, lambda: cluster.slots, cluster.check)
     elif jobs == 0:
-        limit_threads: Any = threadpool_limits
-        with limit_threads(1):  # as in a worker: sums over several threads round otherwise
+        with _one_thread():
             yield Executor(_run_now, lambda: 0)
     else:
         threads = _GroupedThreads(jobs, tell)
@@ -304,9 +306,9 @@ def _finish(job: Request, task: Future[Result], future: Future[Result]) -> None:
             future.set_exception(BadInput(why))
 
 
-def _record_loss(job: Request, why: str = "each worker of the cluster that ran it died") -> Result:
+def _record_loss(job: Request) -> Result:
     """Record that a job has no result, or that scores of its output are missing."""
-    where = CellFolder(Path(job.folder))
+    where, why = CellFolder(Path(job.folder)), "each worker of the cluster that ran it died"
     known = where.result()
     if known is None or known["status"] != "ok":
         return where.write_result({"status": "crash", "message": why, "phase": "synthesize"})
@@ -368,7 +370,7 @@ def run_on_worker(job: Request, code: str) -> Result:
             plugins.add_file(file)
         for kind, name in job.imports:
             plugins.find(kind, name)
-        return run_job(job, own_supervisor())
+        return run_job(job, own_supervisor().run)
 
 
 @contextmanager

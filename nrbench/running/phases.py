@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import json
 import os
 import tempfile
@@ -28,10 +27,11 @@ from nrbench.calling.bent_samples import SampleSurvey, survey_sample, synthesize
 from nrbench.calling.method_calls import InvalidOutput, checked_synthesis, is_picture, prepare_method
 from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import MIN_SIDE, Image, quantize
+from nrbench.imaging.masks import Mask
 from nrbench.jit import find_cache, work_clock
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.vertices import Vertex
-from nrbench.pictures.files import read_image, write_image
+from nrbench.pictures.files import read_image, read_mask, write_image
 from nrbench.plugins.forms import (
     Again,
     Column,
@@ -52,7 +52,7 @@ from nrbench.running.guard import MIB, Message, cpu_seconds, peak_bytes
 from nrbench.runs.store import CellFolder, Result, metric_key
 from nrbench.storage import read_arrays, read_json, write_arrays, write_json, write_text
 from nrbench.streams import pixels_hash, stream
-from nrbench.suites.cell import RESULTS_VERSION, Cell, Recipe, reader_of
+from nrbench.suites.cell import RESULTS_VERSION, Cell, Recipe, hash_content, reader_of
 from nrbench.suites.plan import draw_texture
 
 T = TypeVar("T")
@@ -204,6 +204,11 @@ def _read_stored(path: Path, smallest: int = MIN_SIDE) -> Image:
         return read_image(path, smallest)
 
 
+def _read_known(where: CellFolder, sample: Image) -> Mask | None:
+    """Return which pixels of the sample count; None if all do."""
+    return freeze(read_mask(where.known, sample.shape[:2])) if where.known.is_file() else None
+
+
 def read_texture(folder: Path, known: Mapping[str, Any]) -> tuple[Texture, Image | None]:
     """Return the texture that :func:`render` wrote and described, and the region beside it."""
     where, plain = CellFolder(folder), {name: known[name] for name in PLAIN}
@@ -219,7 +224,8 @@ def detect(folder: Path, send: Send) -> None:
     where = CellFolder(folder)
     cell = read_json(where.cell_file) or {}
     detector = plugins.build("detectors", cell["detector"], cell["parameters"])
-    detection = timed_detection(detector, freeze(_read_stored(where.sample)))
+    sample = freeze(_read_stored(where.sample))
+    detection = timed_detection(detector, sample, _read_known(where, sample))
     send(cast("Message", {"status": "ok", "message": detection.reason, **dataclasses.asdict(detection)}))
 
 
@@ -235,7 +241,7 @@ def synthesize_cell(folder: Path, send: Send) -> None:
     survey, spent = survey_once(method, task, cell, folder.parent)
     synthesis = synthesize_in_geometry(method, task, survey)
     wall, cpu = work_clock() - wall + spent.seconds, cpu_seconds() - cpu + spent.cpu_seconds
-    synthesis = checked_synthesis(synthesis, task.sample, cell.shape)
+    synthesis = checked_synthesis(synthesis, task.sample, cell.shape, task.known)
     _write(where, synthesis)
     result: Result = {
         "status": "ok",
@@ -262,7 +268,8 @@ def _task(where: CellFolder, cell: Cell) -> Task:
     sample = freeze(_read_stored(where.sample))
     rng = stream("synthesis", cell.seed, pixels_hash(sample), cell.replicate)
     again, recompose = _reference_draws(where, cell) if cell.reference else (None, None)
-    return Task(sample, cell.shape, cell.lattice_given, rng, again=again, recompose=recompose)
+    known = _read_known(where, sample)
+    return Task(sample, cell.shape, cell.lattice_given, rng, again=again, recompose=recompose, known=known)
 
 
 def _reference_draws(where: CellFolder, cell: Cell) -> tuple[Again | None, Again | None]:
@@ -442,6 +449,7 @@ def observe(where: CellFolder, cell: Cell, keep: bool = False) -> Observation:
         again=again,
         cost={**cost, "side_by_side": float(result.get("side_by_side", 0))},
         detected=cell.detected,
+        known=_read_known(where, sample),
     )
 
 
@@ -563,8 +571,7 @@ def _survey_key(cell: Cell) -> str:
     """Return a hash of all that a survey depends on."""
     given = cell.lattice_given.as_dict() if cell.lattice_given else None
     versions = [plugins.find("detectors", name).full_version for name in bent_finders()]
-    text = json.dumps([RESULTS_VERSION, cell.sample_hash, given, cell.finder, versions], sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+    return hash_content([RESULTS_VERSION, cell.sample_hash, given, cell.finder, versions])
 
 
 def _read_survey(file: Path) -> KeptSurvey | None:

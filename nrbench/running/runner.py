@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import itertools
-import json
 import signal
 import threading
 from collections import Counter, defaultdict
@@ -30,11 +28,11 @@ from nrbench.running.guard import LIMITS, Limits
 from nrbench.running.options import Options as Options
 from nrbench.running.options import print_notice
 from nrbench.running.phases import Request, read_output, read_texture
-from nrbench.running.supervisor import RequestRunner, Supervisor, third_party
+from nrbench.running.supervisor import RunRequest, Supervisor, third_party
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
 from nrbench.storage import remove, temporary_folder, write_json, write_text
-from nrbench.suites.cell import Cell, Recipe, reader_of
+from nrbench.suites.cell import Cell, Recipe, hash_content, reader_of
 from nrbench.suites.plan import Plan, PlannedSample, make_plan
 from nrbench.suites.suite import Suite
 
@@ -104,11 +102,11 @@ def plan_run(
     limits
         The limits of the drawing of one texture.
     """
-    with Supervisor(warm=False) as supervisor:  # it starts a process when it is first used
-        return make_plan(suite, textures, partial(draw_guarded, supervisor, limits), progress)
+    with contextlib.closing(Supervisor(warm=False)) as supervisor:  # it starts a process when it is first used
+        return make_plan(suite, textures, partial(draw_guarded, supervisor.run, limits), progress)
 
 
-def draw_guarded(runner: RequestRunner, limits: Limits, recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
+def draw_guarded(run: RunRequest, limits: Limits, recipe: Recipe, shape: Shape) -> tuple[Texture, Image | None]:
     """Draw a texture in a child process under limits; see :func:`~nrbench.suites.plan.draw_texture`.
 
     Raises
@@ -119,7 +117,7 @@ def draw_guarded(runner: RequestRunner, limits: Limits, recipe: Recipe, shape: S
     with temporary_folder() as folder:
         write_json(CellFolder(folder).cell_file, {"recipe": recipe.as_dict(), "shape": list(shape)})
         request = Request("render", str(folder), limits.seconds, limits.mib, plugin_files=tuple(plugins.files()))
-        result = runner.run(request).result
+        result = run(request).result
         if result["status"] == "ok" and "texture" in result:
             return read_texture(folder, result["texture"])
         cause = result["message"] or "ended without an answer"
@@ -219,7 +217,7 @@ class _Runner:
         assert cell.detector is not None
         where.clear()
         where.path.mkdir(parents=True, exist_ok=True)
-        write_image(where.sample, sample.image())
+        _write_sample(where, sample)
         name, version, parameters = cell.detector
         write_json(where.cell_file, {"detector": name, "version": version, "parameters": parameters})
         return self._job("detect", where)
@@ -314,8 +312,7 @@ def _interleave(cells: list[tuple[Cell, PlannedSample]], slots: int) -> list[tup
 
 
 def _detection_key(cell: Cell) -> str:
-    text = json.dumps([cell.sample_hash, cell.detector], sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+    return hash_content([cell.sample_hash, cell.detector])
 
 
 def _with_lattice(cell: Cell, result: Result) -> Cell:
@@ -331,11 +328,17 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
     return dataclasses.replace(cell, fault=f"{cell.lattice_source}: no lattice: {why}", fault_status="refused")
 
 
+def _write_sample(where: CellFolder, sample: PlannedSample) -> None:
+    write_image(where.sample, sample.image())
+    if sample.known is not None:
+        write_image(where.known, sample.known[..., None].astype("float32"))
+
+
 def _prepare(where: CellFolder, cell: Cell, sample: PlannedSample) -> None:
     """Write the files that a cell's child processes read. What is there may be damaged."""
     where.path.mkdir(parents=True, exist_ok=True)
     if sample.size is not None:
-        write_image(where.sample, sample.image())
+        _write_sample(where, sample)
     again = sample.again() if cell.reference else None
     if again is not None:
         write_image(where.again, again)
@@ -423,9 +426,9 @@ class Pace:
         self._counts.update(done=1, cached=int(seconds is None), failed=int(status in FAILED))
         if seconds is not None:
             self._seconds[cell.label].append(seconds)
-        counts = {name: self._counts[name] for name in ("done", "cached", "failed")}
+        done, cached, failed = (self._counts[name] for name in ("done", "cached", "failed"))
         what = (cell.texture, cell.label, cell.lattice_source, status)
-        return Step(counts["done"], len(self.cells), counts["cached"], counts["failed"], *what, self._remaining(slots))
+        return Step(done, len(self.cells), cached, failed, *what, self._remaining(slots))
 
     def _remaining(self, slots: int) -> float | None:
         """Return the seconds left: each method's mean for its own cells, the mean of all for an unknown method."""

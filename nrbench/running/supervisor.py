@@ -13,8 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -49,15 +48,11 @@ _compiling = threading.Lock()
 """Held from the first notice on, so that a process gives it once."""
 
 
-class RequestRunner(Protocol):
-    """Runs a request: a supervisor or its in-process twin."""
-
-    def run(self, request: Request) -> Reply:
-        """Run one request and return how it ended."""
-        ...
+RunRequest = Callable[[Request], Reply]
+"""Runs one request and returns how it ended: :meth:`Supervisor.run` or, in this process, :func:`run_here`."""
 
 
-def run_job(job: Request, runner: RequestRunner) -> Result:
+def run_job(job: Request, run: RunRequest) -> Result:
     """Detect a lattice, or synthesize and score a cell.
 
     Returns
@@ -77,10 +72,10 @@ def run_job(job: Request, runner: RequestRunner) -> Result:
     try:
         result = where.result()
         if result is None:
-            result = _record(job, where, _checked(runner.run(request), request))
+            result = _record(job, where, _checked(run(request), request))
         if result["status"] == "ok" and job.phase == "cell":
             phase = "score"
-            _score(job, where, runner)
+            _score(job, where, run)
     except Exception as error:
         if storage_fault(error) is not None and not _can_write(where.path):
             raise
@@ -125,7 +120,7 @@ def _can_write(folder: Path) -> bool:
     return True
 
 
-def _score(job: Request, where: CellFolder, runner: RequestRunner) -> None:
+def _score(job: Request, where: CellFolder, run: RunRequest) -> None:
     """Score by every metric that has not scored the cell yet; record the failure of one that kills the child.
 
     The metrics of nrbench share a process, and each third-party one has its own.
@@ -136,7 +131,7 @@ def _score(job: Request, where: CellFolder, runner: RequestRunner) -> None:
         left, built_in = group, job.built_in and group is own
         while left:
             request = dataclasses.replace(job, phase="score_cell", metrics=tuple(left), built_in=built_in)
-            reply = _checked(runner.run(request), request)
+            reply = _checked(run(request), request)
             left = [metric for metric in left if metric not in reply.scored]
             if left:
                 why = reply.result["message"] or "the metric sent nothing"
@@ -165,7 +160,7 @@ class Supervisor:
         self._worker: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader: threading.Thread | None = None
-        self._ended = False
+        self.ended = False
         self._stack = contextlib.ExitStack()
 
     def run(self, request: Request) -> Reply:
@@ -197,7 +192,7 @@ class Supervisor:
         return Reply({"status": "crash", "message": message})
 
     def _check_open(self) -> None:
-        if self._ended:
+        if self.ended:
             self.close()
             raise Closed
 
@@ -242,20 +237,9 @@ class Supervisor:
         stack, self._stack = self._stack, contextlib.ExitStack()
         stack.close()
 
-    @property
-    def ended(self) -> bool:
-        """Whether :meth:`end` was called."""
-        return self._ended
-
     def end(self) -> None:
         """Kill the worker for good: a running job raises :class:`Closed`, and no further one starts."""
-        self._ended = True
-        self.close()
-
-    def __enter__(self) -> Supervisor:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.ended = True
         self.close()
 
 
@@ -268,15 +252,12 @@ def third_party() -> tuple[list[str], list[tuple[str, str]]]:
     return [] if apart else plugins.files(), named
 
 
-class InProcessRunner:
-    """The twin of :class:`Supervisor` for the debugger: runs each request in this process, without limits."""
-
-    def run(self, request: Request) -> Reply:
-        """Run one request here."""
-        messages: list[Message] = []
-        with np.errstate():  # so that no plugin changes it for the next one
-            perform(request, messages.append)
-        return Reply.of(messages)
+def run_here(request: Request) -> Reply:
+    """Run one request in this process, without limits, for the debugger."""
+    messages: list[Message] = []
+    with np.errstate():  # so that no plugin changes it for the next one
+        perform(request, messages.append)
+    return Reply.of(messages)
 
 
 def worker_environment() -> dict[str, str]:

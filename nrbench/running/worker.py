@@ -50,6 +50,7 @@ MESSAGES = 3
 DEFERRED = (
     *("scipy.cluster.vq", "scipy.fft", "scipy.interpolate", "scipy.linalg", "scipy.ndimage", "scipy.optimize"),
     *("scipy.signal", "scipy.sparse", "scipy.spatial.distance", "scipy.special", "scipy.stats", "skimage.color"),
+    "skimage.morphology",
     *("PIL.BmpImagePlugin", "PIL.GifImagePlugin", "PIL.JpegImagePlugin", "PIL.PpmImagePlugin"),
     *("encodings.ascii", "pydantic.type_adapter"),
 )

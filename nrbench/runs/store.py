@@ -201,6 +201,8 @@ class CellFolder:
     """How the synthesis ended; once the file exists, the synthesis is never repeated."""
     sample = _Part("sample.png")
     """The sample's pixels."""
+    known = _Part("known.png")
+    """Which pixels of the sample count, white; there is no such file if all do."""
     again = _Part("again.png")
     """For a photograph and a reference method: a region that does not touch the sample."""
     output = _Part("output.png")

@@ -19,7 +19,7 @@ from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
 from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.streams import stream
 
-RESULTS_VERSION = 20
+RESULTS_VERSION = 22
 """Increased whenever a change of the code changes an output or a score. Results of other versions are never reused."""
 
 Size = Annotated[Shape, BeforeValidator(parse_size), PlainSerializer(size_text)]
@@ -191,16 +191,14 @@ class Cell:
         }
         if not self.sample_hash:  # without pixels, the file and the reason tell such cells apart
             decides["fault"] = [self.recipe.as_dict(), self.fault]
-        text = json.dumps(decides, sort_keys=True)
-        return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+        return hash_content(decides)
 
     @property
     def preparation_key(self) -> str:
         """Hexadecimal hash of all that the preparation of the method may depend on; equal for all sizes and draws."""
         method = [self.method, self.version, dict(self.parameters), self.finder]
         given = self.lattice_given.as_dict() if self.lattice_given else None
-        text = json.dumps([RESULTS_VERSION, method, given, self.sample_hash, self.seed], sort_keys=True)
-        return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+        return hash_content([RESULTS_VERSION, method, given, self.sample_hash, self.seed])
 
     def as_dict(self) -> dict[str, Any]:
         """Return the cell as a mapping that can be written as JSON. No parameter is copied, to save time."""
@@ -219,6 +217,11 @@ class Cell:
         """
         cell: Cell = reader_of(cls).validate_python(mapping)  # type: ignore[arg-type]
         return cell
+
+
+def hash_content(content: Any, size: int = 12) -> str:
+    """Return a hexadecimal hash of ``size`` bytes of what JSON can hold; the order of keys does not matter."""
+    return hashlib.blake2b(json.dumps(content, sort_keys=True).encode(), digest_size=size).hexdigest()
 
 
 @cache

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nrbench import plugins
-from nrbench.errors import BadInput, describe_error
+from nrbench.errors import BadInput, describe_error, require
 from nrbench.imaging.convert import Image, as_image, depth_of, quantize, to_integers
+from nrbench.imaging.masks import Mask
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Kind, Shape, Texture
 from nrbench.plugins.parameters import PRESET, list_parameters, match_pattern, parse_spec, take_label
@@ -210,27 +211,26 @@ class Sample:
         The texture, its image rounded to 8 bits; None if drawing failed.
     shape
         Shape (height, width) of the outputs.
-    again_hash
-        Of a photograph: hash of a region that does not touch the sample; empty if there is none.
     fault, log
         Why drawing failed, and what the dataset printed then; empty if it did not fail.
     region
-        The region of ``again_hash``.
+        Of a photograph: a region that does not touch the sample; None if there is none.
     """
 
     row: TextureRow
     recipe: Recipe
     texture: Texture | None
     shape: Shape
-    again_hash: str = ""
     fault: str = ""
     log: str = ""
     region: Image | None = None
 
     @cached_property
     def hash(self) -> str:
-        """Hash of the sample's pixels; empty if drawing failed."""
-        return pixels_hash(self.texture.image) if self.texture else ""
+        """Hash of the sample's pixels, and of those that count; empty if drawing failed."""
+        if self.texture is None or self.texture.known is None:
+            return pixels_hash(self.texture.image) if self.texture else ""
+        return pixels_hash(np.dstack([self.texture.image, self.texture.known]).astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,6 +250,8 @@ class PlannedSample:
     kept
         The pixels of the sample and of the region that does not touch it, where drawing again might give others:
         of pictures, and of third-party plugins.
+    known
+        Which pixels of the sample count; None: all.
     """
 
     recipe: Recipe
@@ -257,6 +259,7 @@ class PlannedSample:
     size: Shape | None
     log: str
     kept: tuple[NDArray[Any] | None, NDArray[Any] | None]
+    known: Mask | None = None
 
     @classmethod
     def of(cls, sample: Sample) -> PlannedSample:
@@ -267,7 +270,8 @@ class PlannedSample:
             None if redrawn or each is None else to_integers(each, depth_of(each)) for each in (image, sample.region)
         ]
         size = image.shape[:2] if image is not None else None
-        return cls(sample.recipe, sample.shape, size, sample.log, (pixels[0], pixels[1]))
+        known = sample.texture.known if sample.texture else None
+        return cls(sample.recipe, sample.shape, size, sample.log, (pixels[0], pixels[1]), known)
 
     def image(self) -> Image:
         """Return the pixels of the sample. Those of the last samples are kept; the others are drawn again."""
@@ -431,9 +435,7 @@ def _draw(row: TextureRow, recipe: Recipe, shape: Shape, draw: Draw) -> Sample:
         return Sample(row, recipe, None, shape, fault=str(error), log=log)
     except (Exception, SystemExit) as error:
         return Sample(row, recipe, None, shape, fault=describe_error(error))
-    texture = dataclasses.replace(texture, name=row.name)
-    again_hash = pixels_hash(again) if again is not None else ""
-    return Sample(row, recipe, texture, shape, again_hash, region=again)
+    return Sample(row, recipe, dataclasses.replace(texture, name=row.name), shape, region=again)
 
 
 def _chosen(draw: Draw | None, recipe: Recipe) -> Draw:
@@ -475,22 +477,20 @@ def _checked(recipe: Recipe, texture: object) -> Texture:
     where = f"dataset {recipe.dataset}"
     if not isinstance(texture, Texture):
         raise BadInput(f"{where}: render returned {type(texture).__name__} instead of a Texture")
-    image = as_image(texture.image, where)
+    image, region, share = as_image(texture.image, where), texture.region, texture.regular_share
     if recipe.procedural and image.shape[:2] != recipe.shape:
         raise BadInput(f"{where}: render returned the wrong shape: expected {recipe.shape}, got {image.shape}")
-    if not (texture.lattice is None or isinstance(texture.lattice, Lattice)):
-        raise BadInput(f"{where}: lattice: expected a Lattice or None, got {texture.lattice!r}")
-    if not (texture.kind is None or texture.kind in get_args(Kind)):
-        raise BadInput(f"{where}: kind: expected one of {', '.join(get_args(Kind))} or None, got {texture.kind!r}")
-    region = texture.region
     whole = isinstance(region, tuple) and all(isinstance(edge, int | np.integer) for edge in region)
-    if not (region is None or (whole and len(region) == 4)):
-        raise BadInput(f"{where}: region: expected four integers x0, y0, x1, y1 or None, got {region!r}")
-    if not isinstance(texture.family, str):
-        raise BadInput(f"{where}: family: expected text, got {texture.family!r}")
-    share = texture.regular_share
-    if not (share is None or (isinstance(share, float) and 0 <= share <= 1)):
-        raise BadInput(f"{where}: regular_share: expected a number from 0 to 1, got {share!r}")
+    kinds = get_args(Kind)
+    fields = {
+        "lattice": ("a Lattice or None", texture.lattice is None or isinstance(texture.lattice, Lattice)),
+        "kind": (f"one of {', '.join(kinds)} or None", texture.kind is None or texture.kind in kinds),
+        "region": ("four integers x0, y0, x1, y1 or None", region is None or (whole and len(region) == 4)),
+        "family": ("text", isinstance(texture.family, str)),
+        "regular_share": ("a number from 0 to 1", share is None or (isinstance(share, float) and 0 <= share <= 1)),
+    }
+    for name, (form, holds) in fields.items():
+        require(holds, f"{where}: {name}: expected {form}, got {getattr(texture, name)!r}")
     plain = None if region is None else (int(region[0]), int(region[1]), int(region[2]), int(region[3]))
     return dataclasses.replace(texture, image=image, region=plain)
 
@@ -527,13 +527,18 @@ def _make_cell(suite: Suite, sample: Sample, method: PlannedMethod, source: Latt
         sample_hash=sample.hash,
         description=row.description,
         procedural=sample.recipe.procedural,
-        again_hash=sample.again_hash if method.reference else "",
+        again_hash=pixels_hash(sample.region) if method.reference and sample.region is not None else "",
         **known,
     )
     if texture is None:
         return dataclasses.replace(cell, fault=sample.fault, fault_status="error")
     if method.fault or source.fault:
         return dataclasses.replace(cell, fault=method.fault or source.fault, fault_status="error")
+    if texture.known is not None:
+        used = [("synthesizers", method.name), *([("detectors", source.detector[0])] if source.detector else [])]
+        classes = ((kind, plugins.find(kind, name).cls) for kind, name in used)
+        lacks = (plugins.describe_lack(kind, cls, "masks") for kind, cls in classes if cls is not None)
+        cell = dataclasses.replace(cell, fault=next(filter(None, lacks), ""))
     if source.name != "given":
         return dataclasses.replace(cell, lattice_given=source.lattice)
     if texture.lattice is None:

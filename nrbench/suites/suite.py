@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import json
 import math
 import re
 import tomllib
@@ -18,10 +16,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from nrbench import plugins
-from nrbench.errors import BadInput
+from nrbench.errors import BadInput, checker
 from nrbench.plugins.parameters import match_pattern, nearest
 from nrbench.storage import decode_text, find_path
-from nrbench.suites.cell import Recipe, Size
+from nrbench.suites.cell import Recipe, Size, hash_content
 from nrbench.suites.installed import builtin as builtin
 
 
@@ -326,20 +324,15 @@ class Suite(BaseModel):
     @property
     def hash(self) -> str:
         """Hexadecimal hash of the suite's whole content."""
-        content = json.dumps(self.model_dump(mode="json", exclude=self._unset), sort_keys=True)
-        return hashlib.blake2b(content.encode(), digest_size=8).hexdigest()
-
-    @property
-    def _unset(self) -> dict[str, Any]:
-        """The unused keys that older versions did not have. The hash leaves them out, so that it stays the same."""
-        rows = {
-            i: {key for key in ("departure", "level") if getattr(row, key) in ("", None)}
-            for i, row in enumerate(self.texture)
+        # Unused keys that older versions did not have are left out, so that the hash stays the same.
+        unset: dict[str, Any] = {
+            key: True for key in ("fresh_seed", "metrics", "references_once", "claim") if not getattr(self, key)
         }
-        return {
-            "texture": rows,
-            **{key: True for key in ("fresh_seed", "metrics", "references_once", "claim") if not getattr(self, key)},
+        unset["texture"] = {
+            number: {key for key in ("departure", "level") if getattr(row, key) in ("", None)}
+            for number, row in enumerate(self.texture)
         }
+        return hash_content(self.model_dump(mode="json", exclude=unset), 8)
 
     @property
     def all_methods(self) -> tuple[str, ...]:
@@ -364,33 +357,29 @@ def validated_suite(content: dict[str, Any], where: str) -> Suite:
     BadInput
         For an unknown key (the message names the nearest), a wrong value, no texture, or two textures of one name.
     """
-    place = next(_infinite_places(content), None)
-    if place is not None:
-        raise BadInput(f"{where}: {place}: is not a finite number; correct it")
+    check, place = checker(where), next(_infinite_places(content), None)
+    check(place is None, f"{place}: is not a finite number; correct it")
     try:
         suite = Suite.model_validate(_without_grids(content, where))
     except ValidationError as error:
         raise BadInput(f"{where}: {_first(error)}") from error
     rows = [row.name for row in suite.texture]
     twice = next((name for name, count in Counter(rows).items() if count > 1), None)
-    if twice is not None:
-        raise BadInput(f"{where}: two textures have the name {twice!r}; rename one")
-    if len(rows) > MOST_ROWS:
-        raise BadInput(f"{where}: has {len(rows):,} textures, the most are {MOST_ROWS:,}; make several suites of it")
-    if not rows:
-        raise BadInput(f"{where}: has no texture; add a [[texture]] table with name and dataset")
-    if suite.claim and len(set(suite.lattice)) > 1:
-        raise BadInput(
-            f"{where}: claims compare methods with one source of the lattice; name one of {', '.join(suite.lattice)}"
-        )
+    check(twice is None, f"two textures have the name {twice!r}; rename one")
+    check(len(rows) <= MOST_ROWS, f"has {len(rows):,} textures, the most are {MOST_ROWS:,}; make several suites of it")
+    check(bool(rows), "has no texture; add a [[texture]] table with name and dataset")
+    check(
+        not suite.claim or len(set(suite.lattice)) < 2,
+        f"claims compare methods with one source of the lattice; name one of {', '.join(suite.lattice)}",
+    )
     for claim in suite.claim:
         for series in claim.series:
             for level in series.levels:
-                if not any(claim.uses(series, level, name) for name in rows):
-                    raise BadInput(
-                        f"{where}: claim {claim.name!r}, series {series.name!r}, level {level:g}: no texture matches "
-                        f"{', '.join(series.patterns_at(level) or claim.textures)}"
-                    )
+                check(
+                    any(claim.uses(series, level, name) for name in rows),
+                    f"claim {claim.name!r}, series {series.name!r}, level {level:g}: no texture matches "
+                    f"{', '.join(series.patterns_at(level) or claim.textures)}",
+                )
     return suite
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -153,10 +153,10 @@ def _summarize_detector(answers: pd.DataFrame) -> dict[str, Any]:
         "exact": estimate_proportion(regular["right"]),
         "false": estimate_proportion(answers[stochastic]["found"]),
         "families": {str(family): estimate_proportion(right) for family, right in families},
-        "vector_error": median_of_known(regular[regular["right"]]["vector_error"]),
-        **{name: _mean(regular[name]) for name in VERTEX_COLUMNS},
-        "seconds": median_of_known(answers["seconds"]),
-        "slowest": None if answers["seconds"].isna().all() else float(answers["seconds"].max()),
+        "vector_error": _of_known(regular[regular["right"]]["vector_error"], "median"),
+        **{name: _of_known(regular[name], "mean") for name in VERTEX_COLUMNS},
+        "seconds": _of_known(answers["seconds"], "median"),
+        "slowest": _of_known(answers["seconds"], "max"),
         "calibration": calibrate(confident["confidence"].to_numpy(float), confident["right"].to_numpy(bool)),
         "kinds": {kind: int((kinds == kind).sum()) for kind in KINDS},
     }
@@ -176,9 +176,9 @@ def group_answers(answers: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
         {
             **dict(zip(keys, cast(tuple[Any, ...], group), strict=True)),
             **{"n": len(part), "found": int(part["found"].sum()), "right": estimate_proportion(part["right"])},
-            "vector_error": median_of_known(part[part["right"]]["vector_error"]),
-            **{name: _mean(part[name]) for name in VERTEX_COLUMNS},
-            "seconds": median_of_known(part["seconds"]),
+            "vector_error": _of_known(part[part["right"]]["vector_error"], "median"),
+            **{name: _of_known(part[name], "mean") for name in VERTEX_COLUMNS},
+            "seconds": _of_known(part["seconds"], "median"),
         }
         for group, part in answers.groupby(list(keys), sort=False)
     )
@@ -194,15 +194,10 @@ def _by_detector(groups: pd.DataFrame) -> dict[tuple[Any, ...], dict[str, Any]]:
     return found
 
 
-def median_of_known(values: Iterable[float | None]) -> float | None:
-    """Return the median of the known values; None if there are none."""
-    known = pd.Series(list(values), dtype=float).dropna()
-    return None if known.empty else float(known.median())
-
-
-def _mean(values: pd.Series[Any]) -> float | None:
-    """Return the mean of the known values; None if there are none."""
-    return None if values.isna().all() else float(values.astype(float).mean())
+def _of_known(values: pd.Series[Any], statistic: str) -> float | None:
+    """Return the mean, the median or the maximum of the known values; None if there are none."""
+    value = float(values.astype(float).agg(statistic))
+    return None if math.isnan(value) else value
 
 
 def calibrate(confidence: NDArray[np.float64], right: NDArray[np.bool_]) -> Calibration:

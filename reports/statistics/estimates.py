@@ -253,17 +253,6 @@ def means_over_textures(cells: pd.DataFrame, names: Sequence[str]) -> dict[str, 
     return dict(zip(names, estimate_means(stack_draws(rows, names), population=True), strict=True))
 
 
-def paired_differences(first: pd.DataFrame, second: pd.DataFrame, names: Sequence[str]) -> dict[str, Estimate]:
-    """Compute the mean of ``first - second`` of each score over a population of textures, of those that both have.
-
-    Cells are paired by texture and replicate: both methods received the same sample.
-    """
-    on = ["texture", "replicate"]
-    both = first[[*on, *names]].merge(second[[*on, *names]], on=on, suffixes=("_first", "_second"))
-    gaps = {name: both[f"{name}_first"] - both[f"{name}_second"] for name in names}
-    return means_over_textures(both[on].assign(**gaps), names)
-
-
 def estimate_mean(values: ArrayLike, of: int) -> Estimate:
     """Return the mean of values, one a texture, with an interval over a population of ``of`` textures."""
     return estimate_means(np.asarray(values, np.float64)[None, :, None], [of], population=True)[0]

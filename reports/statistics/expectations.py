@@ -35,12 +35,11 @@ from .estimates import (
     kappa,
     mean_kappa,
     means_over_textures,
-    paired_differences,
     stack_draws,
     success_rate,
 )
 from .format import format_interval, format_number
-from .method_comparison import Comparison
+from .method_comparison import Comparison, ComparisonOptions
 from .summaries import Method
 from .verdicts import MARKS, PRESERVED, QUALITY, RANKING, has_quality, tabulate_cells
 
@@ -222,11 +221,13 @@ def _subtract(mean: Estimate, value: float) -> Estimate:
 
 
 def _difference(first: pd.DataFrame, second: pd.DataFrame) -> Estimate:
+    """Return the mean of first minus second, paired by texture and replicate: both received the same sample."""
     if first.empty or second.empty:
         return NO_ESTIMATE
     if not set(first["texture"]) & set(second["texture"]):
         first, second = first.assign(texture=first["family"]), second.assign(texture=second["family"])
-    return paired_differences(first, second, ["value"])["value"]
+    both = first.merge(second, on=["texture", "replicate"], suffixes=("", "_second"))
+    return means_over_textures(both.assign(value=both["value"] - both["value_second"]), ["value"])["value"]
 
 
 @cache
@@ -399,11 +400,16 @@ def compare_with_published(run: Run, comparison: Comparison) -> PublishedCompari
     comparison
         The comparison of the run, which gives the methods.
     """
+    return run.shared(_compare_with_published, comparison.options)
+
+
+def _compare_with_published(run: Run, options: ComparisonOptions) -> PublishedComparison | None:
     rows = run.info.get("suite", {}).get("content", {}).get("texture", [])
     textures = {record.cell.texture for record in run.cells}
     names = {row["figure"]: row["name"] for row in rows if row.get("figure") and row["name"] in textures}
     published = read_published()
-    methods = [found for name in published.columns[3:] if (found := _find_method(name, comparison.methods)) is not None]
+    known_methods = options.comparison(run).methods
+    methods = [found for name in published.columns[3:] if (found := _find_method(name, known_methods)) is not None]
     known = published[published["figure"].isin(list(names))]
     if known.empty or not methods:
         return None

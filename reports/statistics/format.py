@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+from markupsafe import Markup
 
+from nrbench.labelling.labels import content_hash
 from nrbench.plugins.forms import Column
 
 from . import verdicts
@@ -142,3 +144,21 @@ def make_environment(filters: Mapping[str, Callable[..., Any]], **options: Any) 
     environment.globals["verdicts"] = verdicts
     environment.filters.update({function.__name__: function for function in _FORMATS}, **filters)
     return environment
+
+
+def render_page(template: str, content: Mapping[str, Any], filters: Mapping[str, Callable[..., Any]]) -> str:
+    """Return a page. Its content policy names style and script by hash, so that nothing else on it can run.
+
+    Parameters
+    ----------
+    template
+        The file of its template.
+    content
+        The variables of the template.
+    filters
+        See :func:`make_environment`.
+    """
+    environment = make_environment(filters, autoescape=True)
+    style, script = (Markup(environment.get_template(file).render(content)) for file in ("style.css", "script.js"))
+    hashes = {"style_hash": content_hash(style), "script_hash": content_hash(script)}
+    return environment.get_template(template).render(content, style=style, script=script, **hashes)

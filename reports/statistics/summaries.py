@@ -328,23 +328,16 @@ def method_of(record: CellRecord) -> Method:
     return Method(*what, record.cell.method, record.cell.preset)
 
 
-def list_methods(run: Run) -> list[Method]:
-    """Return the methods in the order of the suite, reference methods last."""
-    methods: dict[tuple[str, str], Method] = {}
-    for record in run.cells:
-        methods.setdefault((record.method, record.lattice_source), method_of(record))
-    return sorted(methods.values(), key=lambda method: method.reference)
-
-
 def summarize_methods(run: Run, cells: pd.DataFrame, population: bool = False) -> list[MethodSummary]:
-    """Return each method of a run in numbers, from the rows of its cells, in the order of the suite."""
-    columns, methods = describe_scores(run), list_methods(run)
+    """Return each method of a run in numbers, from the rows of its cells: in the suite's order, references last."""
+    columns = describe_scores(run)
     by_label = dict(iter(cells.groupby("label", sort=False)))
     by_method: dict[str, list[CellRecord]] = {}
     for record in run.cells:
         by_method.setdefault(method_label(record.method, record.lattice_source), []).append(record)
+    methods = (method_of(records[0]) for records in by_method.values())
     summaries = []
-    for method in methods:
+    for method in sorted(methods, key=lambda method: method.reference):
         rows = by_label[method.label]
         scored = rows[rows[STRUCTURE].notna()] if STRUCTURE in rows else rows.iloc[:0]
         estimates = estimate_means(stack_draws(rows, list(columns)), population=population)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -22,7 +22,11 @@ Mask = NDArray[np.bool_]
 Pixels = NDArray[Any]
 """``(h, w, C)``: ``float32`` in [0, 1], or ``uint8``."""
 Source = NDArray[np.float32]
-"""``float32 (h, w, 3)``: the nearest pixel (x, y) of the sample and its weight, 1 where a pixel is copied."""
+"""``float32 (h, w, 3)``: the place (x, y) in the sample that a pixel shows, and its weight, 1 unless it is blended."""
+FURTHER: Final = 3
+"""Sources of a blended pixel that are kept beside the main one."""
+Further = NDArray[np.float32]
+"""``float32 (h, w, 3, 3)``: the further sources of blended pixels; 0 where there is none."""
 Patch = tuple[Pixels, Source]
 """The pixels of a patch and its source map."""
 ExactPatch = Patch | tuple[Pixels, Source, Image]
@@ -57,6 +61,8 @@ class Canvas:
         ``(H, W, C)``: the pixels, with the margin.
     source
         ``float32 (H, W, 3)``: the source map.
+    further
+        The further sources, ``float32 (H, W, 3, 3)``; None until something is blended.
     exact
         ``float32 (H, W, C)``, or None: the exact pixels.
     known
@@ -87,6 +93,7 @@ class Canvas:
         size = shape[0] + 2 * self.margin[0], shape[1] + 2 * self.margin[1]
         self.image: Pixels = np.zeros((*size, channels), dtype)
         self.source: Source = np.zeros((*size, 3), np.float32)
+        self.further: Further | None = None
         self.exact: Image | None = np.zeros((*size, channels), np.float32) if exact else None
         self.known: Mask = np.zeros(size, np.bool_)
         self.seams: NDArray[Any] = np.zeros((2, *size), seam_type)
@@ -102,12 +109,17 @@ class Canvas:
             return (np.arange(y0, y1) % height)[:, np.newaxis], np.arange(x0, x1)[np.newaxis] % width
         return slice(y0 + down, y1 + down), slice(x0 + across, x1 + across)
 
-    def place(self, window: Window, patch: ExactPatch, mask: Mask | None = None) -> None:
-        """Show a patch in a window, where a mask ``bool (h, w)`` is True. None: everywhere."""
-        pixels, layers = (
-            self.pixels(window),
-            [each for each in (self.image, self.source, self.exact) if each is not None],
-        )
+    def place(
+        self, window: Window, patch: ExactPatch, mask: Mask | None = None, further: Further | None = None
+    ) -> None:
+        """Show a patch in a window, where a mask ``bool (h, w)`` is True; everywhere if None, with further sources."""
+        pixels = self.pixels(window)
+        layers = [each for each in (self.image, self.source, self.exact) if each is not None]
+        if further is not None:
+            self._further()[pixels] = further
+        elif self.further is not None:
+            old = self.further[pixels]
+            self.further[pixels] = 0 if mask is None else np.where(mask[..., np.newaxis, np.newaxis], 0, old)
         if mask is None:
             for canvas, new in zip(layers, patch, strict=True):
                 canvas[pixels] = new
@@ -135,16 +147,22 @@ class Canvas:
 
         Notes
         -----
-        The source of a pixel is the one of the largest weight of all patches that were blended there.
+        The source of a pixel is the one of the largest weight of all patches that were blended there. Three more are
+        kept.
         """
         pixels = self.pixels(window)
-        under = self.image[pixels], self.source[pixels], self.known[pixels]
+        under = self.image[pixels], self.source[pixels], self._further()[pixels], self.known[pixels]
         blend_pixels(*under, *patch[:2], weights, full)
         if self.exact is not None:
             share = np.float32(1 / full) * weights[..., np.newaxis].astype(np.float32)
             self.exact[pixels] += share * (patch[2] - self.exact[pixels])  # type: ignore[misc]
         if under[0].base is not self.image:  # copies across an edge
-            self.image[pixels], self.source[pixels], self.known[pixels] = under
+            self.image[pixels], self.source[pixels], self._further()[pixels], self.known[pixels] = under
+
+    def _further(self) -> Further:
+        if self.further is None:
+            self.further = np.zeros((*self.known.shape, FURTHER, 3), np.float32)
+        return self.further
 
     def output(self) -> tuple[Image, Source]:
         """Return the output, ``float32`` in [0, 1], and its source map."""
@@ -153,6 +171,11 @@ class Canvas:
         if image.dtype == np.uint8:
             image = image / np.float32(255)
         return np.ascontiguousarray(image), np.ascontiguousarray(self.source[pixels])
+
+    def blended(self) -> Further | None:
+        """Return the further sources of the output's blended pixels; None if there are none."""
+        pixels = self.pixels((0, self.shape[0], 0, self.shape[1]))
+        return None if self.further is None else np.ascontiguousarray(self.further[pixels])
 
 
 def _whole_pixels(array: NDArray[Any]) -> NDArray[Any]:

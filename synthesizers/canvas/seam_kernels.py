@@ -16,6 +16,7 @@ from nrbench.jit import (
     Boolx1,
     Boolx2,
     Float32View3,
+    Float32View4,
     Float32x3,
     Float64View2,
     Float64x1,
@@ -580,6 +581,7 @@ def corner_paths(error: Float64x2, beside: int, above: int) -> tuple[int, int, I
 def blend_pixels(
     image: UInt8View3,
     source: Float32View3,
+    further: Float32View4,
     known: BoolView2,
     patch: UInt8View3,
     origin: Float32x3,
@@ -590,8 +592,9 @@ def blend_pixels(
 
     Parameters
     ----------
-    image, source, known
-        ``(h, w, C)``, ``(h, w, 3)`` and ``(h, w)``: the picture, its source map, and where it is known; changed.
+    image, source, further, known
+        ``(h, w, C)``, ``(h, w, 3)``, ``(h, w, K, 3)`` and ``(h, w)``: the picture, its source map, the further sources
+        of blended pixels, and where it is known; changed.
     patch, origin
         ``(h, w, C)`` and ``(h, w, 3)``: the patch and its source map.
     weights, full
@@ -600,7 +603,8 @@ def blend_pixels(
     Notes
     -----
     With w = weight / full a pixel becomes w patch + (1 - w) image, rounded to whole numbers, halves up. The weight of
-    its source becomes the larger one of w times that of the patch and 1 - w times the old one.
+    its source becomes the larger one of w times that of the patch and 1 - w times the old one. The smaller one joins
+    the further sources, which are in the order of their weights; the last one is dropped.
     """
     for y in range(weights.shape[0]):
         for x in range(weights.shape[1]):
@@ -616,8 +620,16 @@ def blend_pixels(
                 part = np.float32(share)
                 mine = np.float64(part * origin[y, x, 2])
                 others = np.float64((np.float32(1) - part) * source[y, x, 2])
+            next_x, next_y, next_weight = origin[y, x, 0], origin[y, x, 1], np.float32(mine)
             if not known[y, x] or mine >= others:
+                next_x, next_y, next_weight = source[y, x, 0], source[y, x, 1], np.float32(others)
                 source[y, x, 0], source[y, x, 1], source[y, x, 2] = origin[y, x, 0], origin[y, x, 1], mine
             else:
                 source[y, x, 2] = others
+            for k in range(further.shape[2]):
+                further[y, x, k, 2] *= np.float32(rest)
+                if next_weight > further[y, x, k, 2]:
+                    old_x, old_y, old_weight = further[y, x, k, 0], further[y, x, k, 1], further[y, x, k, 2]
+                    further[y, x, k, 0], further[y, x, k, 1], further[y, x, k, 2] = next_x, next_y, next_weight
+                    next_x, next_y, next_weight = old_x, old_y, old_weight
             known[y, x] = True

@@ -23,7 +23,20 @@ from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Refused
 
-from ..canvas.canvas import Box, Canvas, Mask, Patch, Sides, Source, Window, cut_closed_seam, edge_mask, find_paths
+from ..canvas.canvas import (
+    FURTHER,
+    Box,
+    Canvas,
+    Further,
+    Mask,
+    Patch,
+    Sides,
+    Source,
+    Window,
+    cut_closed_seam,
+    edge_mask,
+    find_paths,
+)
 from ..canvas.seam_kernels import link_costs
 from ..lattice_places.equal_places import SearchShape, pixel_grid, search_shape
 from ..matching.frame_matching import fit_deformation
@@ -314,7 +327,8 @@ class BlockPlacer:
         box = self._patch_box(gap, place)
         patch = self._deformed(gap, place, box) if self.deform else self.cut_patch(place, box)
         if self.seam == "blend":
-            self.canvas.place(gap.window(), self._blended(gap, patch))
+            blended, further = self._blended(gap, patch)
+            self.canvas.place(gap.window(), blended, further=further)
         else:
             self._cut_in(gap, box, patch)
 
@@ -372,17 +386,19 @@ class BlockPlacer:
             image[side][part], source[side][part] = self.cut_patch(origin, strip)
         return image, source
 
-    def _blended(self, gap: Block, patch: Patch) -> Patch:
-        """Return the patch of a gap, blended with those of its neighbors over its border."""
+    def _blended(self, gap: Block, patch: Patch) -> tuple[Patch, Further]:
+        """Return the patch of a gap, blended with those of its neighbors over its border, and its further sources."""
         border, (layers, sources) = gap.border, self._layers(gap)
         layers[OWN], sources[OWN] = patch
         image, source = patch[0].copy(), patch[1]
         x, y = border.pixels.T
         image[y, x] = np.einsum("ln,lnc->nc", border.weights, layers[border.layers, y, x])
-        main, every = border.weights.argmax(0), np.arange(len(x))
-        source[y, x] = sources[border.layers[main, every], y, x]
-        source[y, x, 2] *= border.weights[main, every]
-        return image, source
+        shown = sources[border.layers, y, x]
+        shown[..., 2] *= border.weights
+        shown = np.take_along_axis(shown, (-border.weights).argsort(0, "stable")[..., np.newaxis], 0)
+        source[y, x], further = shown[0], np.zeros((*source.shape[:2], FURTHER, 3), np.float32)
+        further[y, x, :2] = shown[1:].swapaxes(0, 1)
+        return (image, source), further
 
     def _cut_in(self, gap: Block, box: Box, patch: Patch) -> None:
         """Cut a patch into the canvas along a closed seam, or a path at each side, around the hole of a gap.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -218,3 +219,12 @@ class CellTorus:
         """Return the phases that make waves continue across the border that is shifted."""
         turns = np.outer(np.arange(self.columns), np.arange(self.rows)) * self.shift / (self.columns * self.rows)
         return np.asarray(np.exp(2j * np.pi * turns).reshape(self.columns, self.rows, *(1,) * (dimensions - 2)))
+
+
+def warn_of_no_lattice(method: str, reason: str) -> None:
+    """Warn that a method does without a lattice because none was found."""
+    warnings.warn(
+        f"{method}: no lattice found ({reason}), so the output keeps no regularity; if the sample is regular, give its "
+        "lattice",
+        stacklevel=2,
+    )

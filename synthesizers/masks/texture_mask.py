@@ -76,7 +76,8 @@ class MaskParameters:
         in the paper, so that the frequencies of a wave may differ between channels.
     geometry
         How the method is run where the sample is bent (:func:`~nrbench.calling.bent_samples.synthesize_in_geometry`).
-        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``.
+        It gets the straightened sample, and its output is ``"bent"`` as the sample is, or left ``"straight"``;
+        ``"waves"``: bent if the sample waves, straight if it is in perspective, round or distorted by a lens.
         ``"argmax"``: bent so that each vertex takes its most likely place, given its eight neighbors (equation 3 of Lin
         and others 2004), with warps of one pass. ``"as-is"``: it gets the sample itself, as in the paper
         and for a tileable output.
@@ -89,7 +90,7 @@ class MaskParameters:
     harmonics: Harmonic = "tied"
     signal: Signal = "real"
     channels: Channels = "joint"
-    geometry: Geometry = "bent"
+    geometry: Geometry = "waves"
 
     def __init_subclass__(cls) -> None:
         """Append these parameters to the method's page."""

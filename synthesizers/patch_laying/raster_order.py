@@ -208,4 +208,4 @@ def cover(
             task.progress(spot.window[0] / task.shape[0])
     task.progress(1.0)
     image, source = canvas.output()
-    return Synthesis(image, source=source)
+    return Synthesis(image, source=source, blended=canvas.blended())

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, Table, box_sums, box_sums_from, integral_image
 
-from ..canvas.canvas import Canvas, Mask, Source, Window, copy_patch
+from ..canvas.canvas import Canvas, Further, Mask, Source, Window, copy_patch
 from ..canvas.seam_kernels import FIRST, SECOND, cut_links
 from ..matching.frame_matching import FourierProducts, Spectra
 from .patchwork_kernels import UNIT, feather_seams, link_choices
@@ -196,8 +196,8 @@ class Patchwork(Canvas):
         """The cost of all seams, gray levels."""
         return float(self.seams.sum() / UNIT)
 
-    def feathered(self, sigma: float) -> tuple[Image, Source]:
-        """Return the output with its patches blended near their seams, and its source map.
+    def feathered(self, sigma: float) -> tuple[Image, Source, Further | None]:
+        """Return the output with its patches blended near their seams, its source map, and its further sources.
 
         Every pixel is the weighted mean of the values that the patches around it have there. The weight of a patch is a
         Gaussian of the distance, summed over the pixels that show it (section 5, "feathering"). Pixels that see one
@@ -210,7 +210,7 @@ class Patchwork(Canvas):
         """
         image, source = self.output()
         if sigma == 0:
-            return image, source
+            return image, source, None
         distance = np.arange(-math.ceil(2 * sigma), math.ceil(2 * sigma) + 1)
         weights = np.exp(-(distance**2) / (2 * sigma**2))
         reach = len(distance) // 2 if self.wrap else 0
@@ -219,8 +219,8 @@ class Patchwork(Canvas):
         padded = np.pad(origin, around, "wrap"), np.pad(image, around, "wrap")
         made = feather_seams(self.sample.copy(), *padded, np.outer(weights, weights))
         height, width = self.shape
-        image, source = (part[reach : reach + height, reach : reach + width] for part in made)
-        return image, source
+        image, source, further = (part[reach : reach + height, reach : reach + width] for part in made)
+        return image, source, further
 
     def read(self, values: NDArray[Any], window: Window) -> NDArray[Any]:
         """Return the values of a window's source pixels, ``(h, w, ...)``, from those of the sample's pixels.

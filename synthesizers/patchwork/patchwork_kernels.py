@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Boolx2, Float32x3, Float64x2, Float64x4, Int32x3, Int64x3, kernel
+from nrbench.jit import Boolx2, Float32x3, Float32x4, Float64x2, Float64x4, Int32x3, Int64x3, kernel
 
 from ..canvas.seam_kernels import FIRST, SECOND, STAY
 
@@ -141,8 +141,8 @@ def link_choices(rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int)
 @kernel
 def feather_seams(
     sample: Float32x3, origin: Int64x3, image: Float32x3, weights: Float64x2
-) -> tuple[Float32x3, Float32x3]:
-    """Return an output whose patches are blended near their seams, and its source map.
+) -> tuple[Float32x3, Float32x3, Float32x4]:
+    """Return an output whose patches are blended near their seams, its source map, and its further sources.
 
     Each pixel is the weighted mean of the values that the patches around it have there. The weight of a patch is the
     sum of ``weights`` over the neighbors that show it. A patch that ends before the pixel has no weight.
@@ -164,6 +164,8 @@ def feather_seams(
         ``(H, W, C)``. Pixels around which all neighbors show one patch are copies.
     source
         ``(H, W, 3)``: the (x, y) in the sample of the patch of the largest weight, and its share of the weights.
+    further
+        ``(H, W, 3, 3)``: the same of the patches of the next weights; 0 where there is none.
 
     Notes
     -----
@@ -179,6 +181,7 @@ def feather_seams(
     rows, columns = sample.shape[:2]
     reach = weights.shape[0] // 2
     blended, source = image.copy(), np.ones((height, width, 3), np.float32)
+    further = np.zeros((height, width, 3, 3), np.float32)
     places, shares = np.empty((weights.size, 2), np.int64), np.empty(weights.size)
     for y in range(height):
         for x in range(width):
@@ -213,4 +216,9 @@ def feather_seams(
                 blended[y, x, c] = min(max(value / total, 0.0), 1.0)
             source[y, x, 0], source[y, x, 1] = places[best, 0], places[best, 1]
             source[y, x, 2] = min(shares[best] / total, np.float64(np.float32(1) - np.float32(2**-24)))
-    return blended, source
+            for n in range(min(count - 1, further.shape[2])):
+                shares[best] = -1.0
+                best = int(np.argmax(shares[:count]))
+                further[y, x, n, 0], further[y, x, n, 1] = places[best, 0], places[best, 1]
+                further[y, x, n, 2] = shares[best] / total
+    return blended, source, further

@@ -16,6 +16,7 @@ from skimage.segmentation import watershed
 
 from nrbench.plugins.forms import Shape
 
+from ..canvas.canvas import FURTHER
 from ..lattice_places.equal_places import CellTorus
 from .element_colors import Table
 from .element_map import WHOLE, ElementMap, Lag, Numbers
@@ -232,11 +233,12 @@ class ElementCopies:
         rows: slice = slice(None),
         colors: Table | None = None,
         strength: float = 1.0,
-    ) -> NDArray[np.float64]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
         """Return the copies at some rows of a picture, times ``strength``, with new colors inside their own outlines.
 
         Where elements meet, copies are joined along the watersheds of their likeness, which are the lines on which they
-        differ least.
+        differ least. The second array, ``(H, W, 4, 3)``, has the places (x, y) of the copies at each pixel and their
+        weights, the largest first.
         """
         top, bottom, _ = rows.indices(shape[0])
         pad = math.ceil(6 * OUTLINE_REACH * self.elements.lattice.s) + 2
@@ -248,9 +250,12 @@ class ElementCopies:
             shares[rank, at], index[:, rank, at] = share, (label, *(cell - corner).T)
         row, column, _ = self.elements.places(size, (-pad, top - pad))
         copies = np.zeros((ranks, *size, self.rest.shape[2]))
+        sources = np.zeros((max(ranks, FURTHER + 1), *size, 3), np.float32)
+        last = np.array(self.rest.shape[1::-1]) - 1
         for rank, (at, _, label, cell) in enumerate(around):
             step = drawn[label, *(cell - corner).T] - cell
             place = np.argwhere(at)[:, ::-1] + (-pad, top - pad) + step @ self.elements.lattice.matrix
+            sources[rank, at, :2] = last - np.abs(last - np.abs(place))  # mirrored at the edges, as the splines are
             for channel, plane in enumerate(self._splines):
                 copies[rank, at, channel] = strength * _interpolate(plane, place)
             if self.own is not None:
@@ -265,8 +270,10 @@ class ElementCopies:
                     laid[shown] += self.outlines.read(k, source, place[shown])[:, np.newaxis] * color
                 copies[rank, at] += laid * self.outlines.gain[row[at], column[at]]
         weight = _cut_seams(copies, shares, np.asarray(np.ravel_multi_index(tuple(index), drawn.shape[:3])))
-        inner = slice(pad, size[0] - pad), slice(pad, size[1] - pad)
-        return np.asarray((copies * weight[..., np.newaxis]).sum(0)[inner])
+        inner, sources[:ranks, ..., 2] = np.s_[pad : size[0] - pad, pad : size[1] - pad], weight
+        order = np.argsort(-sources[..., 2], 0, kind="stable")[: FURTHER + 1]
+        shown = np.take_along_axis(sources, order[..., np.newaxis], 0)[:, *inner]
+        return np.asarray((copies * weight[..., np.newaxis]).sum(0)[inner]), np.moveaxis(shown, 0, 2)
 
 
 def _interpolate(plane: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -24,7 +24,9 @@ ORDER: Final = 5
 PLACE_STEP: Final = 1 / 64
 """px: places are rounded to multiples of this, so that a place within a rounding error of a whole pixel is copied."""
 Source = NDArray[np.float32]
-"""``float32 (h, w, 3)``: the nearest pixel (x, y) of the sample and its bilinear weight, 1 where a pixel is copied."""
+"""``float32 (h, w, 3)``: the place (x, y) in the sample that a pixel shows, a whole pixel where it is copied, and 1."""
+_SAME = 2**-25
+"""px: a place that is so near to a pixel is copied."""
 _BAND = 1 << 18
 """Number of pixels that are resampled at a time."""
 
@@ -83,7 +85,7 @@ class Patches:
             patch = self.sample[row : row + height, column : column + width]
         else:
             patch = np.clip(self._interpolate(row, column, shape, fraction), 0, 1)
-        return patch, self._source(float(x), float(y), shape)
+        return patch, point_source(pixel_grid(width, height) + np.array((x, y)), self.sample.shape)
 
     def _interpolate(self, row: int, column: int, shape: tuple[int, int], fraction: tuple[float, float]) -> Image:
         height, width = shape
@@ -92,16 +94,6 @@ class Patches:
         down = _weighted_rows(window, _spline_weights(fraction[1]), height)
         return _weighted_rows(down.swapaxes(0, 1), _spline_weights(fraction[0]), width).swapaxes(0, 1)
 
-    def _source(self, x: float, y: float, shape: tuple[int, int]) -> Source:
-        height, width = shape
-        columns, rows = x + np.arange(width), y + np.arange(height)
-        last = self.sample.shape[1] - 1, self.sample.shape[0] - 1
-        near = np.clip(np.floor(columns + 0.5), 0, last[0]), np.clip(np.floor(rows + 0.5), 0, last[1])
-        source = np.empty((height, width, 3), np.float32)
-        source[..., 0], source[..., 1] = near[0], near[1][:, np.newaxis]
-        source[..., 2] = np.outer(1 - np.abs(rows - near[1]), 1 - np.abs(columns - near[0]))
-        return source
-
     def read_points(self, points: Points) -> Image:
         """Return the values at points (x, y) of the sample, ``(..., 2)``, clipped to [0, 1]: ``(..., C)``."""
         values = quintic_at(self._spline, np.ascontiguousarray(points, np.float64).reshape(-1, 2))
@@ -109,16 +101,16 @@ class Patches:
 
     def read_with_source(self, points: Points) -> tuple[Image, Source]:
         """Return the values at points (x, y) of the sample, ``(h, w, 2)``, and their :data:`Source`."""
-        source = point_source(points, self.sample.shape)
-        x, y = np.moveaxis(source[..., :2].astype(np.intp), -1, 0)
-        return np.where(source[..., 2:] == 1, self.sample[y, x], self.read_points(points)), source
+        nearest = np.clip(np.rint(points), 0, np.array(self.sample.shape[1::-1]) - 1)
+        x, y = np.moveaxis(nearest.astype(np.intp), -1, 0)
+        copied = np.abs(points - nearest).sum(-1, keepdims=True) < _SAME
+        return np.where(copied, self.sample[y, x], self.read_points(points)), point_source(points, self.sample.shape)
 
 
 def point_source(points: Points, shape: tuple[int, ...]) -> Source:
     """Return the :data:`Source` of points (x, y) ``(h, w, 2)`` of a sample of a shape (height, width, ...)."""
-    nearest = np.clip(np.rint(points), 0, np.array(shape[1::-1]) - 1)
-    weight = np.clip(1 - np.abs(points - nearest), 0, 1).prod(-1, keepdims=True)
-    return np.concatenate([nearest, weight], -1).astype(np.float32)
+    inside = np.clip(points, -0.5, np.array(shape[1::-1]) - 0.5)
+    return np.concatenate([inside, np.ones_like(inside[..., :1])], -1).astype(np.float32)
 
 
 def _weighted_rows(window: Image, weights: tuple[np.float32, ...], count: int) -> Image:

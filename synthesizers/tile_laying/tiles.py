@@ -509,9 +509,7 @@ class TileStock:
             matrix, offset = self.images.copies[copy - 1]
             points = (self._steps[..., :2] + np.array([x + fx, y + fy])) @ matrix + offset
             return pixels, point_source(points, self.images.shape), *exact
-        source = self._steps + np.array((x + (fx >= 0.5), y + (fy >= 0.5), 0), np.float32)
-        source[..., 2] = max(fx, 1 - fx) * max(fy, 1 - fy)
-        return pixels, source, *exact
+        return pixels, self._steps + np.array((x + fx, y + fy, 1), np.float32), *exact
 
     @cached_property
     def _steps(self) -> Source:

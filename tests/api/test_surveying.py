@@ -112,7 +112,7 @@ def test_what_fails_is_a_line_and_stops_nothing() -> None:
         "cut.png": "cannot be read",
         "one.png": "1x1 px; at least 8 px",
         "raises.png": "failed: ArithmeticError: thirteen rows",
-        "glass.png": "transparent pixels",
+        "glass.png": "no opaque pixel",
     }
     for name, reason in expected.items():
         assert reason in rows()[name]["reason"] and "pictures/" not in rows()[name]["reason"]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -16,17 +13,7 @@ from nrbench.errors import BadInput
 from nrbench.pictures.files import write_image
 from nrbench.streams import pixels_hash
 
-FOLDER = Path(__file__).parents[2] / "benchmarks"
 METHODS = ("fftm-patch", "resample", "rsgf", "tile-set")
-
-
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    """Import the script as if it were started in its folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
-    yield importlib.import_module("graders")
-    for name in ("graders", "prints"):
-        sys.modules.pop(name, None)
 
 
 @pytest.fixture

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from unittest import mock
@@ -18,16 +15,6 @@ from nrbench.labelling.labels import QUESTIONS
 from nrbench.streams import pixels_hash
 from nrbench.suites.plan import draw_samples
 from nrbench.suites.suite import load_suite
-
-FOLDER = Path(__file__).parents[2] / "benchmarks"
-
-
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    """Import the script as if it were started in its folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
-    yield importlib.import_module("labels")
-    sys.modules.pop("labels", None)
 
 
 def test_stored_labels_are_read(script: ModuleType) -> None:

@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 from skimage.color import rgb2lab
 
-FOLDER = Path(__file__).parents[2] / "benchmarks"
 SHAPE, CORNER = (72, 90), (17, 40)
-
-
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    """Import the script as if it were started in its folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
-    yield importlib.import_module("prints")
-    sys.modules.pop("prints", None)
 
 
 def crop_of(script: ModuleType, name: str) -> np.ndarray:

@@ -2,24 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import pytest
-
-FOLDER = Path(__file__).parents[2] / "benchmarks"
-
-
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    """Import the script as if it were started in its folder."""
-    monkeypatch.syspath_prepend(str(FOLDER))
-    yield importlib.import_module("sensitivity")
-    for name in ("sensitivity", "validation", "edits"):
-        sys.modules.pop(name, None)
 
 
 def test_only_what_read_the_limit_is_computed_again(script: ModuleType) -> None:

@@ -11,15 +11,22 @@ from scipy import ndimage
 
 import nrbench
 from nrbench import plugins
-from nrbench.calling.bent_samples import find_bend, synthesize_in_geometry
+from nrbench.calling.bent_samples import SampleSurvey, find_bend, synthesize_in_geometry
 from nrbench.calling.method_calls import check_source
-from nrbench.displacement.deformation_field import LEAST_GAIN, Deformation, explained_share
+from nrbench.calling.tileable import synthesize_tileable
+from nrbench.displacement.bent_detection import find_bent_lattice
+from nrbench.displacement.deformation_field import (
+    LEAST_GAIN,
+    Deformation,
+    map_points,
+    pixel_places,
+)
 from nrbench.displacement.following import find_knots
 from nrbench.displacement.free_form import FreeForm, approximate, basis, refine
 from nrbench.displacement.growth import Knots
 from nrbench.displacement.random_field import WaveSpectrum, neighbor_field, output_field
 from nrbench.imaging.convert import quantize
-from nrbench.imaging.mean_tile import fold
+from nrbench.imaging.mean_tile import explained_share, fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Geometry, Task, Texture, find_lattice
 from nrbench.plugins.registry import NamedDetector
@@ -122,6 +129,21 @@ def test_a_flat_or_small_sample_is_not_straightened() -> None:
     assert find_bend(small, bricks, given=True)[0] is None
 
 
+def test_what_does_not_count_bends_nothing() -> None:
+    """Bricks that are moved where a mask leaves them out make no bend, and no knot of a bent wall lies there."""
+    for bend in (0.0, 0.4):
+        texture = bent("brick", bend=bend, seed=5)
+        known = np.ones(texture.image.shape[:2], bool)
+        known[30:80, 30:90] = False
+        image = texture.image.copy()
+        image[30:80, 30:90] = np.roll(image, (5, 9), (0, 1))[30:80, 30:90]
+        found, _ = find_bend(image, texture.lattice, True, known)
+        assert (found is not None) == (bend > 0)
+        if found is not None:
+            x, y = np.rint(found.places).astype(int).T
+            assert known[y.clip(0, len(known) - 1), x.clip(0, known.shape[1] - 1)].all()
+
+
 @pytest.mark.parametrize("model", ["brick", "hexagon"])
 def test_strongly_bent_samples_are_straightened(model: str) -> None:
     """At bend 1 the straightened sample is as periodic as its colors allow, however far the places have moved."""
@@ -145,9 +167,51 @@ def test_a_given_lattice_that_cannot_be_followed_is_found_in_a_part() -> None:
 def test_a_bent_lattice_is_found_where_the_detector_finds_none() -> None:
     """Without a lattice, that of a bent sample is found, and a method gets it."""
     texture = bent("weave", bend=1.0, color=0.3, seed=42, side=160)
-    found, _ = find_bend(texture.image, None, given=False)
-    assert found is not None and texture.lattice is not None
-    assert found.lattice.is_equivalent(texture.lattice, 1.5)
+    followed = find_bent_lattice(texture.image)
+    assert followed is not None and texture.lattice is not None
+    assert followed.deformation.lattice.is_equivalent(texture.lattice, 1.5)
+
+
+def seen_on(name: str, kind: str) -> Texture:
+    """Return 224 px of a model in perspective, on a cylinder, or through a lens."""
+    drawn = nrbench.texture(name, (384, 384), seed=5)
+    places = pixel_places(224, 224)
+    x, y = np.moveaxis(places - 111.5, -1, 0)
+    if kind == "perspective":
+        places = map_points(np.array([[1, 0, 0], [0, 1, 0], [1.2e-3, 6e-4, 1]]), places)
+    elif kind == "cylinder":
+        places = np.stack([150 * np.arcsin(x / 150), y], -1) + 180
+    else:
+        places = (places - 111.5) * (1 + 0.15 * (x**2 + y**2)[..., np.newaxis] / 111.5**2) + 180
+    return Texture(quantize(interpolate(drawn.image, places)), drawn.lattice)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("weave", "perspective"), ("brick", "cylinder"), ("weave", "lens"), ("hexagon", "cylinder")]
+)
+def test_what_the_camera_bends_is_told_from_what_waves(name: str, kind: str) -> None:
+    """A perspective, a cylinder and a lens are undone, and the output is straight; a cloth that waves stays bent."""
+    texture = seen_on(name, kind)
+    found, note = find_bend(texture.image, texture.lattice, given=False)
+    assert found is not None and found.is_global
+    assert ("in perspective" in note) is (kind == "perspective")
+    task = Task(texture.image, (60, 70), None, np.random.default_rng(1))
+    made = synthesize_in_geometry(
+        replace(BendingTiling(), geometry="waves"), task, SampleSurvey(FoundLattice(found.lattice), found, note, 0.0)
+    )
+    assert made.note.endswith("the output is straight")
+
+
+def test_cloth_that_waves_is_not_global() -> None:
+    """Its output waves, too."""
+    assert not deformation(bent(bend=0.5)).is_global
+
+
+def test_a_perspective_is_undone_for_an_output_that_repeats() -> None:
+    """The detector finds no lattice in the sample; the output repeats the mean lattice of the plane, straight."""
+    task = Task(seen_on("weave", "perspective").image, (222, 143), None, np.random.default_rng(1))
+    made = synthesize_tileable(plugins.build("synthesizers", "tile-set"), task)
+    assert made.lattice is not None and "in perspective" in made.note
 
 
 def test_vertices_lie_about_s_apart() -> None:

@@ -54,7 +54,7 @@ def noise(side: int = 96) -> Case:
 
 def grain() -> Case:
     """Return a picture of a model without a lattice."""
-    return nrbench.texture("noise", shape=(128, 128), seed=1), None
+    return nrbench.texture("noise", shape=(96, 96), seed=1), None
 
 
 MODELS = ("brick", "weave", "hexagon")

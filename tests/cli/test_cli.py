@@ -32,7 +32,7 @@ BAD = {
     "synth brick.png -m scater --size 64x64 -o o.png": "did you mean 'scatter'",
     "synth brick.png -m scatter:blok=3 --size 64x64 -o o.png": "did you mean 'block'",
     "synth brick.png -m scatter --size 64 -o o.png": "write WIDTHxHEIGHT",
-    "synth brick.png -m scatter --size 64x64 -o o.jpg": "outputs are PNG",
+    "synth brick.png -m scatter --size 64x64 -o o.jpg": "end the name in .png or .tif",
     "synth brick.png -m oracle --size 64x64 -o o.png": "nrbench: ",
     "score brick.png tinted.png": "channels",
     "run nosuch": "no suite, TOML file or directory of that name",

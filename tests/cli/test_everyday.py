@@ -55,7 +55,7 @@ def test_synth_refuses_a_place_that_takes_no_file_before_it_starts(
     Path("folder.png").mkdir()
     before = sorted(Path().iterdir()), Path("brick.png").read_bytes()
     for place, why in (
-        ("./brick.png", "is the picture itself"),
+        ("./brick.png", "is brick.png itself"),
         *([("/proc/x.png", "cannot be written")] if Path("/proc").is_dir() else []),
         ("folder.png", "is a directory"),
         ("no/x.png", "exist"),

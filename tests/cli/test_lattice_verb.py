@@ -42,7 +42,7 @@ def pictures() -> None:
         ("walls", "has no picture"),
         ("brick.png --keep", "is for a folder"),
         ("walls --vertices v.csv", "--vertices: needs one picture"),
-        ("brick.png --vertices v.png", "outputs are CSV; end the name in .csv"),
+        ("brick.png --vertices v.png", "cannot be written in this format; end the name in .csv"),
         ("brick.png --all --vertices v.csv", "leave --all out"),
     ],
 )

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from commands import call
 
 import nrbench
-from nrbench.api.photo_sheet import describe_row, rate_outputs
+from nrbench.api import photo_sheet
+from nrbench.api.photo_sheet import describe_row, photo_suite, prepare_photo, rate_outputs
+from nrbench.api.runs import _plan_sheet
+from nrbench.displacement.deformation_field import map_points
+from nrbench.imaging.mean_tile import explained_share, interpolate
 from nrbench.runs.records import CellRecord
+
+NAMED = photo_sheet.NamedDetector
+
+
+class _Blind:
+    """A detector that finds nothing."""
+
+    def detect(self, image: Any) -> Any:
+        """Find nothing."""
+        raise nrbench.NoLatticeFound("nothing is seen")
 
 
 @pytest.fixture
@@ -125,3 +140,39 @@ def test_a_tileable_output_tells_its_strain(wall: nrbench.Texture, capsys: pytes
     assert "cartoon cannot make an output that repeats without a seam; ann-pixel, auto, " in capsys.readouterr().err
     assert call("synth wall.png -m rsgf --lattice 32,0,16,16 --tileable --size 144x96 -o out.png") == 2
     assert "use --size 128x96" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("judged", [True, False])
+def test_the_lattice_of_a_sheet_is_the_judges_where_it_finds_none(
+    wall: nrbench.Texture, monkeypatch: pytest.MonkeyPatch, judged: bool
+) -> None:
+    """So is one that is given. Where the judge's detector finds a lattice, the truth is not known."""
+    assert wall.lattice is not None
+    make = functools.partial(photo_suite, Path("wall.png"), "96x96", "64x64", None)
+    given = _plan_sheet(make, ["scatter"], wall.lattice, Path("run"), 0)
+    if not judged:
+        monkeypatch.setattr(photo_sheet, "NamedDetector", lambda name: _Blind() if name == "dominance" else NAMED(name))
+    found = _plan_sheet(make, ["scatter"], None, Path("run"), 0)
+    truths = [plan.cells[0][0].lattice_truth for plan in (given, found)]
+    assert truths[0] is not None and truths[0].is_equivalent(wall.lattice)
+    assert (truths[1] is None) == judged
+
+
+def test_a_bad_output_is_marked(wall: nrbench.Texture) -> None:
+    """A caption says BAD and why below half of the quality."""
+    rows = {row["method"]: row for _, row in rate_outputs([_record("a", integrity=0.49), _record("b", integrity=0.5)])}
+    assert "BAD, worst: integrity" in describe_row(rows["a"]) and "BAD" not in describe_row(rows["b"])
+
+
+def test_a_sheet_straightens_and_flattens_first(tmp_path: Path) -> None:
+    """A wall in perspective is straight in the file that methods and judge get; a straight one is left alone."""
+    points = np.stack(np.meshgrid(*2 * [np.arange(192.0)]), -1)
+    drawn = nrbench.texture("weave", shape=(192, 192), seed=0)
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.2e-3, 6e-4, 1.0]])
+    nrbench.write_image(tmp_path / "tilted.png", interpolate(drawn.image, map_points(tilt, points)))
+    with pytest.warns(UserWarning, match="in perspective"):
+        file, lattice = prepare_photo(tmp_path / "tilted.png", None, False, tmp_path)
+    assert isinstance(lattice, nrbench.Lattice) and explained_share(nrbench.read_image(file), lattice) > 0.6
+    nrbench.write_image(tmp_path / "flat.png", drawn.image)
+    assert prepare_photo(tmp_path / "flat.png", None, False, tmp_path) == (tmp_path / "flat.png", None)
+    assert prepare_photo(tmp_path / "flat.png", None, True, tmp_path)[0] != tmp_path / "flat.png"

@@ -93,6 +93,18 @@ def test_without_a_home_machine_code_is_temporary(homeless: Path) -> None:
     assert folder.stat().st_mode & 0o777 == 0o700
 
 
+def test_a_user_without_any_home_has_temporary_machine_code(homeless: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the system lists no home for a user, and platformdirs raises, the same warning says so."""
+
+    def fail(*names: object, **options: object) -> Path:
+        raise RuntimeError("could not determine the home directory")
+
+    monkeypatch.setattr(jit.platformdirs, "user_cache_path", fail)
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    with pytest.warns(UserWarning, match=r"the cache cannot be written \(there is no home directory\)"):
+        assert jit.find_cache().parent == homeless
+
+
 def test_machine_code_that_others_may_write_is_not_run(homeless: Path) -> None:
     """A folder of the expected name that others can write to is not used, nor one that is a link."""
     for made in (lambda name: name.mkdir(), lambda name: name.symlink_to(homeless.parent)):

@@ -36,10 +36,11 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run_commands(text: str) -> None:
-    """Run each line of a block as a command; none may fail."""
+    """Run each line of a block as a command, with smaller outputs; none may fail."""
     for line in text.strip().splitlines():
         program, *words = shlex.split(line, comments=True)
         assert program == "nrbench"
+        words += ["--size", "144x144"] if "run" in words and "--size" not in words else []
         with pytest.raises(SystemExit) as ended:
             main(words)
         assert not ended.value.code, line

@@ -18,8 +18,8 @@ GRAY = np.random.default_rng(0).random((9, 12))
 REFUSED = {
     "NaN or infinite": np.where(GRAY > 0.9, np.nan, GRAY),
     "scale floats": GRAY * 255,
-    "81 transparent pixels, the first at .0, 0.; flatten": np.full((9, 9, 4), 0.99),
-    "1 transparent pixels": np.where(np.arange(9 * 12 * 2).reshape(9, 12, 2) == 7, 254, 255).astype(np.uint8),
+    "81 transparent pixels, the first at .0, 0.; flatten": np.full((9, 9, 4), 0.97),
+    "1 transparent pixels": np.where(np.arange(9 * 12 * 2).reshape(9, 12, 2) == 7, 249, 255).astype(np.uint8),
     "at least 8 px": np.ones((4, 9)),
     "convert it to uint8": np.ones((9, 9), np.int64),
     "is no image": np.ones(9),

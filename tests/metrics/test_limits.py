@@ -18,8 +18,6 @@ ALLOWED = {
     "COLORS": "colors of a picture",
     "_COLOR": "color of a picture",
     "_DIM": "colors of a picture",
-    "_INSIDE": "appearance.tileable, no part of a score",
-    "_ROUNDING_STEP": "appearance.tileable, no part of a score",
     "_DISTANCES": "where the parts of an element are sampled",
     "_LEAST_SHARE": "how much of a cell must be known",
     "_ROUGHLY": "the first of several rounds of an estimate",

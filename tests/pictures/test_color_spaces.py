@@ -257,6 +257,29 @@ def test_srgb_is_left_alone(tmp_path: Path, name: str, bits: int) -> None:
     )
 
 
+def test_profile_of_jpeg_2000(tmp_path: Path) -> None:
+    """The profile in the header of a JPEG 2000 file counts, and that of L*a*b* pixels is no fault."""
+    wide = np.rint(255 * SPACES["icc of display p3, table"][0]).astype(np.uint8)
+    PIL.Image.fromarray(wide).save(tmp_path / "a.jp2", irreversible=False)
+    content, profile = (tmp_path / "a.jp2").read_bytes(), profile_of(TO_P3, TABLE)
+    header, box = content.index(b"jp2h") - 4, content.index(b"colr") - 4
+    length = int.from_bytes(content[box : box + 4], "big")
+    new = struct.pack(">I", 11 + len(profile)) + b"colr\2\0\0" + profile
+    size = int.from_bytes(content[header : header + 4], "big") + len(new) - length
+    parts = content[:header] + struct.pack(">I", size), content[header + 4 : box], new, content[box + length :]
+    np.testing.assert_allclose(_read(tmp_path / "b.jp2", b"".join(parts)), COLORS, atol=2 / 255)
+    lab = PIL.ImageCms.profileToProfile(
+        PIL.Image.fromarray(np.rint(255 * COLORS).astype(np.uint8)),
+        PIL.ImageCms.createProfile("sRGB"),
+        PIL.ImageCms.createProfile("LAB"),
+        outputMode="LAB",
+    )
+    assert lab is not None
+    lab.save(tmp_path / "a.tif", icc_profile=LAB_PROFILE)
+    image = _read(tmp_path / "a.tif", (tmp_path / "a.tif").read_bytes())
+    assert np.abs(image - COLORS).mean() < 2 / 255  # eight bits of L*a*b*
+
+
 UNKNOWN = {
     r"CICP 9/18 \(HLG\)": (b"cICP", bytes([9, 18, 0, 1])),
     "CICP 200/13": (b"cICP", bytes([200, 13, 0, 1])),

@@ -121,7 +121,7 @@ def test_opaque_alpha_is_left_out(tmp_path: Path, mode: str, name: str) -> None:
 def test_transparent_pixels_are_refused(tmp_path: Path, mode: str) -> None:
     """One transparent pixel is enough; the message says where it is and what to do."""
     picture = PIL.Image.new(mode, (10, 12), (200,) * (len(mode) - 1) + (255,))
-    picture.putpixel((3, 7), (200,) * (len(mode) - 1) + (254,))
+    picture.putpixel((3, 7), (200,) * (len(mode) - 1) + (249,))
     message = _refusal(_saved(tmp_path, picture))
     assert "1 transparent pixels, the first at (3, 7)" in message and "flatten" in message
 
@@ -189,6 +189,16 @@ def test_values_of_no_file_are_written_with_8_bits(tmp_path: Path) -> None:
     """Values that neither 8 nor 16 bits hold exactly, such as those of a drawing, are rounded to 8 bits."""
     image = np.random.default_rng(0).random((16, 24, 3), np.float32)
     np.testing.assert_array_equal(read_image(write_image(tmp_path / "a.png", image)), quantize(image))
+
+
+@pytest.mark.parametrize("dtype", ["u1", "<u2", ">u2"])
+@pytest.mark.parametrize("channels", [(), (1,), (3,)])
+def test_arrays_of_whole_numbers_are_written(tmp_path: Path, dtype: str, channels: tuple[int, ...]) -> None:
+    """``uint8`` and ``uint16`` of any order of bytes, with or without an axis of channels, are images."""
+    pixels = (RAMP.reshape(*RAMP.shape, *(1,) * len(channels)) * np.ones(channels)).astype(dtype)
+    again = read_image(write_image(tmp_path / "a.png", pixels))
+    peak = 255 if dtype == "u1" else 65535
+    np.testing.assert_allclose(again, (pixels if channels else pixels[..., np.newaxis]) / peak, atol=1e-7)
 
 
 @pytest.mark.parametrize("bits", [8, 16])

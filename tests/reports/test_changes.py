@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import call
 
 from nrbench import run
-from nrbench.cli.main import main
 from nrbench.reports.changes import RunChanges, compare_runs
 from nrbench.running.runner import Options
 from nrbench.runs.records import Run
@@ -171,13 +171,6 @@ def tiny_runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
             metrics=["quality", "regularity"],
         )
     return folder / "0", folder / "1"
-
-
-def call(*words: str) -> int:
-    """Run the command line and return its exit code."""
-    with pytest.raises(SystemExit) as ended:
-        main(list(words))
-    return int(ended.value.code or 0)
 
 
 def test_the_command_decides_by_its_exit_code(tiny_runs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:

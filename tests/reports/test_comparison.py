@@ -352,15 +352,6 @@ def test_a_cell_without_a_regularity_score_is_unscored(make_cell: Make) -> None:
     assert verdicts.verdict(bare) == "unscored"
 
 
-def test_table_holds_numbers(every_ending: Run) -> None:
-    """Truth values become 0 and 1, None becomes NaN, and only cells that ended well have seconds."""
-    table = verdicts.tabulate_cells(every_ending)
-    assert len(table) == len(every_ending.cells)
-    assert set(table["regularity.preserved"].dropna()) == {0.0, 1.0}
-    assert table.loc[table["status"] == "ok", "seconds"].notna().all()
-    assert math.isnan(table.loc[table["status"] == "timeout", "seconds"].iloc[0])
-
-
 @pytest.fixture(scope="module")
 def panel(ranked: Run) -> LevelPanel:
     """Return the panel of a run with three levels of one departure."""

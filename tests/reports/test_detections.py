@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nrbench.lattice.geometry import Lattice
@@ -133,24 +133,23 @@ def test_calibration_of_known_answers() -> None:
     """One of two answers right at 0.25 and both at 0.95: distances 0.25 and 0.05, mean 0.15."""
     calibration = calibrate(np.array([0.25, 0.25, 0.95, 0.95]), np.array([True, False, True, True]))
     assert calibration.error == pytest.approx(0.15) and calibration.n == 4
-    assert [
-        (one["low"], one["high"], one["right"].n, one["right"].value) for one in calibration.bins.to_dict("records")
-    ] == [
+    bins = calibration.bins.to_dict("records")
+    assert [(one["low"], one["high"], one["right"].n, one["right"].value) for one in bins] == [
         (0.2, 0.3, 2, 0.5),
         (0.9, 1.0, 2, 1.0),
     ]
 
 
+@settings(max_examples=25)
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=40))
 def test_calibration_bins_hold_every_answer_once(pairs: list[tuple[float, bool]]) -> None:
     """The bins hold every answer once, in order; the error lies in [0, 1]; intervals hold their share."""
     calibration = calibrate(np.array([c for c, _ in pairs]), np.array([right for _, right in pairs]))
-    assert sum(one["right"].n for one in calibration.bins.to_dict("records")) == calibration.n == len(pairs)
-    assert sum(one["share"] for one in calibration.bins.to_dict("records")) == pytest.approx(1)
+    bins = calibration.bins.to_dict("records")
+    assert sum(one["right"].n for one in bins) == calibration.n == len(pairs)
+    assert sum(one["share"] for one in bins) == pytest.approx(1)
     assert calibration.error is not None and 0 <= calibration.error <= 1
-    assert [one["low"] for one in calibration.bins.to_dict("records")] == sorted(
-        one["low"] for one in calibration.bins.to_dict("records")
-    )
-    for one in calibration.bins.to_dict("records"):
+    assert [one["low"] for one in bins] == sorted(one["low"] for one in bins)
+    for one in bins:
         low, value, high = one["right"].low, one["right"].value, one["right"].high
         assert low is not None and value is not None and high is not None and low <= value <= high

@@ -100,39 +100,24 @@ def test_every_column_of_the_cells_is_declared(written: dict[str, Path]) -> None
     assert declared.loc["seconds", "unit"] == "s"
 
 
-@pytest.fixture(scope="module")
-def text(every_ending: Run) -> str:
-    """Return the table of a run with every status, as the terminal shows it."""
-    return TextTable().render(every_ending)
-
-
 def test_an_empty_run_says_so(make_run: Make) -> None:
     """A run without cells gives one sentence, as text and in Markdown."""
     for report in (TextTable(), MarkdownTables()):
         assert "There are no cells." in report.render(make_run([]))
 
 
-def test_reasons_are_counted(every_ending: Run) -> None:
-    """Each distinct reason for which cells have no verdict stands under the table, with the number of its cells."""
-    text = TextTable(width=200).render(every_ending)
-    assert "? 1 cell undecided: undecided: too little power" in text
-    assert "(!) 1 cell unscored: failed: KeyError: 'x'" in text
-    assert "N/A 1 cell refused: refused in score: refused because of" in text
-
-
 def test_columns_of_choice(every_ending: Run) -> None:
-    """The table of methods has the named columns only; an unknown one is refused with the nearest name."""
+    """The table of methods has the named columns only, above each reason for no verdict with the number of its cells.
+
+    An unknown column is refused with the nearest name.
+    """
     text = TextTable(width=200, columns=("randomness.variation", "seconds")).render(every_ending)
+    for reason in ("? 1 cell undecided: undecided: too little power", "(!) 1 cell unscored: failed: KeyError: 'x'"):
+        assert reason in text
     head = next(line for line in text.splitlines() if line.startswith("method") or " method " in line)
     assert "variation" in head and "seconds" in head and "score" not in head
     with pytest.raises(BadInput, match="did you mean 'seconds'"):
         TextTable(columns=("second",)).render(every_ending)
-
-
-@pytest.fixture(scope="module")
-def markdown(every_ending: Run) -> str:
-    """Return the tables of a run with every status."""
-    return MarkdownTables().render(every_ending)
 
 
 def test_nothing_in_a_name_is_markup() -> None:
@@ -159,8 +144,8 @@ def test_special_characters_are_escape_latex() -> None:
 
 def test_latex_widths_are_checked(make_run: Make, tmp_path: Path) -> None:
     """An unknown width is an error; a run without cells writes no file."""
-    with pytest.raises(BadInput, match="give one of column, text, page"):
-        LatexTables(width="narrow")  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="width='narrow': input should be 'column', 'text' or 'page'"):
+        plugins.build("reports", "latex", {"width": "narrow"})
     assert LatexTables().write(make_run([]), tmp_path) == []
 
 

@@ -27,7 +27,7 @@ def supervisors(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Super
     """Start two workers, which know the plugins that misbehave, in a folder where these must leave nothing."""
     folder = tmp_path_factory.mktemp("workers")
     with ExitStack() as stack, contextlib.chdir(folder):
-        started = [stack.enter_context(Supervisor()) for _ in range(2)]
+        started = [stack.enter_context(contextlib.closing(Supervisor())) for _ in range(2)]
         with registered_faults(), ThreadPoolExecutor(2) as threads:
             list(threads.map(Supervisor._start, started))
         yield started
@@ -44,7 +44,7 @@ def warm_executor(supervisors: list[Supervisor]) -> MakeExecutor:
     def run_idle(job: Request) -> Result:
         supervisor = idle.get()
         try:
-            return run_job(job, supervisor)
+            return run_job(job, supervisor.run)
         finally:
             idle.put(supervisor)
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
-from commands import call
+from commands import call, start
 from faults import registered_faults
 from machines import machines
 from suites import scores, wall_suite, write_sleepers
@@ -65,7 +63,7 @@ def test_a_run_survives_its_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             return name in {place_of(one) for one in Run(tmp_path / "run").cells if one.result.get("note")}
 
         options = Options(scheduler=made.address, timeout=30)
-        places = wall_suite(["place"], "cost", "source", replicates=40, size="96x96")
+        places = wall_suite(["place"], "cost", "source", replicates=20, size="96x96")
         many = run(places, out=tmp_path / "run", options=options, progress=follow)
         assert {record.status for record in many.cells} == {"ok"}
         assert {place_of(record) for record in many.cells} == {"first", "late"}
@@ -95,13 +93,7 @@ def test_a_run_that_is_stopped_takes_its_jobs_back(tmp_path: Path) -> None:
     with registered_faults() as faults, machines(tmp_path, "only") as made:
         suite = write_sleepers(tmp_path, 3)
         words = ["--plugin", str(faults), "run", str(suite), "--out", "run", "--no-report", "--scheduler", made.address]
-        running = subprocess.Popen(
-            [sys.executable, "-c", "import sys; from nrbench.cli.main import main; main(sys.argv[1:])", *words],
-            cwd=tmp_path,
-            stderr=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )
+        running = start(tmp_path, *words)
         deadline = time.monotonic() + 120
         while running.poll() is None and "asleep\n" not in [
             log.read_text() for log in tmp_path.glob("run/cells/*/log.txt")

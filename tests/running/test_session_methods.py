@@ -107,6 +107,19 @@ def test_a_class_of_a_loaded_file_has_limits(tmp_path: Path, monkeypatch: pytest
     assert list(table["method"]) == ["own:k=0.25"]
 
 
+def test_a_class_that_moves_to_a_file_keeps_its_name(tmp_path: Path) -> None:
+    """A method of the session gives way to that of the same name in a file that is loaded later."""
+    (tmp_path / "moved.py").write_text(
+        "from dataclasses import dataclass\n@dataclass(frozen=True)\nclass Moved:\n"
+        '    """Nothing."""\n    name = "mine"\n    def synthesize(self, task):\n        """Fail."""\n'
+    )
+    plugins.add_method(define(0.5))
+    assert plugins.lookup("synthesizers", "mine").in_session
+    plugins.add_file(tmp_path / "moved.py")
+    assert plugins.lookup("synthesizers", "mine").in_file and not plugins.lookup("synthesizers", "mine").in_session
+    registry._files.pop((tmp_path / "moved.py").resolve())
+
+
 def test_the_function_that_the_message_names_is_there() -> None:
     """``import nrbench`` alone gives nrbench.plugins.add_file."""
     program = "import nrbench; print(nrbench.plugins.add_file.__name__)"

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from commands import call
+from commands import call, start
 from faults import registered_faults
 from suites import wall_suite, write_sleepers
 
@@ -160,12 +160,7 @@ def test_an_interrupted_run_ends_at_once_and_resumes(
     choose_way(way, monkeypatch, warm_executor)
     suite = write_sleepers(tmp_path, 2)
     words = ["--plugin", str(faulty), "run", str(suite), "--jobs", "2", "--out", "run", "--no-report"]
-    running = subprocess.Popen(
-        [sys.executable, "-c", "import sys; from nrbench.cli.main import main; main(sys.argv[1:])", *words],
-        cwd=tmp_path,
-        stderr=subprocess.DEVNULL,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where the tests run in the background
-    )
+    running = start(tmp_path, *words)
     cells = tmp_path / "run" / "cells"
     deadline = time.monotonic() + 120
     while running.poll() is None and [log.read_text() for log in cells.glob("*/log.txt")] != ["asleep\n"] * 2:

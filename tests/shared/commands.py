@@ -1,6 +1,10 @@
-"""The command line, called in this process."""
+"""The command line, called in this process or in another one."""
 
 import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -12,3 +16,14 @@ def call(line: str, *more: str) -> int:
     with pytest.raises(SystemExit) as left:
         main([line, *more] if more else shlex.split(line))
     return int(left.value.code or 0)
+
+
+def start(folder: Path, *words: str) -> subprocess.Popen[bytes]:
+    """Run the words of a command line in another process, which works in a folder and prints nothing."""
+    return subprocess.Popen(
+        [sys.executable, "-c", "from nrbench.cli.main import main; main()", *words],
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where the tests run in the background
+    )

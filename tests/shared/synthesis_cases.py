@@ -1,14 +1,17 @@
 """Samples and tasks that the tests of methods share."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from skimage.color import rgb2ypbpr
 
+from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
 from nrbench.plugins.forms import Synthesis, Synthesizer, Task
+from nrbench.plugins.parameters import parse_spec
 from nrbench.spectra.harmonics import WaveAnalysis
 from nrbench.synthesizers.masks.texture_mask import TextureMask
 
@@ -34,6 +37,11 @@ def waves(shape: tuple[int, int], lattice: Lattice) -> Image:
     first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
     third = np.cos(2 * math.pi * (u + 2 * v + 0.3))
     return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.3 * third, 0.5 + 0.4 * first * second], -1).astype("f4")
+
+
+def build(spec: str) -> Any:
+    """Return a method with its parameters."""
+    return plugins.build("synthesizers", *parse_spec(spec))
 
 
 def synthesize(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from synthesis_cases import build
 
 from nrbench import plugins, run, texture
 from nrbench.api.runs import changed
@@ -16,8 +16,7 @@ from nrbench.calling.method_calls import checked_synthesis
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import quantize
 from nrbench.lattice.geometry import Lattice
-from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Task
-from nrbench.plugins.parameters import parse_spec
+from nrbench.plugins.forms import Detection, NoLatticeFound, Refused, Synthesis, Task
 from nrbench.plugins.registry import NamedDetector
 from nrbench.running.runner import Options
 from nrbench.suites.suite import load_suite
@@ -46,11 +45,6 @@ FINDERS = {
     "tile-set:preset=paper": "dominance",
     "tiling": "gncc",
 }
-
-
-def build(spec: str) -> Any:
-    """Return a method with its parameters."""
-    return plugins.build("synthesizers", *parse_spec(spec))
 
 
 @pytest.mark.parametrize("spec", FINDERS)
@@ -174,3 +168,17 @@ def test_the_regular_figures_are_preserved(method: str, tmp_path: Path) -> None:
     assert len(cells) == 5
     for cell in cells:
         assert cell.values["regularity.preserved"] is True, cell.texture
+
+
+def test_auto_takes_the_next_method_where_one_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The note says which refused and why; without a lattice, a warning says what to do."""
+
+    def refuse(self: Rsgf, task: Task) -> Synthesis:
+        raise Refused("too small")
+
+    monkeypatch.setattr(Rsgf, "synthesize", refuse)
+    made = Auto().synthesize(task_of("squares", color=0.2)[0])
+    assert made.note.startswith("picked tile-set: regularity 0.") and "rsgf refused: too small" in made.note
+    with pytest.warns(UserWarning, match="give its lattice"):
+        made = Auto().synthesize(task_of("noise", 1)[0])
+    assert made.note.startswith("picked ann-pixel: no lattice (") and "rsgf refused: too small" in made.note

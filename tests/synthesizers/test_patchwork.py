@@ -512,7 +512,7 @@ def blended(work: Patchwork, sigma: float) -> tuple[np.ndarray, np.ndarray]:
 def test_seams_are_blended_as_defined(sigma: float, channels: int) -> None:
     """Image and weights equal those computed pixel by pixel from the definition."""
     work = two_patches((12, 20), channels=channels)
-    image, source = work.feathered(sigma)
+    image, source, _ = work.feathered(sigma)
     expected, share = blended(work, sigma)
     np.testing.assert_allclose(image, expected, atol=1e-6)
     np.testing.assert_allclose(source[..., 2], share, atol=1e-6)

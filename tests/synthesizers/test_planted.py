@@ -17,7 +17,7 @@ from nrbench.synthesizers.planted import DEFECTS, Planted, read_displaced
 
 @pytest.mark.parametrize("kind", DEFECTS)
 @pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("shape", [(64, 48), (101, 77), (40, 33), (8, 8)])
+@pytest.mark.parametrize("shape", [(101, 77), (40, 33), (8, 8)])
 def test_every_kind_fits_every_shape(kind: str, name: str, shape: Shape) -> None:
     """An image of any shape has the defect, and the note names it; or, in the smallest image, it is refused."""
     seed = list(MODELS).index(name)

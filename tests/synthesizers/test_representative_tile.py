@@ -1,6 +1,5 @@
 """Claims about the representative tile: its costs, its choice, its repetition, and what is refused."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthesis_cases import noise, waves
+from synthesis_cases import BOND, FRACTIONAL, OBLIQUE, UPRIGHT, noise, waves
 
 from nrbench.cli.picture_commands import synth_command
 from nrbench.detectors.ssdn import ssdn
@@ -27,12 +26,6 @@ from nrbench.synthesizers.representative_tile import (
     preselect,
     resemblance,
 )
-
-TURN = math.radians(7)
-TURNED = Lattice((21.37 * math.cos(TURN), 21.37 * math.sin(TURN)), (-18.81 * math.sin(TURN), 18.81 * math.cos(TURN)))
-UPRIGHT = Lattice((21.37, 0), (0, 18.81))
-BOND = Lattice((27.3, 0), (13.65, 12.2))
-OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
 
 
 def synthesize(
@@ -104,12 +97,12 @@ def test_p_takes_the_smoothest_places_first() -> None:
 
 def test_a_turned_rectangle_is_cut_upright() -> None:
     """Of a lattice turned by 7 degrees the tile stands upright: it is that of the lattice before the turn."""
-    made = synthesize(quantize(waves((128, 128), TURNED)), (64, 64), TURNED)
+    made = synthesize(quantize(waves((128, 128), FRACTIONAL)), (64, 64), FRACTIONAL)
     tile = made.extras["tile"]
     assert tile.shape == (18, 21, 3)
     steps = made.extras["frame"][1:]
     np.testing.assert_allclose(np.degrees(np.arctan2(*steps[:, ::-1].T)), [7, 97], atol=1e-6)
-    upright = waves((18, 21), Lattice((21, 0), (0, 18), tuple(-TURNED.to_cell(made.extras["frame"][0]) * (21, 18))))
+    upright = waves((18, 21), Lattice((21, 0), (0, 18), tuple(-FRACTIONAL.to_cell(made.extras["frame"][0]) * (21, 18))))
     assert np.sqrt(((tile - upright) ** 2).mean()) < 0.01
 
 

@@ -419,13 +419,13 @@ def test_a_sample_whose_elements_stay_in_place_is_copied() -> None:
     cells = np.broadcast_to(
         model.detail.elements.cells(shape), (model.detail.elements.count, *model.detail.elements.cells(shape).shape)
     )
-    laid = model.detail.render(cells, shape, colors=model.colors.of_sample(shape)) + model.mean.unfold(shape)
+    laid = model.detail.render(cells, shape, colors=model.colors.of_sample(shape))[0] + model.mean.unfold(shape)
     copies = ElementCopies(
         model.detail.elements, made.image.astype(float), model.detail.outlines, model.colors.of_sample(shape)
     )
     assert not model.notes
     np.testing.assert_allclose(laid, made.image, atol=0.02)
-    np.testing.assert_allclose(copies.render(cells, shape, colors=copies.colors_of(cells)), made.image, atol=1e-6)
+    np.testing.assert_allclose(copies.render(cells, shape, colors=copies.colors_of(cells))[0], made.image, atol=1e-6)
 
 
 def test_outlines_lie_where_the_elements_are() -> None:

@@ -235,3 +235,16 @@ def test_of_each_place_the_best_candidate_and_of_places_the_best_share() -> None
     assert {tuple(place) for place in best[0.5]} == {first, second}
     every = {first, second, tuple(near[2]), tuple(near[3])}
     assert {tuple(place) for place in best[0.75]} == {tuple(place) for place in best[1.0]} == every
+
+
+def test_blocks_follow_a_small_sample() -> None:
+    """An icon of 48 px gets the largest blocks that fit, and the note says so; given sizes are kept, or refused."""
+    icon = quantize(waves((48, 48), FRACTIONAL))
+    made = synthesize(Rsgf(), icon, (90, 90), FRACTIONAL)
+    assert made.image.shape == (90, 90, 3) and "the sample allows no larger ones" in made.note
+    np.testing.assert_array_equal(
+        synthesize(Rsgf(), quantize(waves((128, 128), FRACTIONAL)), (90, 90), FRACTIONAL).image,
+        synthesize(Rsgf(block=40, border=10), quantize(waves((128, 128), FRACTIONAL)), (90, 90), FRACTIONAL).image,
+    )
+    with pytest.raises(Refused):
+        synthesize(Rsgf(block=40), icon, (90, 90), FRACTIONAL)

@@ -74,11 +74,10 @@ def test_all_readings_of_a_place_agree() -> None:
     np.testing.assert_allclose(their_source, source, atol=1e-6)
 
 
-def test_the_map_names_the_nearest_pixel_inside_the_sample() -> None:
-    """Half a pixel outside, the nearest pixel is the edge's, with the bilinear weight of that distance."""
+def test_the_map_names_the_place_between_pixels() -> None:
+    """Half a pixel outside, the place is the edge itself, and its weight is 1."""
     _, source = Patches(np.zeros((10, 12, 1), np.float32)).cut_patch(np.array([-0.5, 3.25]), (4, 12))
-    assert source[0, 0].tolist() == [0, 3, 0.5 * 0.75]
-    assert source[..., 0].max() == 11 and source[..., 2].min() > 0
+    assert source[0, 0].tolist() == [-0.5, 3.25, 1] and source[-1, -1].tolist() == [10.5, 6.25, 1]
 
 
 def test_places_are_rounded_far_below_what_shows() -> None:

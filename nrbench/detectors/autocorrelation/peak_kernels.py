@@ -8,7 +8,6 @@ import numpy as np
 
 from nrbench.jit import (
     Boolx1,
-    Boolx2,
     Float32x2,
     Float64x1,
     Float64x2,
@@ -350,77 +349,6 @@ def highest_ridge(tile: Float32x2, order: Int64x1) -> Float64x1:
             if met_x[first] != 0 or met_y[first] != 0:
                 return np.array((float(height[pixel]), float(met_x[first]), float(met_y[first])))
     return np.array((float(height[order[-1]]), 1.0, 0.0))
-
-
-@kernel
-def inner_relief(tile: Int32x2, inside: Boolx2, order: Int64x1) -> float:
-    """Return the relief of the most prominent inner peak of a periodic tile, relative to that of the corner peak.
-
-    The relief of the inner peak is its height above the highest pass to the corner peak. It is divided by the height of
-    the corner peak above the same pass.
-
-    Parameters
-    ----------
-    tile
-        One rectangle of a surface, ``(H, W)``, with periodic borders.
-    inside
-        ``(H, W)``: the pixels that are not near a corner. The corner peak is the highest of the other pixels.
-    order
-        Flat indices of the pixels, from the highest to the lowest.
-
-    Returns
-    -------
-    float
-        The largest ratio over all inner peaks; 0 if there is no inner peak, infinite if the corners have no peak.
-
-    Notes
-    -----
-    Pixels are added from the highest to the lowest; the regions that they form are joined in a union-find forest, each
-    with its highest inner pixel::
-
-        for each pixel, from the highest to the lowest, and each region that it joins to another one:
-            if one of them holds the corner peak:
-                relief of the other's peak = (its height - the pixel's) / (height of the corner peak - the pixel's)
-            the higher of the two peaks is that of the joined region
-
-    O(n log n).
-    """
-    rows, columns = tile.shape
-    height, inner = tile.ravel(), inside.ravel()
-    parent = np.full(tile.size, -1, np.int64)
-    peak = np.full(tile.size, -1, np.int64)
-    corner, relief = -1, 0.0
-    for pixel in order:
-        # The pixel starts as a region of its own.
-        parent[pixel] = pixel
-        if inner[pixel]:
-            peak[pixel] = pixel
-        elif corner < 0:
-            corner = pixel
-        # Join it to the regions around it, across the periodic borders.
-        y, x = pixel // columns, pixel % columns
-        for step in range(9):
-            near = (y + step // 3 - 1) % rows * columns + (x + step % 3 - 1) % columns
-            if parent[near] < 0:
-                continue
-            one, other = root(parent, pixel), root(parent, near)
-            if one == other:
-                continue
-            # `one` is joined to `other`, which is the region of the corner peak if either of them is.
-            top = root(parent, corner) if corner >= 0 else corner
-            if one == top:
-                one, other = other, one
-            if other == top:
-                # The pixel is the pass between the inner peak of `one` and the corner peak.
-                if peak[one] >= 0:
-                    if height[corner] == height[pixel]:
-                        return np.inf if height[peak[one]] > height[pixel] else relief
-                    relief = max(relief, (height[peak[one]] - height[pixel]) / (height[corner] - height[pixel]))
-            # Two inner regions: the higher peak is that of the joined region.
-            elif peak[one] >= 0 and (peak[other] < 0 or height[peak[one]] > height[peak[other]]):
-                peak[other] = peak[one]
-            parent[one] = other
-    return relief
 
 
 class PeakGrid(NamedTuple):

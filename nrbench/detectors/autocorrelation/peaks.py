@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from nrbench.detectors.autocorrelation.peak_kernels import find_basins, follow_multiples, prominences
-from nrbench.imaging.correlation import Correlation
+from nrbench.imaging.correlation import Correlation, find_vertex
 from nrbench.lattice.geometry import Points
 
 Lags = NDArray[np.int64]
@@ -96,39 +96,6 @@ def climb(gamma: Correlation, points: Points) -> tuple[Points, NDArray[np.float6
     return subpixel(gamma, around[rows, best]), values[rows, best]
 
 
-def find_vertex(
-    before: ArrayLike, middle: ArrayLike, after: ArrayLike, climb: bool = False
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Find the vertex of the parabola through three equally spaced samples.
-
-    Parameters
-    ----------
-    before, middle, after
-        The samples at -1, 0 and 1; arrays of one shape, or numbers.
-    climb
-        If the middle sample is no maximum, return half a step towards the higher neighbor instead of 0.
-
-    Returns
-    -------
-    offset
-        The position of the vertex, in [-0.5, 0.5] steps from the middle sample.
-    rise
-        The height of the parabola at this position above the middle sample.
-
-    Examples
-    --------
-    >>> from nrbench.detectors.autocorrelation.peaks import find_vertex
-    >>> [float(value) for value in find_vertex(0.0, 3.0, 2.0)]
-    [0.25, 0.125]
-    """
-    before, middle, after = (np.asarray(sample, np.float64) for sample in (before, middle, after))
-    slope, bend = (after - before) / 2, 2 * middle - before - after
-    offset = np.clip(slope / np.maximum(bend, 1e-12), -0.5, 0.5)
-    if not climb:
-        offset = np.where((middle >= before) & (middle >= after) & (bend > 0), offset, np.zeros_like(offset))
-    return offset, slope * offset - bend * offset**2 / 2
-
-
 def subpixel(gamma: Correlation, lags: Lags) -> Points:
     """Return the vertices of the parabolas, one along x and one along y, through lags ``(n, 2)`` and their neighbors.
 
@@ -137,7 +104,7 @@ def subpixel(gamma: Correlation, lags: Lags) -> Points:
     offsets = []
     for step in np.eye(2, dtype=np.int64):
         before, middle, after = (values_at(gamma, lags + k * step) for k in (-1, 0, 1))
-        offsets.append(find_vertex(before, middle, after)[0])
+        offsets.append(find_vertex(before, middle, after))
     return np.asarray(lags + np.stack(offsets, 1))
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, crop_middle, shrink
 from nrbench.imaging.correlation import Correlation, half_autocorrelation
+from nrbench.imaging.masks import Mask
 from nrbench.imaging.mean_tile import Values
 
 LIGHTING = 3
@@ -22,6 +23,10 @@ SIDE = 640
 """px; an image up to this side is analyzed in one view."""
 MIN_SIDE = 24
 """px; no view is shrunk below this side."""
+
+
+MARGIN = 3
+"""px around pixels that do not count: there, slopes of the smoothed image show them."""
 
 
 class SimilarityMap(NamedTuple):
@@ -39,7 +44,7 @@ class SimilarityMap(NamedTuple):
     colors: Correlation
 
 
-def compute_self_similarity(image: Image) -> SimilarityMap:
+def compute_self_similarity(image: Image, known: Mask | None = None) -> SimilarityMap:
     """Compute the similarity of an image to its shifted self at each lag.
 
     Colors distinguish tiles that differ in hue only. Slopes show the joints of a wall whose bricks all differ in color.
@@ -49,10 +54,20 @@ def compute_self_similarity(image: Image) -> SimilarityMap:
     ----------
     image
         ``(H, W, C)``.
+    known
+        The pixels that count; None: all. Slopes within :data:`MARGIN` of others do not count; if they are most slopes,
+        the colors alone are compared.
     """
+    inner = known
+    if known is not None:
+        inner = scipy.ndimage.binary_erosion(known, iterations=MARGIN, border_value=1)
+        if 2 * inner.sum() < known.sum():
+            colors = half_autocorrelation(_without_lighting(image), known)
+            return SimilarityMap(colors, colors)
     slopes = _slopes(image)
     edges = _without_lighting(np.sqrt(np.hypot(slopes[..., :1], slopes[..., 1:])))
-    surfaces = [half_autocorrelation(values) for values in (_without_lighting(image), slopes, edges)]
+    parts = (_without_lighting(image), known), (slopes, inner), (edges, inner)
+    surfaces = [half_autocorrelation(values, count) for values, count in parts]
     return SimilarityMap(np.asarray(np.mean(surfaces, 0), np.float32), surfaces[0])
 
 
@@ -102,6 +117,13 @@ def view_factors(shape: tuple[int, int]) -> list[int]:
     while max(shape) > factors[-1] * SIDE and min(shape) >= 2 * factors[-1] * MIN_SIDE:
         factors.append(2 * factors[-1])
     return factors
+
+
+def view_mask(known: Mask | None, factor: int, side: int) -> Mask | None:
+    """Return which pixels of the view that :func:`make_view` returns count: those of which all pixels do."""
+    if known is None:
+        return None
+    return np.asarray(make_view(known[..., np.newaxis].astype(np.float32), factor, side)[..., 0] > 1 - 1e-3)
 
 
 def make_view(image: Image, factor: int, side: int) -> Image:
