@@ -55,7 +55,7 @@ def project_patches(planes: Float32x3, filters: Float32x4, projections: Float32x
         ``(P, H - size + 1, W - size + 1)``. It is overwritten.
     """
     count, channels, size, _ = filters.shape
-    _, height, width = projections.shape
+    height = projections.shape[1]
     for p in range(count):
         for y in range(height):
             row = projections[p, y]
