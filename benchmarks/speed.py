@@ -15,8 +15,9 @@ both. Subjects:
 ``models``
     Each texture model at 512 x 512 px, without and with all departures.
 ``cells``
-    All scores of one output of 256 x 256 px and of 512 x 512 px, which share their windows, tiles and fresh draws, and
-    of a bent one.
+    The scores of the suite `default` of one output of 256 x 256 px, of a bent one, of one of 448 x 448 px whose
+    reference is the sample, as with a photograph, and of 512 x 512 px. They share windows and tiles. The references,
+    which all outputs of a texture share, are learned before.
 ``scores``
     Each metric on an output of 256 x 256 px, with the texture's model, and with sample and lattice alone.
 ``commands``
@@ -62,6 +63,7 @@ from nrbench.running.guard import peak_bytes
 from nrbench.running.phases import score_observation
 from nrbench.running.runner import Options, Step
 from nrbench.streams import stream
+from nrbench.suites.suite import load_suite
 
 PAPER = "rsgf:seam=blend,subpixel=false,tolerance=3,candidate_fraction=0,prefer_unused=false"
 METHODS = (
@@ -152,14 +154,20 @@ def observed(name: str, side: int, **parameters: float) -> Observation:
 
 
 def time_cells(options: argparse.Namespace) -> None:
-    """Print the cost of all scores of one cell, and of each part that takes 1 w or more; the bounds are 60 and 160 w.
+    """Print the cost of all scores of one cell, and of each part that takes 1 w or more.
 
-    A part that several metrics share counts for the one that asks for it first.
+    The bounds are 15 w at 256 px, and 50 w at 448 px without a model. A part that several metrics share counts for the
+    one that asks for it first.
     """
-    for side, bend in ((256, 0.0), (512, 0.0), (256, 0.5)):
+    metrics = sorted(load_suite("default").metrics, key="quality".__eq__)  # it is the worst of the others
+    kinds = {"256 px": (256, 0.0, True), "256 px, bent": (256, 0.5, True), "448 px, no model": (448, 0.0, False)}
+    for kind, (side, bend, known) in {**kinds, "512 px": (512, 0.0, True)}.items():
         for name in ("brick", "weave", "hexagon"):
             observation = observed(name, side, color=0.2, noise=0.03, bend=bend)
-            parts: dict[str, list[float]] = {metric: [] for metric in plugins.names("metrics")}
+            if not known:
+                bare = Texture(observation.sample, observation.truth.lattice if observation.truth else None)
+                observation = Observation(observation.sample, observation.output, bare)
+            parts: dict[str, list[float]] = {metric: [] for metric in metrics}
             for count in range(4):
                 unit, fresh = cpu_unit(), replace(observation)
                 for metric, units in parts.items():
@@ -168,7 +176,7 @@ def time_cells(options: argparse.Namespace) -> None:
                     if count:
                         units.append((time.process_time() - start) / unit)
             costs = {metric: statistics.median(units) for metric, units in parts.items()}
-            print(f"  {name}, {side} x {side} px, bend {bend:g}: {sum(costs.values()):.1f} w", end=" = ")
+            print(f"  {name}, {kind}: {sum(costs.values()):.1f} w", end=" = ")
             print(" + ".join(f"{metric} {cost:.1f}" for metric, cost in costs.items() if cost >= 1), flush=True)
 
 
