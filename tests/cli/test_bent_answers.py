@@ -1,7 +1,5 @@
 """Whether a picture is bent has one answer: for the command line, the Python functions, the methods and the judge."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """Pictures as they are seen, the lattice of a sample, and the lattice followed through an output."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

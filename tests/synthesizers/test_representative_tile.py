@@ -78,7 +78,6 @@ def test_the_papers_setting_returns_the_lattice_that_it_laid() -> None:
     np.testing.assert_array_equal(made.image[16:, 20:], made.image[:-16, :-20])
     smooth = quantize(waves((128, 128), UPRIGHT))
     laid = synthesize(smooth, (128, 128), UPRIGHT, **parameters).lattice
-    assert laid is not None
     np.testing.assert_allclose(laid.matrix, [[21, 0], [0, 18]], atol=1e-9)
 
 
