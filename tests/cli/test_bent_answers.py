@@ -57,7 +57,7 @@ def grain() -> Case:
 
 MODELS = ("brick", "weave", "hexagon")
 PICTURES: dict[str, tuple[Callable[[], Case], bool]] = {
-    **{name: (partial(model, name), False) for name in MODELS},
+    "weave": (partial(model, "weave"), False),
     **{f"{name}, bent": (partial(model, name, bend=0.5), True) for name in MODELS},
     "in perspective": (tilted, True),
     "jitter": (partial(model, "hexagon", jitter=0.3), False),
