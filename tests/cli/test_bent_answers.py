@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from commands import call
 import nrbench
 from nrbench import plugins
 from nrbench.calling.bent_samples import survey_sample
+from nrbench.cli import lattice_detection
+from nrbench.displacement import bent_detection
 from nrbench.displacement.deformation_field import map_points
-from nrbench.imaging.convert import quantize
+from nrbench.imaging.convert import Image, quantize
 from nrbench.imaging.mean_tile import interpolate
 from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Again, Observation, Shape, Task, Texture
@@ -64,6 +67,21 @@ PICTURES: dict[str, tuple[Callable[[], Case], bool]] = {
     "noise": (noise, False),
     "grain": (grain, False),
 }
+
+
+@pytest.fixture(autouse=True)
+def _asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Answer equal questions about a picture, of the command and of the function, once."""
+    known: dict[tuple[bytes, str], bent_detection.Followed] = {}
+    find = bent_detection.find_deformation
+
+    def look_up(image: Image, *rest: Any, **more: Any) -> bent_detection.Followed:
+        key = image.tobytes(), repr((rest, more))
+        known[key] = known.get(key) or find(image, *rest, **more)
+        return known[key]
+
+    for module in (bent_detection, lattice_detection):
+        monkeypatch.setattr(module, "find_deformation", look_up)
 
 
 @pytest.mark.parametrize("name", PICTURES)

@@ -32,8 +32,7 @@ def synthesize(
     sample: Image, shape: tuple[int, int], lattice: Lattice | None, seed: int = 1, **parameters: Any
 ) -> Synthesis:
     """Run the method."""
-    task = Task(sample, shape, lattice, np.random.default_rng(seed))
-    return RepresentativeTile(**parameters).synthesize(task)
+    return RepresentativeTile(**parameters).synthesize(Task(sample, shape, lattice, np.random.default_rng(seed)))
 
 
 def test_the_tile_is_the_best_of_all_by_brute_force() -> None:
