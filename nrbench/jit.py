@@ -77,6 +77,8 @@ class Compilation:
     ----------
     ended
         Seconds of the compilations that have ended.
+    cpu
+        Processor seconds of this process in the compilations that have ended.
     since
         When the present one began, of :func:`time.monotonic`; None if there is none.
     told
@@ -84,6 +86,7 @@ class Compilation:
     """
 
     ended: float = 0.0
+    cpu: float = 0.0
     since: float | None = None
     told: bool = False
 
@@ -101,11 +104,12 @@ class Compilation:
         if self.ended > _PATIENCE and not self.told:
             self.told = True
             print(f"nrbench: {COMPILING}", file=sys.stderr, flush=True)
-        self.since = time.monotonic()
+        self.since, cpu = time.monotonic(), time.process_time()
         try:
             yield
         finally:
             self.ended, self.since = self.seconds, None
+            self.cpu += time.process_time() - cpu
 
 
 COMPILATION = Compilation()
