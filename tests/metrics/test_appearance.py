@@ -1,7 +1,5 @@
 """Appearance: color, light and detail as a whole and at the worst place, seams, and tiles that claim to be seamless."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, partial
