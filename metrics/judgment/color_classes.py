@@ -14,6 +14,7 @@ from scipy.spatial.distance import cdist
 from ..perception import limits
 from ..registration.coarse_plane import CoarsePlane
 from ..registration.lattice_net import Mask, split_cells
+from .element_kernels import assign_colors
 from .texture_reference import TextureReference
 
 Colors = NDArray[np.float64]
@@ -165,7 +166,7 @@ def find_classes(colors: Colors) -> PlaceClasses | None:
     colors
         ``(n, 3)``.
     """
-    colors = colors[:: -(-len(colors) // _MOST_CELLS) or 1]
+    colors = np.ascontiguousarray(colors[:: -(-len(colors) // _MOST_CELLS) or 1])
     if len(colors) < _LEAST_ELEMENTS or colors.var(0).sum() < limits.CLASS_GAP**2 * _FLOOR / len(colors):
         return None
     whole, best, found = _log_size(colors - colors.mean(0)), limits.DECISIVE, None
@@ -198,11 +199,10 @@ def _cluster(colors: Colors, count: int) -> tuple[Colors, NDArray[np.intp], NDAr
         centers = np.concatenate([centers, colors[_square_distances(colors, centers).min(1).argmax()][np.newaxis]])
     labels = np.full(len(colors), -1)
     for _ in range(_ROUNDS):
-        before, labels = labels, _square_distances(colors, centers).argmin(1)
-        counts = np.bincount(labels, minlength=count)
+        before, (labels, sums, counts) = labels, assign_colors(colors, centers)
         if not counts.all() or (labels == before).all():
             break
-        centers = np.stack([np.bincount(labels, colors[:, k], count) for k in range(3)], 1) / counts[:, np.newaxis]
+        centers = sums / counts[:, np.newaxis]
     return centers, labels, counts
 
 

@@ -1,10 +1,10 @@
-"""Compiled loops over the pairs of tones of elements."""
+"""Compiled loops over the colors of elements, and over pairs of them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Boolx2, Float32x2, Float32x3, Float32x4, Float64x2, Float64x4, kernel
+from nrbench.jit import Boolx2, Float32x2, Float32x3, Float32x4, Float64x2, Float64x4, Int64x1, kernel
 
 
 @kernel
@@ -62,3 +62,21 @@ def sum_products(values: Float32x3, known: Boolx2, down: int, right: int, places
                         sums[1, p, q, 3 * i + j] += a * c
                         sums[2, p, q, 3 * i + j] += b * d
     return sums, count
+
+
+@kernel
+def assign_colors(colors: Float64x2, centers: Float64x2) -> tuple[Int64x1, Float64x2, Int64x1]:
+    """Return the number of the center nearest to each color, ``(n, 3)``, and the sum and number of colors of each."""
+    labels, sums, counts = np.zeros(len(colors), np.int64), np.zeros(centers.shape), np.zeros(len(centers), np.int64)
+    for n in range(len(colors)):
+        least = np.inf
+        for k in range(len(centers)):
+            square = 0.0
+            for c in range(3):
+                square += (colors[n, c] - centers[k, c]) ** 2
+            if square < least:
+                least, labels[n] = square, k
+        counts[labels[n]] += 1
+        for c in range(3):
+            sums[labels[n], c] += colors[n, c]
+    return labels, sums, counts

@@ -137,7 +137,8 @@ def find_inside(points: Points, shape: Shape) -> Mask:
 def sample_planes(planes: Values, points: Points) -> Values:
     """Return the values of planes ``(H, W, C)`` at points (x, y), interpolated linearly."""
     places = np.ascontiguousarray(points, np.float64).reshape(-1, 2)
-    return interpolate_pixels(planes, places).reshape(*points.shape[:-1], planes.shape[-1])
+    found = interpolate_pixels(np.ascontiguousarray(planes), places)
+    return found.reshape(*points.shape[:-1], planes.shape[-1])
 
 
 def split_cells(a: NDArray[Any], samples: NDArray[np.intp] | tuple[int, int]) -> NDArray[Any]:
