@@ -174,7 +174,7 @@ class Population:
 
     @cached_property
     def _energies(self) -> tuple[float, NDArray[np.float64]]:
-        """Standard deviation of the rated energy of parts of the references, and the energies of tiles over the mean."""
+        """Standard deviation of the rated energy of parts of the references, and energies of tiles over their mean."""
         own = ((self.features - self.features.mean(0)) ** 2).mean(1)
         return float(np.std([self.rate_energy(part) for part in self._cut()] or 0)), own / max(own.mean(), 1e-9)
 
