@@ -581,7 +581,7 @@ def _find_new_colors(observation: Observation) -> dict[str, float | None]:
     """
     examination = examine(observation)
     try:
-        plane = CoarsePlane(*examination.traced.residual, examination.traced.net.samples)
+        plane = examination.traced.coarse
         ratio = measure_new_colors(examination.reference, plane)
     except CannotTell:
         return {}

@@ -327,7 +327,7 @@ def _score(observation: Observation) -> Score:
     except CannotTell as reason:
         return Score.missing(Integrity.columns, str(reason))
     model = learn_elements(reference)
-    plane = CoarsePlane(*followed.residual, followed.net.samples)
+    plane = followed.coarse
     varies = gather_tiles(reference).varies
     tests = [test for test, used in ((model.joint, varies), (model.tear, True)) if used and test.able]
     evidence = [test.test.weigh(plane) for test in tests]

@@ -81,7 +81,7 @@ def _score(observation: Observation) -> Score:
         followed, reference = examination.followed, examination.reference
         if limits.SLOPE * examination.misplaced >= 1:
             raise CannotTell("not scored: half of the tiles are out of place")
-        tiles = Tiles(CoarsePlane(*followed.residual, followed.net.samples))
+        tiles = Tiles(followed.coarse)
         population = gather_tiles(reference)
         if min(len(tiles.features), len(population.features)) < LEAST_TILES:
             return _score_few(tiles, population)
@@ -198,7 +198,7 @@ def _cut_sample(reference: TextureReference, sample: SeenSample) -> Tiles | None
         followed = reference.follow(sample.lab)
     except CannotTell:
         return None
-    return Tiles(CoarsePlane(*followed.residual, followed.net.samples))
+    return Tiles(followed.coarse)
 
 
 def _rate_survival(examination: Examination) -> float | None:

@@ -19,6 +19,8 @@ from .net_kernels import average_blocks, interpolate_pixels
 
 Values = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+_BAND = 1 << 19
+"""Number of points of which a larger net is divided into bands."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,21 @@ class LatticeNet:
         """Return the net stretched and turned by a drift, ``(2, 2)``, with as many samples of each cell as before."""
         net = replace(self, vectors=self.vectors @ (np.eye(2) + drift))
         vars(net)["samples"] = self.samples
+        return net
+
+    def bands(self, beyond: int = 0) -> list[tuple[int, int]]:
+        """Return the first and the last cell, less ``beyond``, of bands of the net along the first vector.
+
+        A net of up to half a million points has one band, so that little is held of a large picture at a time.
+        """
+        last, points = max(int(self.cells[0]) - beyond, 1), int(self.cells.prod() * self.samples.prod())
+        step = last if points <= _BAND else max(_BAND * int(self.cells[0]) // points, 1)
+        return [(first, min(first + step, last)) for first in range(0, last, step)]
+
+    def cut(self, first: int, last: int) -> LatticeNet:
+        """Return the part of the net from one cell to another along the first vector."""
+        net, (low, high) = replace(self), self._range
+        vars(net).update(samples=self.samples, _range=(low + [first, 0], np.array([low[0] + last, high[1]])))
         return net
 
     def spread(self, cells: NDArray[Any]) -> NDArray[Any]:
