@@ -17,7 +17,6 @@ from .judgment.texture_reference import CannotTell, TextureReference
 from .judgment.tile_population import LEAST_PAIRS, LEAST_TILES, SAME, Population, Tiles, gather_tiles, square_distances
 from .perception import limits
 from .perception.visible import SeenSample
-from .registration.coarse_plane import CoarsePlane
 
 
 def _ratio(meaning: str) -> Column:

@@ -107,15 +107,18 @@ def measure_looks(lab: Lab) -> NDArray[np.float32]:
     amplitude that is not seen. Its mean over a window weighs dark joints and flat elements alike, so that strong edges
     do not hide a change of the grain between them.
     """
-    raw = lab[..., 3]
+    raw, before, looks = lab[..., 3], lab[..., 0], np.empty((*lab.shape[:2], 9), np.float32)
+    looks[..., :3] = lab[..., :3]
     grain = np.zeros_like(raw)
     grain[1:-1, 1:-1] = np.diff(np.diff(raw, 2, 0), 2, 1) / 6
-    octaves = [smooth_plane(raw, sigma) for sigma in (1.2, 2.4, 5.0)]
-    bands = [lab[..., 0] - octaves[0], octaves[0] - octaves[1], octaves[1] - octaves[2]]
-    planes = [lab[..., 0], lab[..., 1], lab[..., 2], _level(smooth_plane(grain * grain, 1.5), limits.GRAIN_OFFSET)]
-    planes += [_level(smooth_plane(band * band, sigma)) for band, sigma in zip(bands, (2, 2, 3), strict=True)]
-    planes += [_level(smooth_plane((lab[..., k] - smooth_plane(lab[..., k], 6)) ** 2, 4), limits.JND) for k in (1, 2)]
-    return np.asarray(np.stack(planes, -1), np.float32)
+    looks[..., 3] = _level(smooth_plane(grain * grain, 1.5), limits.GRAIN_OFFSET)
+    for k, (sigma, reach) in enumerate(((1.2, 2), (2.4, 2), (5.0, 3)), 4):
+        octave = smooth_plane(raw, sigma)
+        looks[..., k] = _level(smooth_plane((before - octave) ** 2, reach))
+        before = octave
+    for k in (1, 2):
+        looks[..., 6 + k] = _level(smooth_plane((lab[..., k] - smooth_plane(lab[..., k], 6)) ** 2, 4), limits.JND)
+    return looks
 
 
 def measure_detail(lab: Lab) -> NDArray[np.float32]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -99,7 +100,7 @@ class LatticeNet:
     @cached_property
     def inside(self) -> Mask:
         """``(N1 n1, N2 n2)``: the points inside the picture that count."""
-        return self.contains(self.points)
+        return np.concatenate([part.contains(part.points) for part in self.parts()])
 
     def contains(self, points: Points, border: int = 0) -> Mask:
         """Return which points lie inside the picture, ``border`` px from its sides or more, and count."""
@@ -108,8 +109,10 @@ class LatticeNet:
 
     def cut_strips(self, axis: int, count: int) -> list[Mask]:
         """Return the points of each of ``count`` strips of the picture, side by side along x (axis 0) or y (axis 1)."""
-        edges, place = np.linspace(0, self.shape[1 - axis], count + 1), self.points[..., axis]
-        return [(place >= low) & (place < high) for low, high in pairwise(edges)]
+        edges = np.linspace(0, self.shape[1 - axis], count + 1)
+        places = (part.points[..., axis] for part in self.parts())
+        found = [[(place >= low) & (place < high) for low, high in pairwise(edges)] for place in places]
+        return [np.concatenate(own) for own in zip(*found, strict=True)]
 
     def tile(self, cell: Values) -> Values:
         """Repeat a cell ``(n1, n2, ...)`` over the whole net."""
@@ -132,9 +135,20 @@ class LatticeNet:
 
     def cut(self, first: int, last: int) -> LatticeNet:
         """Return the part of the net from one cell to another along the first vector."""
+        if last - first == self.cells[0]:
+            return self
         net, (low, high) = replace(self), self._range
         vars(net).update(samples=self.samples, _range=(low + [first, 0], np.array([low[0] + last, high[1]])))
         return net
+
+    def parts(self) -> Iterator[LatticeNet]:
+        """Yield the nets of all bands."""
+        return (self.cut(*band) for band in self.bands())
+
+    def sample(self, planes: Values) -> Values:
+        """Return the values of planes ``(H, W, C)`` at all points."""
+        planes = np.ascontiguousarray(planes)
+        return np.concatenate([sample_planes(planes, part.points) for part in self.parts()])
 
     def spread(self, cells: NDArray[Any]) -> NDArray[Any]:
         """Return the values of cells, ``(N1, N2)``, at all of their points."""
