@@ -330,7 +330,7 @@ def _fit_bases(bases: Array, peaks: SpectrumPeaks) -> Array:
         going &= _span(explained)
         rows = explained.transpose(0, 2, 1) / peaks.spreads**2
         matrices = np.where(going[:, np.newaxis, np.newaxis], rows @ explained, np.eye(bases.shape[1]))
-        fitted = np.linalg.solve(matrices, rows @ peaks.places)
+        fitted = np.asarray(np.linalg.solve(matrices, rows @ peaks.places), np.float64)
         going &= _are_proper(fitted)
         bases = np.where(going[:, np.newaxis, np.newaxis], fitted, bases)
     return bases
