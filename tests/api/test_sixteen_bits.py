@@ -1,7 +1,5 @@
 """Claims about depth: a sample of 16 bits a channel gives an output of 16 bits, from the command line and in Python."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What holds for every detector: its form, its answers to images without a lattice, and its parameters."""
 
-from __future__ import annotations
-
 import pickle
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Quality, the worst of four perils: fresh draws, edits, baselines, and what cannot be told."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 
@@ -171,7 +169,6 @@ def test_gray_images_are_scored() -> None:
 
     def again(shape: Shape, k: int) -> Texture | None:
         drawn = own.again(shape, k)
-        assert drawn is not None and drawn.ideal is not None
         return replace(drawn, image=drawn.image[..., :1], ideal=drawn.ideal[..., :1])
 
     gray = replace(own.texture, image=own.texture.image[..., :1])

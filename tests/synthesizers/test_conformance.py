@@ -1,7 +1,5 @@
 """Every method fulfils every clause of its form."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

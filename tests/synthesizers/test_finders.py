@@ -1,7 +1,5 @@
 """Claims about methods and lattices: the detector that a method names, the choice of auto, and regular figures."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import replace
 from pathlib import Path
@@ -134,7 +132,6 @@ def test_an_irregular_texture_gets_a_method_of_neighborhoods(spectrum: str) -> N
 def test_the_threshold_decides() -> None:
     """On a given lattice, the paper's choice is its tile set up to the measured share, and above it the other one."""
     task, truth = task_of("brick", color=0.3)
-    assert truth is not None
     task = replace(task, lattice=truth)
     share = estimate_regular_share(task.sample, truth)
     below, above = (replace(PAPER, threshold=share + step).synthesize(task) for step in (-0.01, 0.01))

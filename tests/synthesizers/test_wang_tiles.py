@@ -1,7 +1,5 @@
 """Claims about Wang tiles: their set, their edges, how they are laid, and what is written."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from itertools import pairwise
@@ -97,7 +95,6 @@ def test_the_output_keeps_the_lattice_and_is_no_wallpaper() -> None:
 def test_an_output_of_whole_tiles_repeats() -> None:
     """With --tileable the tiles at opposite edges agree; a size that holds no whole number of tiles is refused."""
     source = synthesize(noisy_wall(), (40, 72), tileable=True).source
-    assert source is not None
     np.testing.assert_array_equal((source[0] - source[-1])[:, 1] % 10, 1)
     across = source[:, 0, :2] - source[:, -1, :2]
     assert (np.abs(across - [1, 0]).max(1) == 0).sum() > 20
