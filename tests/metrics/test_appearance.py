@@ -15,6 +15,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.appearance import Appearance, _Maps
 from nrbench.metrics.perception.visible import measure_detail, perceive
 from nrbench.metrics.registration.lattice_net import LatticeNet
+from nrbench.metrics.seam_detection.line_kernels import steep_line_sums
 from nrbench.metrics.seam_detection.seam_lines import find_worst_lines
 from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.cartoon import Cartoon
@@ -195,6 +196,19 @@ def test_the_seam_is_drawn_where_it_is() -> None:
     assert score.values["seam"] > 1.5 and score.values["seam_step"] == pytest.approx(0.1, abs=0.04)
     marked = score.pictures["seam"]
     assert set(np.flatnonzero((marked != quantize(image)).any((0, 2)))) <= {68, 69, 70, 71}
+
+
+@pytest.mark.parametrize("shape", [(12, 16), (300, 40)])
+def test_line_sums_are_those_of_strips(shape: tuple[int, int]) -> None:
+    """Sums along lines, of every second lean of 512, have the bytes of those that join all strips level by level."""
+    image = np.random.default_rng(0).random(shape, np.float32)
+    size = 1 << (max(shape) - 1).bit_length()
+    lines = np.pad(image, ((0, size - shape[0]), (size, 3 * size - shape[1])))[:, np.newaxis]
+    while len(lines) > 1:
+        leans = np.arange(2 * lines.shape[1])
+        lower = [np.roll(lines[1::2, lean // 2], -((lean + 1) // 2), -1) for lean in leans]
+        lines = lines[::2, leans // 2] + np.stack(lower, 1)
+    np.testing.assert_array_equal(steep_line_sums(image), lines[0, :: max(size // 256, 1), : 2 * size])
 
 
 @pytest.mark.parametrize("angle", [10.0, 60.0, 100.0, 160.0])
