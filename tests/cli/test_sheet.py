@@ -32,9 +32,8 @@ class _Blind:
 
 
 @pytest.fixture
-def wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> nrbench.Texture:
+def wall() -> nrbench.Texture:
     """Write ``wall.png`` into the current folder."""
-    monkeypatch.chdir(tmp_path)
     wall = nrbench.texture("brick", shape=(96, 96), seed=0, color=0.2, width=32, height=16)
     nrbench.write_image(Path("wall.png"), wall.image)
     return wall

@@ -91,7 +91,7 @@ def periodic(shape: tuple[int, int], lattice: Lattice, channels: int) -> Image:
 def test_a_whole_pixel_lattice_is_continued_exactly(spec: str, lattice: Lattice, channels: int) -> None:
     """On a perfectly periodic sample the output is the periodic continuation, phase included, to the bit."""
     picture = periodic((240, 300), lattice, channels)
-    for shape in ((240, 220), (1, 300), (150, 1), (9, 5)):
+    for shape in ((180, 170), (1, 300), (150, 1), (9, 5)):
         made = synthesize(build(spec), picture[:160, :160], shape, lattice)
         np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture[: shape[0], : shape[1]]))
 

@@ -12,7 +12,6 @@ from synthesis_cases import noise
 
 from nrbench.calling.method_calls import InvalidOutput, checked_synthesis
 from nrbench.cli.picture_commands import synth_command
-from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import read_image, write_image
@@ -106,8 +105,6 @@ def test_small_samples_are_refused() -> None:
     """A sample with too few blocks for the colors is refused, and a number of colors that no set has is an error."""
     with pytest.raises(Refused, match="the sample holds 1 blocks of 2x2 tiles, 24x20 px"):
         synthesize(noisy_wall((24, 28)), (30, 30))
-    with pytest.raises(BadInput, match="edge_colors"):
-        RepresentativeTile(edge_colors=4)
 
 
 def test_the_best_tiles_come_with_their_tilings() -> None:
