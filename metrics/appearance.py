@@ -154,21 +154,16 @@ class _Maps:
         """Return the same but for the looks of the whole."""
         thin, samples = replace(net), net.samples // 2
         vars(thin)["samples"] = samples
-        levels, colors = sample_planes(self.levels, thin.points / 2), sample_planes(self.lab[..., :3], thin.points)
-        planes = np.concatenate([levels, colors], -1)
         inside = thin.contains(thin.points, min(_BORDER, min(net.shape) // 8))
         strips = thin.cut_strips(1, rows), thin.cut_strips(0, columns)
         known = [inside & row & column for row in strips[0] for column in strips[1]]
-        surface, contrast = (
-            np.array(a) for a in zip(*(_measure_spread(planes, part, samples) for part in known), strict=True)
-        )
-        detail = sample_planes(self.detail, thin.points / 2)
-        return {
-            "detail": np.array([_mean_of_places(detail, part, samples) for part in known]),
-            "surface": surface,
-            "contrast": contrast,
-            "tones": np.log(_cut_means(self.plateaus, rows, columns) + limits.PLATEAUS) / 2,
-        }
+        planes = sample_planes(self.detail, thin.points / 2)
+        found = {"detail": np.array([_mean_of_places(planes, part, samples) for part in known])}
+        planes = sample_planes(self.levels, thin.points / 2)
+        planes = np.concatenate([planes, sample_planes(self.lab[..., :3], thin.points)], -1)
+        spreads = zip(*(_measure_spread(planes, part, samples) for part in known), strict=True)
+        found |= {name: np.array(each) for name, each in zip(("surface", "contrast"), spreads, strict=True)}
+        return found | {"tones": np.log(_cut_means(self.plateaus, rows, columns) + limits.PLATEAUS) / 2}
 
 
 def _measure_light(lab: Lab, net: LatticeNet) -> Looks:

@@ -21,7 +21,7 @@ from .judgment.joint_tests import Evidence, JointTest, Steps, UnlikeTones, learn
 from .judgment.texture_reference import STRIPS, CannotTell, TextureReference
 from .judgment.tile_population import gather_tiles
 from .perception import limits
-from .perception.visible import tint_places
+from .perception.visible import draw_in_bands, tint_places
 from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.followed import FollowedPicture
 from .registration.lattice_net import LatticeNet, Mask, Values, fold_cells, split_cells
@@ -378,9 +378,11 @@ _NO_POWER = "not measured: no test tells joined elements from whole ones"
 
 def draw_broken(output: Image, followed: FollowedPicture, broken: Mask) -> Image:
     """Return the output in faint gray, with the broken cells tinted."""
-    y, x = np.indices(output.shape[:2])
     phase: Points = followed.expected[followed.in_place].mean(0) if followed.in_place.any() else np.zeros(2)
-    cell = followed.net.to_cell(np.stack([x, y], -1)) - phase
-    number = np.clip(np.floor(cell).astype(int), 0, np.array(broken.shape) - 1)
-    marked = broken[number[..., 0], number[..., 1]][..., np.newaxis]
-    return tint_places(output, marked, _COLOR)
+
+    def draw(band: Image, pixels: NDArray[np.intp]) -> Image:
+        cell = followed.net.to_cell(pixels) - phase
+        number = np.clip(np.floor(cell).astype(int), 0, np.array(broken.shape) - 1)
+        return tint_places(band, broken[number[..., 0], number[..., 1]][..., np.newaxis], _COLOR)
+
+    return draw_in_bands(output, draw)

@@ -19,7 +19,7 @@ from nrbench.plugins.forms import Column, Observation, Score, Value
 from .judgment.examination import Examination, examine
 from .judgment.texture_reference import CannotTell
 from .perception import limits
-from .perception.visible import tint_places
+from .perception.visible import draw_in_bands, tint_places
 from .registration.followed import FollowedPicture
 from .registration.lattice_net import Mask
 from .registration.lattice_nodes import LatticeNodes
@@ -233,12 +233,14 @@ def _own_lattice(followed: FollowedPicture) -> Lattice:
 
 def draw_misplaced(output: Image, found: Sequence[tuple[LatticeNodes, NDArray[np.float64]]]) -> Image:
     """Return the output in faint gray, with the cells around the nodes that are out of place in :data:`COLORS`."""
-    y, x = np.indices((output.shape[0], output.shape[1]))
-    amount = np.zeros((*y.shape, 1))
-    for nodes, bad in found:
-        cell = nodes.net.to_cell(np.stack([x, y], -1))
-        node = np.clip(np.rint(2 * cell - nodes.size).astype(int), 0, np.array(bad.shape) - 1)
-        own = np.where(nodes.valid, bad, 0)[node[..., 0], node[..., 1]]
-        amount = np.maximum(amount, own[..., np.newaxis])
-    tint = np.where(amount < 0.5, COLORS[0], COLORS[1])
-    return tint_places(output, amount > 0.05, tint)
+
+    def draw(band: Image, pixels: NDArray[np.intp]) -> Image:
+        amount = np.zeros((*band.shape[:2], 1))
+        for nodes, bad in found:
+            cell = nodes.net.to_cell(pixels)
+            node = np.clip(np.rint(2 * cell - nodes.size).astype(int), 0, np.array(bad.shape) - 1)
+            own = np.where(nodes.valid, bad, 0)[node[..., 0], node[..., 1]]
+            amount = np.maximum(amount, own[..., np.newaxis])
+        return tint_places(band, amount > 0.05, np.where(amount < 0.5, COLORS[0], COLORS[1]))
+
+    return draw_in_bands(output, draw)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -21,6 +22,7 @@ Lab = NDArray[np.float32]
 
 
 _DIM = 0.5
+_BAND = 1 << 19
 
 
 def perceive(image: Image) -> Lab:
@@ -65,6 +67,15 @@ def perceive_sample(sample: Image, known: NDArray[np.bool_] | None = None) -> Se
 def _perceive_pixels(pixels: bytes, shape: tuple[int, ...], mask: bytes) -> SeenSample:
     known = np.frombuffer(mask, np.bool_).reshape(shape[:2]) if mask else None
     return SeenSample(perceive(np.frombuffer(pixels, np.float32).reshape(shape)), known)
+
+
+def draw_in_bands(output: Image, draw: Callable[[Image, NDArray[np.intp]], Image]) -> Image:
+    """Return what a function draws on bands of an image, of about half a million pixels (x, y), ``(h, W, 2)``."""
+    step, drawn = max(_BAND // output.shape[1], 1), []
+    for top in range(0, output.shape[0], step):
+        y, x = np.indices(output[top : top + step].shape[:2])
+        drawn.append(draw(output[top : top + step], np.stack([x, y + top], -1)))
+    return np.concatenate(drawn)
 
 
 def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> Image:

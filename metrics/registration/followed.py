@@ -182,7 +182,7 @@ def _join_bands(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _spread_nodes(values: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """Return the values of nodes ``(R, C, k)`` between them, at numbers of nodes along an axis, interpolated linearly."""
+    """Return nodes ``(R, C, k)`` interpolated linearly at numbers of nodes along an axis."""
     low = np.floor(at).astype(np.intp)
     high, part = np.minimum(low + 1, values.shape[axis] - 1), (at - low).reshape((-1, 1, 1) if axis == 0 else (-1, 1))
     return np.asarray(values.take(low, axis) * (1 - part) + values.take(high, axis) * part)

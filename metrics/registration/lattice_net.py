@@ -138,7 +138,8 @@ class LatticeNet:
         if last - first == self.cells[0]:
             return self
         net, (low, high) = replace(self), self._range
-        vars(net).update(samples=self.samples, _range=(low + [first, 0], np.array([low[0] + last, high[1]])))
+        ends = np.array([low[0] + first, low[1]]), np.array([low[0] + last, high[1]])
+        vars(net).update(samples=self.samples, _range=ends)
         return net
 
     def parts(self) -> Iterator[LatticeNet]:

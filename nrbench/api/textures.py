@@ -536,7 +536,7 @@ class Scores:
     pictures: Mapping[str, Image]
 
 
-MOST_SCORED = 2 * 2048 * 2048
+MOST_SCORED = 4096 * 4096
 """Pixels of the largest output that :func:`score` takes. It needs about 5 GiB."""
 
 
