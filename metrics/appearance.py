@@ -150,19 +150,25 @@ class _Maps:
         """Return the features of ``rows`` x ``columns`` parts of the picture, of each kind in :func:`_scales`."""
         return {"whole": _cut_means(self.looks, rows, columns), **self.measure_kinds(net, rows, columns)}
 
-    def measure_kinds(self, net: LatticeNet, rows: int, columns: int) -> dict[str, Looks]:
-        """Return the same but for the looks of the whole."""
+    def measure_kinds(self, net: LatticeNet, rows: int, columns: int, kept: bool = True) -> dict[str, Looks]:
+        """Return the same but for the looks of the whole; the local features are ``kept`` for other parts."""
         thin, samples = replace(net), net.samples // 2
         vars(thin)["samples"] = samples
-        inside = thin.contains(thin.points, min(_BORDER, min(net.shape) // 8))
+        border = min(_BORDER, min(net.shape) // 8)
+        inside = np.concatenate([part.contains(part.points, border) for part in thin.parts()])
         strips = thin.cut_strips(1, rows), thin.cut_strips(0, columns)
         known = [inside & row & column for row in strips[0] for column in strips[1]]
-        planes = sample_planes(self.detail, thin.points / 2)
+        planes = thin.sample(self.detail, 0.5)
         found = {"detail": np.array([_mean_of_places(planes, part, samples) for part in known])}
-        planes = sample_planes(self.levels, thin.points / 2)
-        planes = np.concatenate([planes, sample_planes(self.lab[..., :3], thin.points)], -1)
-        spreads = zip(*(_measure_spread(planes, part, samples) for part in known), strict=True)
-        found |= {name: np.array(each) for name, each in zip(("surface", "contrast"), spreads, strict=True)}
+        if not kept:
+            vars(self).pop("detail")
+        planes = np.empty((*inside.shape, 15), np.float32)
+        thin.sample(self.levels, 0.5, planes[..., :12])
+        if not kept:
+            vars(self).pop("levels")
+        thin.sample(self.lab[..., :3], 1.0, planes[..., 12:])
+        spreads = [_measure_spread(planes.copy() if kept else planes, part, samples) for part in known]
+        found["surface"], found["contrast"] = (np.array(each) for each in zip(*spreads, strict=True))
         return found | {"tones": np.log(_cut_means(self.plateaus, rows, columns) + limits.PLATEAUS) / 2}
 
 
@@ -196,7 +202,7 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
     Parameters
     ----------
     planes
-        Twelve levels, L*, a* and b* in the order of a net.
+        Twelve levels, L*, a* and b* in the order of a net; they are changed.
     known, samples
         Known points, and samples of a cell.
 
@@ -207,15 +213,15 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
     contrast
         (12,): the same of L*, a* and b*, and their three correlations.
     """
-    plane = np.where(known[..., np.newaxis], planes, 0)
-    mean = (plane.sum((0, 1), dtype=np.float64) / max(known.sum(), 1)).astype(np.float32)
-    np.subtract(plane, mean, plane, where=known[..., np.newaxis])
+    planes[~known] = 0
+    mean = (planes.sum((0, 1), dtype=np.float64) / max(known.sum(), 1)).astype(np.float32)
+    np.subtract(planes, mean, planes, where=known[..., np.newaxis])
 
     def correlate(n1: int, n2: int) -> tuple[NDArray[np.float64], int]:
         height, width = known.shape
         one = np.s_[n1:, max(n2, 0) : width + min(n2, 0)]
         other = np.s_[: height - n1, max(-n2, 0) : width - max(n2, 0)]
-        rows, (a, b) = max(_BLOCK // width, 1), (plane[one], plane[other])
+        rows, (a, b) = max(_BLOCK // width, 1), (planes[one], planes[other])
         blocks = [np.s_[k : k + rows] for k in range(0, max(len(a), 1), rows)]
         products = sum(np.tensordot(a[k], b[k], ((0, 1), (0, 1))).astype(np.float64) for k in blocks)
         return (products + products.T) / 2, int((known[one] & known[other]).sum())
@@ -274,7 +280,7 @@ class LooksModel:
         found = {name: _window_means(means, share, size) - self.means["whole"] for name, size in _SIZES.items()}
         quarters, whole = _cut_means(maps.looks, 2, 2), _cut_means(maps.looks, 1, 1)
         vars(maps).pop("looks")  # large
-        wholes = {"whole": whole, **maps.measure_kinds(net, 1, 1)}
+        wholes = {"whole": whole, **maps.measure_kinds(net, 1, 1, kept=False)}
         found |= {"quarters": quarters - whole, "light": _measure_light(lab, net)}
         return found | {name: whole - self.means[name] for name, whole in wholes.items()}
 

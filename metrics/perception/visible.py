@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -143,23 +143,22 @@ def measure_detail(lab: Lab) -> NDArray[np.float32]:
     pixels lie on either.
     """
 
-    def measure(octave: NDArray[np.float32]) -> tuple[NDArray[np.float32], list[NDArray[Any]]]:
-        low = smooth_plane(octave, 1.2)
-        band = octave - low
+    def measure(octave: NDArray[np.float32], low: NDArray[np.float32]) -> Iterator[NDArray[Any]]:
         down, right = (np.asarray(slope, np.float32) for slope in np.gradient(octave))
-        near, energy = smooth_plane(band * band, 1), smooth_plane(band * band, 2)
+        yield _level(right**2) - _level(down**2)
+        yield _level((right + down) ** 2 / 2) - _level((right - down) ** 2 / 2)
+        del down, right  # large
+        band = octave - low
+        near = smooth_plane(band * band, 1)
+        yield _level(smooth_plane(near, 3)) - _level(near)
         bright = smooth_plane(np.maximum(band, 0) ** 2, 2)
-        planes = [_level(right**2) - _level(down**2), _level((right + down) ** 2 / 2) - _level((right - down) ** 2 / 2)]
-        planes += [
-            _level(smooth_plane(near, 3)) - _level(near),
-            _level(bright) - _level(np.maximum(energy - bright, 0)),
-        ]
-        return low, planes
+        yield _level(bright) - _level(np.maximum(smooth_plane(band * band, 2) - bright, 0))
 
     height, width = lab.shape[0] // 2, lab.shape[1] // 2
-    low, fine = measure(lab[..., 0])
-    fine = [_halve(plane) for plane in fine]
-    even, odd = (measure(low[start::2, start::2])[1] for start in (0, 1))
+    low = smooth_plane(lab[..., 0], 1.2)
+    fine = [_halve(plane) for plane in measure(lab[..., 0], low)]
+    halves = ((half, smooth_plane(half, 1.2)) for half in (low[::2, ::2], low[1::2, 1::2]))
+    even, odd = (measure(*each) for each in halves)
     coarse = [(a[:height, :width] + b[:height, :width]) / 2 for a, b in zip(even, odd, strict=True)]
     return np.stack([*fine, *coarse], -1)
 

@@ -146,10 +146,14 @@ class LatticeNet:
         """Yield the nets of all bands."""
         return (self.cut(*band) for band in self.bands())
 
-    def sample(self, planes: Values) -> Values:
-        """Return the values of planes ``(H, W, C)`` at all points."""
-        planes = np.ascontiguousarray(planes)
-        return np.concatenate([sample_planes(planes, part.points) for part in self.parts()])
+    def sample(self, planes: Values, scale: float = 1.0, into: Values | None = None) -> Values:
+        """Return the values of planes ``(H, W, C)`` at all points, times a scale; ``into`` is filled with them."""
+        planes, first = np.ascontiguousarray(planes), 0
+        found = np.empty((*self.cells * self.samples, planes.shape[-1]), np.float32) if into is None else into
+        for part in self.parts():
+            last = first + int(part.cells[0] * self.samples[0])
+            found[first:last], first = sample_planes(planes, part.points * scale), last
+        return found
 
     def spread(self, cells: NDArray[Any]) -> NDArray[Any]:
         """Return the values of cells, ``(N1, N2)``, at all of their points."""

@@ -537,7 +537,7 @@ class Scores:
 
 
 MOST_SCORED = 4096 * 4096
-"""Pixels of the largest output that :func:`score` takes. It needs about 5 GiB."""
+"""Pixels of the largest output that :func:`score` takes. It needs about 2 GiB."""
 
 
 def score(
