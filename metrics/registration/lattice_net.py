@@ -156,5 +156,6 @@ def fold_cells(planes: Values, known: Mask, samples: NDArray[np.intp]) -> Values
 
 def sum_boxes(a: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     """Return the sums of ``size`` x ``size`` neighbors along the first two axes."""
-    sums = np.pad(a, ((1, 0), (1, 0)) + ((0, 0),) * (a.ndim - 2)).cumsum(0).cumsum(1)
-    return np.asarray(sums[size:, size:] - sums[:-size, size:] - sums[size:, :-size] + sums[:-size, :-size])
+    rows, columns = a.shape[0] - size + 1, a.shape[1] - size + 1
+    down = sum((a[k : k + rows] for k in range(1, size)), a[:rows])
+    return sum((down[:, k : k + columns] for k in range(1, size)), down[:, :columns])
