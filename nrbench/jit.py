@@ -385,14 +385,16 @@ class MachineCode:
         return linked
 
 
-@ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)
-def _RESTORE(address: int, size: int, digest: int) -> object:
+def _restore(address: int, size: int, digest: int) -> object:
     """Return an object that machine code holds pickled: the class of the arrays that it returns, or an error."""
     content = ctypes.string_at(address, size)
     if content.endswith(b"\x8c\x07ndarray\x94\x93\x94."):
         return np.ndarray
     serialize: Any = importlib.import_module("numba.core.serialize")
     return serialize._numba_unpickle(address, content, ctypes.string_at(digest, 20))
+
+
+_RESTORE: Any = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)(_restore)
 
 
 @cache
@@ -455,11 +457,10 @@ def _find_code(declared: Kernel[..., Any]) -> Path | None:
 @cache
 def _target() -> str:
     """Return the processor that numba compiles for, as its settings say: this one, unless another is set."""
+    llvm: Any = importlib.import_module("llvmlite.binding")
     name, features = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
-    if name is None or features is None:
-        llvm: Any = importlib.import_module("llvmlite.binding")
-        name, features = name or llvm.get_host_cpu_name(), features or llvm.get_host_cpu_features().flatten()
-    return f"{name} {features}"
+    name = llvm.get_host_cpu_name() if name is None else name
+    return f"{name} {llvm.get_host_cpu_features().flatten() if features is None else features}"
 
 
 @cache

@@ -9,7 +9,7 @@ from numba.core import sigutils
 
 from nrbench import jit
 from nrbench.cli import progress
-from nrbench.jit import BoolView2, Float64x2, Int64x1, kernel
+from nrbench.jit import BoolView2, Float64x1, Float64x2, Int64x1, kernel
 from nrbench.synthesizers.matching.matching_kernels import correlate_at
 
 
@@ -194,6 +194,36 @@ def test_compiled_and_plain_kernels_agree() -> None:
     positions = np.array([[0, 0], [21, 7], [4, 3]])
     compiled = correlate_at(image, template, hole, positions)
     np.testing.assert_array_equal(compiled, correlate_at.function(image, template, hole, positions))
+
+
+@kernel
+def divide(x: Float64x1, y: float) -> Float64x1:
+    """Return a quotient."""
+    return x * (1.0 / y)
+
+
+def test_arrays_of_another_type_are_refused() -> None:
+    """Machine code would misread arrays of another type, so there is an error. Errors of kernels come through."""
+    assert divide(np.ones(2), 2.0).tolist() == [0.5, 0.5]
+    for wrong in (np.ones(2, np.int64), np.ones((2, 2)), np.ones(4)[::2]):
+        with pytest.raises(TypeError, match="divide: the arguments"):
+            divide(wrong, 2.0)
+    with pytest.raises(ZeroDivisionError):
+        divide(np.ones(2), 0.0)
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_machine_code_of_a_wheel_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Machine code beside the module is loaded, but not on a processor that lacks its instructions."""
+    shipped = tmp_path / jit._code_name(double, jit.SHIPPED_TARGET)
+    shipped.parent.mkdir()
+    assert jit.kernel(double)(3.0) == 6.0
+    next(tmp_path.rglob("*.bin")).rename(shipped)
+    monkeypatch.setattr(jit, "_SHIPPED", tmp_path)
+    for runs in (True, False):
+        monkeypatch.setattr(jit, "_runs_shipped", lambda runs=runs: runs)
+        declared = jit.kernel(double)
+        assert declared(3.0) == 6.0 and (declared._dispatcher is None) == runs
 
 
 def test_annotations_are_the_types_of_a_kernel() -> None:
