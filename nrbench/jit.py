@@ -53,6 +53,7 @@ Float32x1 = Annotated[NDArray[np.float32], "float32[::1]"]
 Float32x2 = Annotated[NDArray[np.float32], "float32[:, ::1]"]
 Float32x3 = Annotated[NDArray[np.float32], "float32[:, :, ::1]"]
 Float32x4 = Annotated[NDArray[np.float32], "float32[:, :, :, ::1]"]
+Float32View2 = Annotated[NDArray[np.float32], "float32[:, :]"]
 Float32View3 = Annotated[NDArray[np.float32], "float32[:, :, :]"]
 Int64x1 = Annotated[NDArray[np.int64], "int64[::1]"]
 Int64x2 = Annotated[NDArray[np.int64], "int64[:, ::1]"]
@@ -92,18 +93,18 @@ class Compilation:
     ----------
     ended
         Seconds of the compilations that have ended.
+    cpu
+        Processor seconds of this process in the compilations that have ended.
     since
         When the present one began, of :func:`time.monotonic`; None if there is none.
     told
         Whether the user knows, so that no notice is printed.
-    cpu_seconds
-        CPU time of the compilations that have ended.
     """
 
     ended: float = 0.0
+    cpu: float = 0.0
     since: float | None = None
     told: bool = False
-    cpu_seconds: float = 0.0
 
     @property
     def seconds(self) -> float:
@@ -124,7 +125,7 @@ class Compilation:
             yield
         finally:
             self.ended, self.since = self.seconds, None
-            self.cpu_seconds += time.process_time() - cpu
+            self.cpu += time.process_time() - cpu
 
 
 COMPILATION = Compilation()

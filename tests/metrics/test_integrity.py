@@ -1,7 +1,5 @@
 """Integrity: whole and joined elements."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
