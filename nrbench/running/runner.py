@@ -23,6 +23,7 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.imaging.convert import Image
 from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import FoundLattice, Shape, Texture
+from nrbench.plugins.registry import bent_finders
 from nrbench.running.executors import Executor, executor, synthesize_here
 from nrbench.running.guard import LIMITS, Limits
 from nrbench.running.options import Options as Options
@@ -244,8 +245,13 @@ class _Runner:
             result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
             return {**where.write_result(result), "wall": 0.0}
         built_in = plugins.lookup("datasets", cell.recipe.dataset).built_in
-        here = plugins.lookup("synthesizers", cell.method).in_session
-        return dataclasses.replace(self._job("cell", where, cell.texture, built_in), here=here)
+        method = plugins.lookup("synthesizers", cell.method)
+        finders = (*bent_finders(), *(cell.finder or ())[:1])
+        own = built_in and method.built_in and all(plugins.lookup("detectors", str(each)).built_in for each in finders)
+        own = own and not getattr(method.cls, "starts_programs", False)
+        return dataclasses.replace(
+            self._job("cell", where, cell.texture, built_in), own_method=own, here=method.in_session
+        )
 
     def _job(self, phase: str, where: CellFolder, group: str = "", built_in: bool = False) -> Request:
         options = self.options

@@ -75,7 +75,7 @@ def run_job(job: Request, run: RunRequest) -> Result:
     """
     start, where = time.monotonic(), CellFolder(Path(job.folder))
     phase, function = ("detect", "detect") if job.phase == "detect" else ("synthesize", "synthesize_cell")
-    request = dataclasses.replace(job, phase=function, metrics=(), built_in=False)
+    request = dataclasses.replace(job, phase=function, metrics=(), built_in=job.own_method)
     try:
         result = where.result()
         if result is None:
