@@ -21,9 +21,9 @@ SOURCES := $(shell find nrbench synthesizers metrics datasets_procedural reports
 run: $(VENV)/.installed
 	$(BIN)/nrbench run --out runs/default
 
+# Lint and types are checked beside the tests, of which some wait; each of the three can fail the target.
 test: $(VENV)/.installed-test
-	$(MAKE) -j 2 -O lint types
-	$(MAKE) unit
+	$(MAKE) -O lint types & checks=$$!; $(MAKE) unit; tests=$$?; wait $$checks && exit $$tests
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .

@@ -1,7 +1,7 @@
 """Run every benchmark in a short form, and print what each answers and costs.
 
 ``make benchmark``, or ``python benchmarks/all.py [NAME ...]``. Each script runs in a process of its own, on one thread.
-The table at the end has the first sentence of its page, its CPU seconds, also in units u, and the command of the full
+The table at the end has the first sentence of its page, its CPU seconds, also in units w, and the command of the full
 figures.
 """
 
@@ -64,7 +64,7 @@ def main() -> int:
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
     environment = {**os.environ, **threads}
     environment.pop("PYTHONSAFEPATH", None)
-    u, lines, failed = cpu_unit(), [], 0
+    unit, lines, failed = cpu_unit(), [], 0
     for short, full in BENCHMARKS.items():
         if sys.argv[1:] and not short.startswith(tuple(sys.argv[1:])):
             continue
@@ -75,8 +75,8 @@ def main() -> int:
         seconds = cpu_seconds() - before
         failed += code != 0
         state = f"**failed with exit code {code}**; " if code else ""
-        lines.append(f"| {question(script)} | `{short}` | {state}{seconds:.0f} s, {seconds / u:.0f} u | `{full}` |")
-    print(f"\nu = {u * 1e3:.2f} ms\n\n| question | short form | CPU | full form |\n| --- | --- | --- | --- |")
+        lines.append(f"| {question(script)} | `{short}` | {state}{seconds:.0f} s, {seconds / unit:.0f} w | `{full}` |")
+    print(f"\nu = {unit * 1e3:.2f} ms\n\n| question | short form | CPU | full form |\n| --- | --- | --- | --- |")
     print("\n".join(lines))
     return 1 if failed else 0
 

@@ -107,7 +107,7 @@ def errors(found: Deformation, bent: Bent) -> tuple[float, float, float]:
 
 def show_bent(options: argparse.Namespace) -> None:
     """Print how many lattices of bent pictures are right."""
-    u, every = cpu_unit(), []
+    unit, every = cpu_unit(), []
     makers = [(warped, "bend", options.bends), (tilted, "tilt", options.tilts)]
     for make, word, values in makers:
         for value in values:
@@ -121,14 +121,14 @@ def show_bent(options: argparse.Namespace) -> None:
                         row = (*errors(found, bent), found.bent, found.homography is not None)
                     except nrbench.NoLatticeFound:
                         row = (np.inf, np.inf, 0.0, False, False)
-                    rows.append((*row, (time.process_time() - start) / u))
+                    rows.append((*row, (time.process_time() - start) / unit))
                 lattice, field, recall, flag, plane, units = (np.array(column) for column in zip(*rows, strict=True))
                 right = (lattice <= MOST_LATTICE_ERROR) & (field <= MOST_FIELD_ERROR)
                 every += right.tolist()
                 print(f"  {model:8} {word} {value:<5} right {right.sum():3}/{len(right):<3}", end="")
                 print(f"  recall {recall.mean():.3f}", end="")
                 print(f"  median errors: lattice {np.median(lattice):.3f}, vertices {np.median(field):.3f} s", end="")
-                print(f"  bent {flag.sum()}, a homography {plane.sum()}  {np.median(units):.0f} u", flush=True)
+                print(f"  bent {flag.sum()}, a homography {plane.sum()}  {np.median(units):.0f} w", flush=True)
     print(f"  all: right {sum(every)}/{len(every)}")
 
 
@@ -144,7 +144,7 @@ def straight_pictures(options: argparse.Namespace) -> Iterator[tuple[str, Image]
 
 def show_straight(options: argparse.Namespace) -> None:
     """Print how many straight pictures count as bent, and what the answer costs beyond the detector."""
-    u, flagged, number, extra = cpu_unit(), [], 0, []
+    unit, flagged, number, extra = cpu_unit(), [], 0, []
     for name, image in straight_pictures(options):
         start = time.process_time()
         try:
@@ -153,11 +153,11 @@ def show_straight(options: argparse.Namespace) -> None:
             found = nrbench.track_lattice(image)
         except nrbench.NoLatticeFound:
             continue
-        extra.append((time.process_time() - middle - (middle - start)) / u)
+        extra.append((time.process_time() - middle - (middle - start)) / unit)
         number += 1
         if found.bent:
             flagged.append(f"{name} ({found.amplitude:.2f} s)")
-    print(f"  {len(flagged)} of {number} count as bent, {np.median(extra):.0f} u beyond the detector: {flagged}")
+    print(f"  {len(flagged)} of {number} count as bent, {np.median(extra):.0f} w beyond the detector: {flagged}")
 
 
 def main() -> None:

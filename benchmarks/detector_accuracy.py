@@ -68,13 +68,13 @@ class Tally:
         self.labels.append(error.label)
         self.errors += [error.vector] if error.relation == "exact" else []
 
-    def row(self, u: float) -> str:
+    def row(self, unit: float) -> str:
         """Return the tally in words."""
         exact, n = self.labels.count("exact"), len(self.labels)
         others = sorted({label for label in self.labels if label != "exact"})
         rest = ", ".join(f"{label} {self.labels.count(label)}" for label in others)
         error = f"error {np.median(self.errors):.3f} px" if self.errors else ""
-        return f"exact {exact:3}/{n:<3} {error:15} {np.median(self.seconds) / u:7.1f} u   {rest}"
+        return f"exact {exact:3}/{n:<3} {error:15} {np.median(self.seconds) / unit:7.1f} w   {rest}"
 
 
 def regular(first: int, count: int) -> Iterator[tuple[str, Texture]]:
@@ -131,7 +131,7 @@ def main() -> None:
     parser.add_argument("detectors", nargs="*", default=DETECTORS)
     options = parser.parse_args()
     load_kernels()
-    u = cpu_unit()
+    unit = cpu_unit()
     for spec in options.detectors:
         detector = plugins.build("detectors", *parse_spec(spec))
         tallies: dict[str, Tally] = defaultdict(Tally)
@@ -142,7 +142,7 @@ def main() -> None:
             tallies[kind].add(detector, quantize(image), None)
         print(spec)
         for kind, tally in tallies.items():
-            print(f"  {kind:16} {tally.row(u)}", flush=True)
+            print(f"  {kind:16} {tally.row(unit)}", flush=True)
 
 
 if __name__ == "__main__":

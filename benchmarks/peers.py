@@ -1,16 +1,21 @@
-"""CPU time of quilting, of the tile search and of the autocorrelation, beside other programs and plain ways.
+"""CPU time of quilting, of the searches and of the autocorrelation, beside other programs and plain ways.
 
 ``python benchmarks/peers.py [SUBJECT ...] [--peer COMMAND] [--block PX] [--overlap PX]``. Subjects:
 
 ``quilting``
     `quilting` beside another program, on the same samples, with the quality of both. ``--peer`` is the command line of
     the program. ``{sample}`` and ``{output}`` become paths of PNG files; ``{width}``, ``{height}``, ``{seed}``,
-    ``{block}`` and ``{overlap}`` become numbers. For bmquilting (MIT, needs Python 3.12 or later), install it into an
-    environment of its own, and give a program that reads the sample, calls ``bmquilting.square.generate_texture`` with
-    this block and overlap, and writes the output. Without ``--peer``, G'MIC's ``syntexturize_matchpatch`` is the peer,
-    which has no blocks (Debian: ``apt install gmic``). If there is no peer, the script says so. `quilting` is shown
-    twice: the synthesis alone, which is what a cell of a run costs, and the process ``nrbench synth``, which includes
-    the start of Python and all imports, as the peer's time does.
+    ``{block}`` and ``{overlap}`` become numbers. Without it, G'MIC's ``syntexturize_matchpatch`` is the peer, which has
+    no blocks (Debian: ``apt install gmic``). If there is no peer, the script says so. `quilting` is shown twice: the
+    synthesis alone, which is what a cell of a run costs, and the process ``nrbench synth``, which includes the start of
+    Python and all imports, as the peer's time does.
+``bmquilting``
+    `quilting` beside bmquilting (MIT, needs Python 3.12) in one process, with seams by least cost, on a wall of
+    128 x 128 px. The calls alternate.
+``windows``
+    The search of `fftm-patch` for the place of a window in the sample, by sums of squared differences over six
+    channels, beside ``matchTemplate`` of OpenCV, which takes three channels and is called twice. `fftm-patch`
+    transforms the sample once for all windows, OpenCV at each call.
 ``search``
     The search of `representative-tile`, which rates every place exactly, beside brute force. The tile is that of the
     paper's figure 7-(k), of a sample of 1200 x 600 px, and half as large.
@@ -22,11 +27,13 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import shutil
 import statistics
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +47,8 @@ from nrbench.detectors.ssdn import ssdn
 from nrbench.imaging.convert import Image
 from nrbench.imaging.correlation import half_autocorrelation
 from nrbench.jit import load_kernels
+from nrbench.plugins.forms import Task
+from nrbench.synthesizers.patchwork.patchwork import Translations, to_gray_levels
 from nrbench.synthesizers.representative_tile import continuity, resemblance
 
 GMIC = "gmic {sample} syntexturize_matchpatch {width},{height} -o {output}"
@@ -59,11 +68,11 @@ def find_peer(options: argparse.Namespace) -> str | None:
 
 
 def print_row(name: str, seconds: list[float], base: float, records: list[CellRecord]) -> None:
-    """Print the mean CPU time, also in u and over that of quilting, and the mean quality; none counts as 0."""
+    """Print the mean CPU time, also in w and over that of quilting, and the mean quality; none counts as 0."""
     mean = statistics.fmean(seconds)
     scores = [float(one.values["quality.score"] or 0) for one in records]
     quality = f"{statistics.fmean(scores):8.3f}" if scores else ""
-    print(f"{name:46} {mean:8.3f} s {mean / cpu_unit():8.1f} u {mean / base:8.1f} x {quality}", flush=True)
+    print(f"{name:46} {mean:8.3f} s {mean / cpu_unit():8.1f} w {mean / base:8.1f} x {quality}", flush=True)
 
 
 def show_quilting(options: argparse.Namespace) -> None:
@@ -98,6 +107,60 @@ def show_quilting(options: argparse.Namespace) -> None:
     print_row(f"the peer {peer.split()[0]}, as a process", taken["command"], base, records["command"])
 
 
+def import_peer(name: str) -> Any:
+    """Return a module; None, after a sentence that says so, if it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        print(f"skipped: {name.partition('.')[0]} is not installed in this Python")
+        return None
+
+
+def show_bmquilting(options: argparse.Namespace) -> None:
+    """Print what quilting and bmquilting cost, at two sizes of blocks and of outputs."""
+    peer = import_peer("bmquilting.square")
+    if peer is None:
+        return
+    sample = sampled("brick", 128, color=0.3).image
+    for block, overlap in ((64, 11), (40, 7)):
+        config = peer.SquarePatchingConfig.with_seams(block_size=block, overlap=overlap, tolerance=0.1)
+        for side in (SIDE, 4 * SIDE):
+            method = plugins.build("synthesizers", "quilting", {"block": block, "overlap": overlap})
+            ours, theirs = compare_costs(
+                lambda m=method, n=side: m.synthesize(Task(sample, (n, n), None, np.random.default_rng(1))),
+                lambda c=config, n=side: peer.generate_texture([sample], c, n, n, np.random.default_rng(1), None),
+            )
+            print(f"  block {block}, overlap {overlap}, {side:4} px: {ours:7.1f} w, bmquilting {theirs:7.1f} w")
+
+
+def show_windows(options: argparse.Namespace) -> None:
+    """Print what the search of a window in the sample costs, and OpenCV's, and their difference over the largest."""
+    peer = import_peer("cv2")
+    if peer is None:
+        return
+    peer.setNumThreads(1)
+    for side in (128, 512):
+        image = to_gray_levels(np.concatenate([sampled("brick", side, color=0.3).image] * 2, 2))
+        window = image[30:54, 40:67].copy()
+        halves = [(np.float32(image[..., part]), np.float32(window[..., part])) for part in (np.s_[:3], np.s_[3:])]
+        search, known = Translations(image, 6), np.ones(window.shape[:2], bool)
+
+        def match(halves: list[tuple[Any, Any]] = halves) -> Any:
+            return sum(peer.matchTemplate(*half, peer.TM_SQDIFF) for half in halves)
+
+        costs = search.compute_costs(window, known)
+        error = np.abs(match() - costs).max() / costs.max()
+        ours, theirs = compare_costs(lambda: search.compute_costs(window, known), match)  # noqa: B023
+        print(f"  {side:4} px: {ours:7.2f} w, OpenCV {theirs:7.2f} w, difference {error:.0e}", flush=True)
+
+
+def compare_costs(ours: Callable[[], object], theirs: Callable[[], object]) -> tuple[float, float]:
+    """Return the median costs of two calls, w; they alternate, so that other work on the machine weighs on both."""
+    pairs = [(median_units(ours, 1), median_units(theirs, 1)) for _ in range(5)]
+    first, second = zip(*pairs, strict=True)
+    return statistics.median(first), statistics.median(second)
+
+
 def brute_force(image: Image, size: tuple[int, int], places: NDArray[np.int64]) -> list[float]:
     """Return the resemblance of some tiles (rows y, x), each repeated over the image."""
     found = []
@@ -119,7 +182,7 @@ def show_search(options: argparse.Namespace) -> None:
         costs = resemblance(image, size)[places[:, 0], places[:, 1]]
         error = np.abs(costs - brute_force(image, size, places)).max()
         print(f"{image.shape[1]} x {image.shape[0]}, tile {size[1]} x {size[0]}: {room[0] * room[1]} places", end="")
-        print(f"  exact {exact:.1f} u, continuity {joins:.1f} u, brute force {naive:.0f} u", end="")
+        print(f"  exact {exact:.1f} w, continuity {joins:.1f} w, brute force {naive:.0f} w", end="")
         print(f" ({naive / exact:.0f} times), difference {error:.0e}", flush=True)
 
 
@@ -137,11 +200,13 @@ def show_correlation(options: argparse.Namespace) -> None:
         exact = peer(planes[:1].astype(np.float64))[0][:, side - 1 :]
         inner = np.s_[side - 1 - side // 2 : side + side // 2, : side // 2 + 1]
         difference = np.abs(half_autocorrelation(image[..., :1]) - exact)[inner].max()
-        print(f"  {side:4} px: {ours:7.1f} u, scikit-image {theirs:9.1f} u, difference {difference:.1e}", flush=True)
+        print(f"  {side:4} px: {ours:7.1f} w, scikit-image {theirs:9.1f} w, difference {difference:.1e}", flush=True)
 
 
 SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
     "quilting": show_quilting,
+    "bmquilting": show_bmquilting,
+    "windows": show_windows,
     "search": show_search,
     "correlation": show_correlation,
 }
@@ -156,7 +221,7 @@ def main() -> None:
     parser.add_argument("--overlap", type=int, default=11)
     parser.add_argument("--textures", nargs="*", default=["*"], help="of quilting: textures of the suite core")
     options = parser.parse_args()
-    print(f"u = {cpu_unit() * 1e3:.2f} ms")
+    print(f"w = {cpu_unit() * 1e3:.2f} ms")
     for subject in options.subjects or SUBJECTS:
         print(f"\n{subject}")
         SUBJECTS[subject](options)

@@ -1,4 +1,4 @@
-"""Cost of methods, texture models, scores, commands and cells, as multiples of the machine unit u (see ``unit.py``).
+"""Cost of methods, texture models, scores, commands and cells, as multiples of the machine unit w (see ``unit.py``).
 
 ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/speed.py [SUBJECT ...] [--methods ...] [--largest SIDE]``
 
@@ -15,8 +15,9 @@ both. Subjects:
 ``models``
     Each texture model at 512 x 512 px, without and with all departures.
 ``cells``
-    All scores of one output of 256 x 256 px and of 512 x 512 px, which share their windows, tiles and fresh draws, and
-    of a bent one.
+    The scores of the suite `default` of one output of 256 x 256 px, of a bent one, of one of 448 x 448 px whose
+    reference is the sample, as with a photograph, and of 512 x 512 px. They share windows and tiles. The references,
+    which all outputs of a texture share, are learned before.
 ``scores``
     Each metric on an output of 256 x 256 px, with the texture's model, and with sample and lattice alone.
 ``commands``
@@ -62,6 +63,7 @@ from nrbench.running.guard import peak_bytes
 from nrbench.running.phases import score_observation
 from nrbench.running.runner import Options, Step
 from nrbench.streams import stream
+from nrbench.suites.suite import load_suite
 
 PAPER = "rsgf:seam=blend,subpixel=false,tolerance=3,candidate_fraction=0,prefer_unused=false"
 METHODS = (
@@ -100,7 +102,7 @@ def synthesis(spec: str, texture: Texture, output: int) -> Callable[[], object]:
 def print_cost(name: str, call: Callable[[], object], repeats: int = 7) -> None:
     """Print what a call costs, or why a method refuses its input."""
     try:
-        print(f"  {name:92} {median_units(call, repeats):8.1f} u", flush=True)
+        print(f"  {name:92} {median_units(call, repeats):8.1f} w", flush=True)
     except Refused as refusal:
         print(f"  {name:92} refused: {refusal.reason}", flush=True)
 
@@ -118,21 +120,21 @@ def time_outputs(options: argparse.Namespace) -> None:
             with multiprocessing.get_context("fork").Pool(1) as pool:
                 units, held = pool.apply(cost_alone, (spec, side))
             each = units / side**2 * 256**2
-            print(f"  {spec:30} {side:5} x {side:<5} {units:9.1f} u  {each:7.2f} u per 256 x 256", end="")
+            print(f"  {spec:30} {side:5} x {side:<5} {units:9.1f} w  {each:7.2f} w per 256 x 256", end="")
             print(f"  {held:7.0f} bytes a pixel", flush=True)
 
 
 def cost_alone(spec: str, side: int) -> tuple[float, float]:
-    """Return what one synthesis takes in this process: CPU time in u, and bytes for each output pixel."""
+    """Return what one synthesis takes in this process: CPU time in w, and bytes for each output pixel."""
     texture = sampled("brick", 128)
     synthesis(spec, texture, 64)()
-    u, held, start = cpu_unit(), peak_bytes(), time.process_time()
+    unit, held, start = cpu_unit(), peak_bytes(), time.process_time()
     synthesis(spec, texture, side)()
-    return (time.process_time() - start) / u, (peak_bytes() - held) / side**2
+    return (time.process_time() - start) / unit, (peak_bytes() - held) / side**2
 
 
 def time_models(options: argparse.Namespace) -> None:
-    """Print the cost of each texture model; the bound is 50 u."""
+    """Print the cost of each texture model; the bound is 50 w."""
     for name in plugins.names("datasets"):
         for kind, parameters in {"plain": {}, "with all departures": EVERYTHING}.items():
             if name != "images" and not (name == "noise" and parameters):
@@ -152,23 +154,29 @@ def observed(name: str, side: int, **parameters: float) -> Observation:
 
 
 def time_cells(options: argparse.Namespace) -> None:
-    """Print the cost of all scores of one cell, and of each part that takes 1 u or more; the bounds are 60 and 160 u.
+    """Print the cost of all scores of one cell, and of each part that takes 1 w or more.
 
-    A part that several metrics share counts for the one that asks for it first.
+    The bounds are 15 w at 256 px, and 50 w at 448 px without a model. A part that several metrics share counts for the
+    one that asks for it first.
     """
-    for side, bend in ((256, 0.0), (512, 0.0), (256, 0.5)):
+    metrics = sorted(load_suite("default").metrics, key="quality".__eq__)  # it is the worst of the others
+    kinds = {"256 px": (256, 0.0, True), "256 px, bent": (256, 0.5, True), "448 px, no model": (448, 0.0, False)}
+    for kind, (side, bend, known) in {**kinds, "512 px": (512, 0.0, True)}.items():
         for name in ("brick", "weave", "hexagon"):
             observation = observed(name, side, color=0.2, noise=0.03, bend=bend)
-            parts: dict[str, list[float]] = {metric: [] for metric in plugins.names("metrics")}
+            if not known:
+                bare = Texture(observation.sample, observation.truth.lattice if observation.truth else None)
+                observation = Observation(observation.sample, observation.output, bare)
+            parts: dict[str, list[float]] = {metric: [] for metric in metrics}
             for count in range(4):
-                u, fresh = cpu_unit(), replace(observation)
+                unit, fresh = cpu_unit(), replace(observation)
                 for metric, units in parts.items():
                     start = time.process_time()
                     score_observation(fresh, metric)
                     if count:
-                        units.append((time.process_time() - start) / u)
+                        units.append((time.process_time() - start) / unit)
             costs = {metric: statistics.median(units) for metric, units in parts.items()}
-            print(f"  {name}, {side} x {side} px, bend {bend:g}: {sum(costs.values()):.1f} u", end=" = ")
+            print(f"  {name}, {kind}: {sum(costs.values()):.1f} w", end=" = ")
             print(" + ".join(f"{metric} {cost:.1f}" for metric, cost in costs.items() if cost >= 1), flush=True)
 
 
@@ -217,7 +225,7 @@ def time_commands(options: argparse.Namespace) -> None:
         for command in COMMANDS:
             run_command(command, folder)
             seconds = min(run_command(command, folder)[1] for _ in range(3))
-            print(f"  {seconds:6.2f} s {seconds / cpu_unit():6.0f} u  nrbench {command}", flush=True)
+            print(f"  {seconds:6.2f} s {seconds / cpu_unit():6.0f} w  nrbench {command}", flush=True)
 
 
 def time_pictures(options: argparse.Namespace) -> None:
@@ -256,8 +264,8 @@ def time_overhead(options: argparse.Namespace) -> None:
     method = statistics.fmean(float(cell.result["seconds"]) for cell in cells)
     (early, before), (late, after) = sorted(marks.items())
     cost = (after - before) / (late - early) - method
-    print(f"  {1000 * cost:.1f} ms = {cost / cpu_unit():.2f} u a cell over {late - early} cells, of which")
-    print(f"  encoding and decoding of pictures: {pictures:.2f} u")
+    print(f"  {1000 * cost:.1f} ms = {cost / cpu_unit():.2f} w a cell over {late - early} cells, of which")
+    print(f"  encoding and decoding of pictures: {pictures:.2f} w")
 
 
 def cpu_of_all_processes() -> float:
@@ -309,7 +317,7 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=2000, help="of overhead: number of cells")
     options = parser.parse_args()
     load_kernels()
-    print(f"u = {cpu_unit() * 1e3:.2f} ms")
+    print(f"w = {cpu_unit() * 1e3:.2f} ms")
     for subject in options.subjects or SUBJECTS:
         print(f"\n{subject}")
         SUBJECTS[subject](options)

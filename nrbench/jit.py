@@ -41,6 +41,7 @@ Float32x1 = Annotated[NDArray[np.float32], "float32[::1]"]
 Float32x2 = Annotated[NDArray[np.float32], "float32[:, ::1]"]
 Float32x3 = Annotated[NDArray[np.float32], "float32[:, :, ::1]"]
 Float32x4 = Annotated[NDArray[np.float32], "float32[:, :, :, ::1]"]
+Float32View2 = Annotated[NDArray[np.float32], "float32[:, :]"]
 Float32View3 = Annotated[NDArray[np.float32], "float32[:, :, :]"]
 Int64x1 = Annotated[NDArray[np.int64], "int64[::1]"]
 Int64x2 = Annotated[NDArray[np.int64], "int64[:, ::1]"]
@@ -77,6 +78,8 @@ class Compilation:
     ----------
     ended
         Seconds of the compilations that have ended.
+    cpu
+        Processor seconds of this process in the compilations that have ended.
     since
         When the present one began, of :func:`time.monotonic`; None if there is none.
     told
@@ -84,6 +87,7 @@ class Compilation:
     """
 
     ended: float = 0.0
+    cpu: float = 0.0
     since: float | None = None
     told: bool = False
 
@@ -101,11 +105,12 @@ class Compilation:
         if self.ended > _PATIENCE and not self.told:
             self.told = True
             print(f"nrbench: {COMPILING}", file=sys.stderr, flush=True)
-        self.since = time.monotonic()
+        self.since, cpu = time.monotonic(), time.process_time()
         try:
             yield
         finally:
             self.ended, self.since = self.seconds, None
+            self.cpu += time.process_time() - cpu
 
 
 COMPILATION = Compilation()

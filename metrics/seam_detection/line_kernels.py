@@ -4,25 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Float32x2, Float64x1, Float64x2, kernel
+from nrbench.jit import Float32View2, Float32x1, Float32x2, Float64x1, Float64x2, inlined_kernel, kernel
+
+
+@inlined_kernel
+def _join(line: Float32x1, upper: Float32x1, lower: Float32x1) -> None:
+    """Add the lower halves of lines, as far as they lie inside, to the upper ones."""
+    inside = min(len(line), len(lower))
+    for x in range(inside):
+        line[x] = upper[x] + lower[x]
+    for x in range(inside, len(line)):
+        line[x] = upper[x]
 
 
 @kernel
-def steep_line_sums(image: Float32x2) -> Float32x2:
+def steep_line_sums(image: Float32View2) -> Float32x2:
     """Return the sums along the lines that lean right by up to 45 degrees from upright.
 
     This is the fast discrete Radon transform (Brady, SIAM Journal on Computing 27, 1998): lines through two strips are
-    sums of lines through each strip, so that all lines take N^2 log N sums.
+    sums of lines through each strip, so that all lines take N^2 log N sums. Blocks of 256 rows are summed one after the
+    other, so that they stay in the cache.
 
     Parameters
     ----------
     image
-        ``float32 (N, N)``, N a power of two.
+        ``float32 (H, W)``. N is the least power of two that is no smaller than H and W.
 
     Returns
     -------
     NDArray[np.float32]
-        ``(N, 2 N)``: entry (t, x) is the line from column ``x - N`` of the first row to ``x - N + t`` of the last.
+        ``(min(N, 256), 2 N)``: with k = max(N / 256, 1), entry (t, x) is the line from column ``x - N`` of the first
+        row to ``x - N + k t`` of row N - 1. In larger images lines of neighboring leans are nearly equal.
 
     Notes
     -----
@@ -31,28 +43,43 @@ def steep_line_sums(image: Float32x2) -> Float32x2:
 
         S_2h(i, t, x) = S_h(2 i, floor(t / 2), x) + S_h(2 i + 1, floor(t / 2), x + ceil(t / 2))
 
-    Row ``i h + t`` of an array holds the lines of strip i that lean by t, so each step fills an array of equal size.
+    Row ``i h + t`` of a block holds the lines of its strip i that lean by t. Above the height of a block, t is a
+    multiple of 2 h / 256. Lines that begin left of column -h or right of the image are 0.
     """
-    size = image.shape[0]
-    width = 2 * size
-    before = np.zeros((size, width), np.float32)
-    for y in range(size):  # numba takes seconds to compile the assignment of a slice
-        for x in range(size):
-            before[y, size + x] = image[y, x]
-    height = 1
-    while height < size:  # join the strips of ``height`` rows in pairs
-        after = np.zeros((size, width), np.float32)
-        for strip in range(size // (2 * height)):
-            top, bottom, out = 2 * strip * height, (2 * strip + 1) * height, 2 * strip * height
-            for lean in range(2 * height):
-                shift = (lean + 1) // 2
-                for x in range(width - shift):
-                    after[out + lean, x] = before[top + lean // 2, x] + before[bottom + lean // 2, x + shift]
-                for x in range(width - shift, width):  # the lower half of the line lies outside
-                    after[out + lean, x] = before[top + lean // 2, x]
-        before = after
-        height *= 2
-    return before
+    rows, columns = image.shape
+    size = 1
+    while size < max(rows, columns):
+        size *= 2
+    width, tall = 2 * size, min(size, 256)
+    end, levels = size + columns, 1
+    while tall << (levels - 1) < size:
+        levels += 1
+    waiting = np.zeros((levels, tall, width), np.float32)  # strips of tall, 2 tall, ... rows whose lower ones follow
+    for block in range(size // tall):
+        before, after = np.zeros((tall, width), np.float32), np.zeros((tall, width), np.float32)
+        first = block * tall
+        for y in range(min(tall, rows - first)):  # numba takes seconds to compile the assignment of a slice
+            for x in range(columns):
+                before[y, size + x] = image[first + y, x]
+        height = 1
+        while height < tall:  # join the strips of ``height`` rows in pairs
+            low = size - 2 * height
+            for top in range(0, min(tall, rows - first), 2 * height):
+                for lean in range(2 * height):
+                    shift, half = (lean + 1) // 2, top + lean // 2
+                    _join(after[top + lean, low:end], before[half, low:end], before[half + height, low + shift :])
+            before, after = after, before
+            height *= 2
+        level = 0
+        while (block >> level) & 1:  # the strip above waits
+            for lean in range(tall):
+                _join(before[lean, :end], waiting[level, lean, :end], before[lean, lean << level :])
+            level += 1
+        for lean in range(tall):
+            for x in range(width):
+                waiting[level, lean, x] = before[lean, x]
+    found: Float32x2 = waiting[levels - 1].copy()
+    return found
 
 
 @kernel
@@ -64,7 +91,7 @@ def worst_of_parallels(
     Parameters
     ----------
     value, energy, length
-        ``(N, 2 N)``: sums of brightness, of squared gradient, and of ones along lines.
+        ``(min(N, 256), 2 N)``: sums of brightness, of squared gradient, and of ones along lines.
     least
         Least number of pixels of a line.
     floors
@@ -99,17 +126,19 @@ def worst_of_parallels(
     departures = np.zeros((2, width))
     raw = np.zeros((2, width))
     known = np.zeros(width, np.bool_)
-    # In large images lines of neighboring leans are nearly equal: 256 of them are compared.
-    for lean in range(0, leans, max(leans // 256, 1)):
+    for lean in range(leans):
+        shown = np.flatnonzero(length[lean])  # beyond a margin, columns without pixels have no lines
+        low, high = max(shown[0] - far - side, 0), min(shown[-1] + far + side + 2, width)
         # Sums from the left give the sum over any run of columns as a difference.
-        for x in range(width):
+        sums[:, low] = 0
+        for x in range(low, high):
             sums[0, x + 1] = sums[0, x] + value[lean, x]
             sums[1, x + 1] = sums[1, x] + energy[lean, x]
             sums[2, x + 1] = sums[2, x] + length[lean, x]
         # Step and excess of each line that is long enough, and the means of their scaled values.
         number = 0
         mean = np.zeros(2)
-        for x in range(far + 1, width - far):
+        for x in range(low + far + 1, high - far):
             right, left = sums[2, x + side] - sums[2, x], sums[2, x] - sums[2, x - side]
             pixels = min(right, left) / side
             on = sums[2, x + 1] - sums[2, x - 1]
@@ -133,7 +162,7 @@ def worst_of_parallels(
         # The line that departs most from its parallels.
         for kind in range(2):
             usual, most, at = 0.0, 0.0, 0
-            for x in range(far + 1, width - far):
+            for x in range(low + far + 1, high - far):
                 if known[x]:
                     departure = abs(departures[kind, x] - mean[kind])
                     usual += departure

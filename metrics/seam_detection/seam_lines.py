@@ -85,13 +85,13 @@ def draw_line(output: Image, line: Line) -> Image:
 
 
 def _worst_of_fan(rest: Values, fan: int, least: float, floors: NDArray[np.float64]) -> NDArray[np.float64]:
-    value, energy = (steep_line_sums(_square(rest[..., kind], fan)) for kind in range(2))
+    value, energy = (steep_line_sums(_turn(rest[..., kind], fan)) for kind in range(2))
     return worst_of_parallels(value, energy, _lengths(rest.shape[:2], fan), least, floors)
 
 
 @lru_cache(maxsize=_FANS)
 def _lengths(shape: Shape, fan: int) -> Plane:
-    return steep_line_sums(_square(np.ones(shape, np.float32), fan))
+    return steep_line_sums(_turn(np.ones(shape, np.float32), fan))
 
 
 def _energy(image: Image) -> Plane:
@@ -126,14 +126,10 @@ def _cells(shape: Shape, lattice: Lattice) -> tuple[NDArray[np.intp], int]:
     return row * columns + column, rows * columns
 
 
-def _square(plane: Plane, fan: int) -> Plane:
-    """Return a plane turned such that the fan's lines are steep and lean right, padded to a square of 2^n px."""
+def _turn(plane: Plane, fan: int) -> Plane:
+    """Return a plane turned such that the fan's lines are steep and lean right."""
     turned = plane.T if fan & 2 else plane
-    turned = turned[:, ::-1] if fan & 1 else turned
-    size = 1 << math.ceil(math.log2(max(plane.shape)))
-    square = np.zeros((size, size), np.float32)
-    square[: turned.shape[0], : turned.shape[1]] = turned
-    return square
+    return turned[:, ::-1] if fan & 1 else turned
 
 
 def _line(row: NDArray[np.float64], fan: int, shape: Shape) -> Line:
@@ -141,7 +137,7 @@ def _line(row: NDArray[np.float64], fan: int, shape: Shape) -> Line:
     size = 1 << math.ceil(math.log2(max(shape)))
     strength, lean, at, departure = row
     first = at - 0.5 - size
-    ends = [(first, 0.0), (first + lean, size - 1.0)]
+    ends = [(first, 0.0), (first + lean * max(size // 256, 1), size - 1.0)]
     width = shape[0] if fan & 2 else shape[1]
     if fan & 1:
         ends = [(width - 1 - x, y) for x, y in ends]

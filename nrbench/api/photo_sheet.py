@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,8 @@ from nrbench.pictures.overlays import contact_sheet, draw_lattice
 from nrbench.plugins.forms import Task, describe_silence, find_lattice
 from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.plugins.registry import NamedDetector
-from nrbench.runs.records import CellRecord
+from nrbench.running.runner import OnStep, Step
+from nrbench.runs.records import CellRecord, Run
 from nrbench.suites.plan import PlannedSample
 from nrbench.suites.suite import Suite, validated_suite
 
@@ -85,7 +86,8 @@ def find_unjudged_lattice(sample: PlannedSample) -> Lattice | None:
 def photo_suite(photo: Path, sample: Any, size: Any, mask: Path | None = None, lattice: Lattice | None = None) -> Suite:
     """Return a suite of one photograph with all methods that are no references and need no parameter.
 
-    ``lattice``, if it is known, is given to methods and judge.
+    Those that use a lattice come first: all that take long use none. ``lattice``, if it is known, is given to methods
+    and judge.
     """
     height, width = map(min, read_shape(photo), parse_size(sample))
     files: dict[str, Any] = {"path": str(photo.absolute())}
@@ -97,7 +99,7 @@ def photo_suite(photo: Path, sample: Any, size: Any, mask: Path | None = None, l
         "sample": f"{width}x{height}",
         "size": size_text(parse_size(size)),
         "metrics": ["quality"],
-        "methods": [name for name in plugins.names("synthesizers") if _runs_alone(name)],
+        "methods": sorted(filter(_runs_alone, plugins.names("synthesizers")), key=_uses_no_lattice),
         "texture": [row],
     }
     return validated_suite(content, "sheet")
@@ -109,6 +111,10 @@ def _runs_alone(name: str) -> bool:
         return not getattr(plugins.build("synthesizers", name), "reference", False)
     except BadInput:
         return False
+
+
+def _uses_no_lattice(name: str) -> bool:
+    return not getattr(plugins.build("synthesizers", name), "uses_lattice", True)
 
 
 def rate_outputs(records: Sequence[CellRecord]) -> list[tuple[CellRecord, dict[str, Any]]]:
@@ -188,8 +194,11 @@ def describe_row(row: Mapping[str, Any]) -> str:
     return "\n".join(filter(None, [row["method"], f"{quality}, {row['seconds'] or 0:.1f} s", tied, limits]))
 
 
-def draw_sheet(made: Sequence[tuple[CellRecord, Mapping[str, Any]]]) -> Image:
-    """Return the sample with its lattice, and the outputs, each below its caption."""
+def draw_sheet(made: Sequence[tuple[CellRecord, Mapping[str, Any]]], ended: int, total: int) -> Image:
+    """Return the sample with its lattice, and the outputs, each below its caption.
+
+    Where not all methods have ended, the caption of the sample has their number and that of all.
+    """
     records = [one for one, _ in made]
     sample, known = read_image(records[0].folder / "sample.png"), records[0].folder / "known.png"
     if known.is_file():
@@ -199,5 +208,43 @@ def draw_sheet(made: Sequence[tuple[CellRecord, Mapping[str, Any]]]) -> Image:
     found = "no lattice" if lattice is None else "lattice " + ",".join(f"{x:.2f}" for x in (*lattice.t1, *lattice.t2))
     columns = min(_COLUMNS, key=lambda count: (-(len(made) + 1) % count, count))  # the fewest empty places
     outputs = [read_image(one.folder / "output.png") for one in records]
-    captions = [f"sample\n{found}", *(describe_row(row) for _, row in made)]
+    count = f"\n{ended} of {total} methods" if ended < total else ""
+    captions = [f"sample\n{found}{count}", *(describe_row(row) for _, row in made)]
     return contact_sheet([first, *outputs], captions, columns, _LETTERS)
+
+
+@dataclass
+class GrowingSheet:
+    """A sheet that is written again whenever a method has an output.
+
+    Parameters
+    ----------
+    path
+        Its file.
+    root
+        The directory of the run.
+    tell
+        Called with a sentence that names the file when it holds the first of several outputs.
+    progress
+        Called after each cell.
+    rated
+        The methods that have ended, as :func:`rate_outputs` returns them.
+    """
+
+    path: Path
+    root: Path
+    tell: Callable[[str], None]
+    progress: OnStep
+    rated: list[tuple[CellRecord, dict[str, Any]]] = field(default_factory=list)
+    _ended: set[str] = field(default_factory=set)
+
+    def add(self, step: Step) -> None:
+        """Rate the methods that have ended, and write the sheet if one has a further output."""
+        self._ended.add(step.method)
+        self.rated = rate_outputs([one for one in Run(self.root).cells if one.method in self._ended])
+        made = [pair for pair in self.rated if pair[0].status == "ok"]
+        if step.status == "ok":
+            write_image(self.path, draw_sheet(made, step.done, step.total))
+            if len(made) == 1 and step.done < step.total:
+                self.tell(f"{self.path}: shows the first output, and grows with each further one")
+        self.progress(step)

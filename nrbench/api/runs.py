@@ -669,8 +669,10 @@ def sheet(
 ) -> pd.DataFrame:
     """Show what all methods make of a photograph on one sheet, the best first.
 
-    The lattice is detected once and given to all methods that use one. A photograph in perspective, of a round surface
-    or through a distorting lens is straightened first: methods and judge get it straight.
+    The lattice is detected once and given to all methods that use one. These run first, since all that take long use
+    none. The sheet is written when the first output is done, and again with each further one; an interrupt (Ctrl-C)
+    leaves it as it is. A photograph in perspective, of a round surface or through a distorting lens is straightened
+    first: methods and judge get it straight.
 
     Parameters
     ----------
@@ -722,8 +724,8 @@ def sheet(
     """
     import pandas as pd
 
-    from nrbench.api.photo_sheet import draw_sheet, photo_suite, prepare_photo, rate_outputs
-    from nrbench.pictures.files import write_image
+    from nrbench.api.photo_sheet import GrowingSheet, photo_suite, prepare_photo
+    from nrbench.running.options import Options
     from nrbench.running.runner import execute
 
     with tempfile.TemporaryDirectory() as folder:
@@ -732,11 +734,10 @@ def sheet(
         file, lattice = prepare_photo(file, lattice, flatten_light, Path(folder), left is not None)
         root, make_suite = Path(folder) / "run", functools.partial(photo_suite, file, sample, size, left)
         planned = _plan_sheet(make_suite, methods, lattice, root, seed)
-        rated = rate_outputs(execute(planned, root, options, progress or (lambda step: None)).cells)
-        made = [pair for pair in rated if pair[0].status == "ok"]
-        if made:
-            write_image(Path(output), draw_sheet(made))
-    return pd.DataFrame([row for _, row in rated])
+        options = options or Options()
+        growing = GrowingSheet(Path(output), root, options.tell, progress or (lambda step: None))
+        execute(planned, root, options, growing.add)
+    return pd.DataFrame([row for _, row in growing.rated])
 
 
 def _plan_sheet(

@@ -214,8 +214,10 @@ def site_command(call: Callable[..., list[Path]]) -> None:
 def sheet_command(call: Callable[..., Any], options: Options, output: Path, as_json: Json = False) -> int:
     """Show what all methods make of PHOTO on one sheet, the best first, with the quality and the seconds of each.
 
-    The lattice is detected once and given to all methods that use one. Methods without an output are printed with the
-    reason. "Rank 1-3" means that the output is tied with others, and the line says why.
+    The lattice is detected once and given to all methods that use one. These run first, since all that take long use
+    none. The sheet is written when the first output is done, and again with each further one; Ctrl-C leaves it as it
+    is. Methods without an output are printed with the reason. "Rank 1-3" means that the output is tied with others, and
+    the line says why.
 
     Parameters
     ----------

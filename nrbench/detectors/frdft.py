@@ -283,7 +283,7 @@ def _surface(detection: WaveDetection, vectors: Points) -> Surface:
     """Return the log magnitude of the spectrum with the waves and the fundamentals, frequency 0 in the middle."""
     spectrum = detection.waves.spectrum
     height, width = spectrum.shape
-    magnitude = np.sqrt((np.abs(spectrum.bins()) ** 2).sum(0))
+    magnitude = np.sqrt((np.abs(spectrum.bins) ** 2).sum(0))
     negative = magnitude[-np.arange(height) % height][:, 1 : (width + 1) // 2][:, ::-1]
     full = np.concatenate([negative, magnitude], 1)
     values = np.log1p(np.roll(full, height // 2, 0) / max(float(np.median(magnitude)), 1e-12))

@@ -533,4 +533,4 @@ def cpu_seconds() -> float:
     The compilation of kernels is left out.
     """
     times = os.times()
-    return time.process_time() + times.children_user + times.children_system - COMPILATION.seconds
+    return time.process_time() + times.children_user + times.children_system - COMPILATION.cpu

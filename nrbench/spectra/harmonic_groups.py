@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -212,16 +211,16 @@ def find_fundamentals(peaks: SpectrumPeaks, finalists: int = FINALISTS) -> Basis
     pairs = _propose_pairs(peaks)
     if not len(pairs):
         return None
-    rough = _evidence(pairs, peaks, 3.0).sum(1)
-    best = _best_fit((pairs[k] for k in np.argsort(-rough, kind="stable")[:finalists]), peaks)
+    rough = _rate_orders(pairs, peaks, 3.0)[1].sum(1)
+    best = _best_fit(pairs[np.argsort(-rough, kind="stable")[:finalists]], peaks)
     return _basis(_improve_by_index(*best, peaks), peaks)
 
 
 def find_fundamental(peaks: SpectrumPeaks) -> Basis:
     """Return the fundamental with the highest evidence among the strongest peak and its integer fractions."""
     first = peaks.places[0]
-    candidates = ((first / k)[np.newaxis] for k in range(1, 9) if k == 1 or np.hypot(*(first / k)) >= SHORTEST)
-    return _basis(_best_fit(candidates, peaks)[1], peaks)
+    candidates = [(first / k)[np.newaxis] for k in range(1, 9) if k == 1 or np.hypot(*(first / k)) >= SHORTEST]
+    return _basis(_best_fit(np.stack(candidates), peaks)[1], peaks)
 
 
 def propose_basis(peaks: SpectrumPeaks) -> Basis:
@@ -277,16 +276,15 @@ def _first_of_equal(rows: Array) -> NDArray[np.intp]:
 
 def _are_usable(pairs: Array) -> NDArray[np.bool_]:
     """Return whether each reduced pair is linearly independent and no shorter than :data:`SHORTEST`."""
-    a, b = pairs[:, 0], pairs[:, 1]
-    area, short = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.hypot(*a.T)
-    return np.asarray((short >= SHORTEST) & (area > 0.2 * short * np.hypot(*b.T)))
+    short, long = np.hypot(pairs[..., 0], pairs[..., 1]).T
+    return np.asarray((short >= SHORTEST) & (np.abs(_areas(pairs)) > 0.2 * short * long))
 
 
-def _is_usable(basis: Array) -> bool:
-    """Return whether one vector is not 0, or the reduced basis of two passes :func:`_are_usable`."""
-    if len(basis) == 1:
-        return bool(np.hypot(*basis[0]) > 0)
-    return bool(_are_usable(reduce_bases(basis[np.newaxis], False))[0])
+def _are_proper(bases: Array) -> NDArray[np.bool_]:
+    """Return whether a vector of each basis is not 0, or two vectors, once reduced, pass :func:`_are_usable`."""
+    if bases.shape[1] == 1:
+        return np.asarray(bases.any((1, 2)))
+    return _are_usable(reduce_bases(bases, False))
 
 
 def _nearest_orders(bases: Array, places: Array) -> tuple[Array, Array]:
@@ -295,56 +293,62 @@ def _nearest_orders(bases: Array, places: Array) -> tuple[Array, Array]:
     Two vectors are linearly independent (:func:`_are_usable`).
     """
     if bases.shape[1] == 1:
-        inverse = np.linalg.pinv(bases)
+        dual = bases / (bases**2).sum(2, keepdims=True)
     else:
-        (a, b), (c, d) = np.moveaxis(bases, 0, 2)
-        inverse = np.moveaxis(np.array([(d, -b), (-c, a)]) / (a * d - b * c), 2, 0)
-    orders = np.rint(places @ inverse)
-    return orders, ((places - orders @ bases) ** 2).sum(2)
+        (a, b), (c, d) = bases.transpose(1, 2, 0)
+        dual = np.array([(d, -c), (-b, a)]).transpose(2, 0, 1) / _areas(bases)[:, np.newaxis, np.newaxis]
+    orders = np.rint(places @ dual.transpose(0, 2, 1))
+    apart = places - orders @ bases
+    return orders, apart[..., 0] ** 2 + apart[..., 1] ** 2
 
 
-def _evidence(bases: Array, peaks: SpectrumPeaks, slack: float) -> Array:
-    """Return the evidence of each peak for each basis, ``(m, n)``; ``slack`` widens the errors of unfitted bases."""
+def _areas(bases: Array) -> Array:
+    """Return the signed areas that pairs of vectors ``(m, 2, 2)`` span, ``(m,)``."""
+    return np.asarray(bases[:, 0, 0] * bases[:, 1, 1] - bases[:, 0, 1] * bases[:, 1, 0])
+
+
+def _rate_orders(bases: Array, peaks: SpectrumPeaks, slack: float) -> tuple[Array, Array]:
+    """Return the nearest orders of each peak for each basis, ``(m, n, g)``, and the evidence of each, ``(m, n)``.
+
+    ``slack`` widens the errors of bases that are not fitted.
+    """
     orders, square = _nearest_orders(bases, peaks.places)
     variance = (slack * peaks.spreads) ** 2
     # For one fundamental, the area is its length times the least length of a fundamental.
-    two = bases.shape[1] == 2
-    area = np.abs(np.linalg.det(bases)) if two else np.hypot(*bases[:, 0].T) * SHORTEST
+    area = np.abs(_areas(bases)) if bases.shape[1] == 2 else np.hypot(*bases[:, 0].T) * SHORTEST
     near = (1 - STRAY_SHARE) * area[:, np.newaxis] / (2 * np.pi * variance) * np.exp(-square / (2 * variance))
-    near = np.where((orders == 0).all(2), 0.0, near)
-    return np.asarray(peaks.weights * np.log(near + STRAY_SHARE))
+    near = np.where(orders.any(2), near, 0.0)
+    return orders, np.asarray(peaks.weights * np.log(near + STRAY_SHARE))
 
 
-def _fit_basis(basis: Array, peaks: SpectrumPeaks) -> Array:
-    """Return a basis fitted by weighted least squares to the peaks that it explains, twice."""
+def _fit_bases(bases: Array, peaks: SpectrumPeaks) -> Array:
+    """Return bases ``(m, g, 2)``, each fitted by weighted least squares to the peaks that it explains, twice."""
+    going = np.ones(len(bases), np.bool_)
     for slack in (3.0, 1.5):
-        explained = _evidence(basis[np.newaxis], peaks, slack)[0] > 0
-        orders = _nearest_orders(basis[np.newaxis], peaks.places)[0][0][explained]
-        if not _span(orders):
-            break
-        weights = 1 / peaks.spreads[explained, np.newaxis]
-        fitted = np.linalg.lstsq(orders * weights, peaks.places[explained] * weights, rcond=None)[0]
-        if not _is_usable(fitted):
-            break
-        basis = fitted
-    return basis
+        orders, evidence = _rate_orders(bases, peaks, slack)
+        explained = orders * (evidence > 0)[..., np.newaxis]
+        going &= _span(explained)
+        rows = explained.transpose(0, 2, 1) / peaks.spreads**2
+        matrices = np.where(going[:, np.newaxis, np.newaxis], rows @ explained, np.eye(bases.shape[1]))
+        fitted = np.asarray(np.linalg.solve(matrices, rows @ peaks.places), np.float64)
+        going &= _are_proper(fitted)
+        bases = np.where(going[:, np.newaxis, np.newaxis], fitted, bases)
+    return bases
 
 
-def _span(orders: Array) -> bool:
-    """Return whether orders ``(n, g)`` have g dimensions: they are integers, and so is the determinant."""
-    return bool(np.linalg.det(orders.T @ orders) > 0.5)
+def _span(orders: Array) -> NDArray[np.bool_]:
+    """Return whether orders ``(..., n, g)`` have g dimensions: they are integers, and so is the determinant."""
+    return np.asarray(np.linalg.det(np.swapaxes(orders, -1, -2) @ orders) > 0.5)
 
 
-def _best_fit(bases: Iterable[Array], peaks: SpectrumPeaks) -> tuple[float, Array]:
-    """Fit some bases (at least one) to the peaks, and return the highest evidence and its vectors."""
-    best: tuple[float, Array] | None = None
-    for basis in bases:
-        fitted = _fit_basis(basis, peaks)
-        score = float(_evidence(fitted[np.newaxis], peaks, 1.0).sum())
-        if best is None or score > best[0] + 1e-9:
-            best = score, fitted
-    assert best is not None
-    return best
+def _best_fit(bases: Array, peaks: SpectrumPeaks) -> tuple[float, Array]:
+    """Fit bases ``(m, g, 2)``, at least one, to the peaks, and return the highest evidence and its vectors."""
+    fitted = _fit_bases(bases, peaks)
+    scores = _rate_orders(fitted, peaks, 1.0)[1].sum(1)
+    best = 0
+    for k in range(1, len(scores)):
+        best = k if scores[k] > scores[best] + 1e-9 else best
+    return float(scores[best]), fitted[best]
 
 
 _INDEX_FORMS = np.concatenate([hermite_matrices(2), hermite_matrices(3)])
@@ -360,18 +364,18 @@ def _improve_by_index(score: float, basis: Array, peaks: SpectrumPeaks) -> Array
     while True:
         found = _basis(basis, peaks)
         if not _span(found.orders[found.explained]):
-            return np.asarray(reduce_bases(basis[np.newaxis], False)[0])
-        relatives = [_fit_basis(related, peaks) for related in reduce_bases(_CHANGES @ basis, False)]
-        relatives = [r for r in relatives if _is_usable(r)]
-        scores = [float(_evidence(r[np.newaxis], peaks, 1.0).sum()) for r in relatives]
-        if not scores or max(scores) <= score + 1e-6:
-            return np.asarray(reduce_bases(basis[np.newaxis], False)[0])
-        score, basis = max(scores), relatives[int(np.argmax(scores))]
+            break
+        relatives = _fit_bases(reduce_bases(_CHANGES @ basis, False), peaks)
+        relatives = relatives[_are_proper(relatives)]
+        scores = _rate_orders(relatives, peaks, 1.0)[1].sum(1)
+        if scores.max(initial=-np.inf) <= score + 1e-6:
+            break
+        score, basis = float(scores.max()), relatives[np.argmax(scores)]
+    return np.asarray(reduce_bases(basis[np.newaxis], False)[0])
 
 
 def _basis(vectors: Array, peaks: SpectrumPeaks) -> Basis:
-    evidence = _evidence(vectors[np.newaxis], peaks, 1.0)[0]
-    orders = _nearest_orders(vectors[np.newaxis], peaks.places)[0][0]
+    orders, evidence = (values[0] for values in _rate_orders(vectors[np.newaxis], peaks, 1.0))
     return Basis(vectors, orders, evidence > 0, evidence)
 
 

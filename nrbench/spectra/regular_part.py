@@ -25,7 +25,7 @@ from nrbench.spectra.harmonic_groups import (
     shortest_length,
     surplus_evidence,
 )
-from nrbench.spectra.spectrum import Array, Spectrum
+from nrbench.spectra.spectrum import Array, Complex, Spectrum
 from nrbench.spectra.wave_fit import FixedWaves, Waves, fit_frequencies, register_fundamentals
 from nrbench.spectra.wave_search import WaveDetection, find_waves, find_waves_analytic
 
@@ -289,10 +289,10 @@ def find_harmonics(
     """Return all harmonics of the groups that are above the threshold; None: stronger than the irregular structure."""
     height, width = spectrum.shape
     limit = ((threshold or 0.0) / 255 * height * width / 2) ** 2
-    orders = _distinct_orders(spectrum, fundamentals, groups, LEAST_SHARE * limit)
+    orders, values = _distinct_orders(spectrum, fundamentals, groups, LEAST_SHARE * limit)
     f = fold_frequencies(orders @ fundamentals)
-    waves = FixedWaves(spectrum, f)
-    floor = line_floor(np.abs(Spectrum(waves.subtract()).bins()) ** 2, spectrum.shape, f, f)
+    waves = FixedWaves(spectrum, f, values)
+    floor = line_floor(np.abs(Spectrum(waves.subtract()).bins) ** 2, spectrum.shape, f, f)
     power, least = waves.powers, 1e-12 * spectrum.energy.max() * spectrum.size.prod()
     if threshold is None:
         kept = power > HARMONIC_RATIO * floor + least
@@ -302,18 +302,26 @@ def find_harmonics(
     weights = kept / np.maximum(floor, least)
     some = np.flatnonzero(kept.any(1))
     best = some[np.argsort(-power[some].sum(1), kind="stable")[:most]]
-    return RegularPart(FixedWaves(spectrum, f[best]), kept[best], fundamentals, orders[best], groups, weights[best])
+    waves = FixedWaves(spectrum, f[best], values[best])
+    return RegularPart(waves, kept[best], fundamentals, orders[best], groups, weights[best])
 
 
-def _distinct_orders(spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], least: float) -> Array:
-    """Return the orders of the harmonics whose power is at least ``least``; of aliases, only the strongest."""
+def _distinct_orders(
+    spectrum: Spectrum, fundamentals: Array, groups: tuple[int, ...], least: float
+) -> tuple[Array, Complex]:
+    """Return the orders of the harmonics whose power is at least ``least``, and the spectrum there.
+
+    Of aliases, only the strongest is returned.
+    """
     orders = lattice_orders(fundamentals, groups, spectrum.size)
-    power = (np.abs(spectrum.values(fold_frequencies(orders @ fundamentals))) ** 2).sum(1)
-    orders, power = orders[power >= least], power[power >= least]
     f = orders @ fundamentals
-    power *= np.where((np.abs(f) < 0.5).all(1), 1, FOLDED_WEIGHT)
-    best = np.argsort(-power, kind="stable")[:MOST_HARMONICS]
-    return np.asarray(orders[best[select_spaced(fold_frequencies(f[best]), power[best], spectrum.size)]])
+    values = spectrum.values(fold_frequencies(f))
+    power = (np.abs(values) ** 2).sum(1)
+    weighted = power * np.where((np.abs(f) < 0.5).all(1), 1, FOLDED_WEIGHT)
+    some = np.flatnonzero(power >= least)
+    best = some[np.argsort(-weighted[some], kind="stable")[:MOST_HARMONICS]]
+    best = best[select_spaced(fold_frequencies(f[best]), weighted[best], spectrum.size)]
+    return orders[best], values[best]
 
 
 def line_floor(power: Array, shape: tuple[int, int], frequencies: Array, waves: Array) -> Array:

@@ -66,8 +66,9 @@ class Spectrum:
         """The channels' sums of squares about the mean, ``(C,)``."""
         return np.asarray(self.planes.var((0, 1), dtype=np.float64) * self.planes[..., 0].size)
 
+    @cached_property
     def bins(self) -> NDArray[np.complexfloating[Any, Any]]:
-        """Return the values at integer bins, ``(C, H, W // 2 + 1)``, in the order of ``rfft2``."""
+        """The values at integer bins, ``(C, H, W // 2 + 1)``, in the order of ``rfft2``."""
         values = scipy.fft.rfft2(self._centered_planes(), overwrite_x=True)
         rows, columns = (
             np.exp(1j * np.pi * k * (n - 1) / n) for k, n in zip(bin_numbers(self.shape), self.shape, strict=True)
@@ -254,6 +255,26 @@ def dirichlet_sum(frequency: Array, length: int) -> Array:
     near = np.abs(x) < 1e-12
     value = np.where(near, float(length), np.sin(length * x) / np.where(near, 1.0, np.sin(x)))
     return (1 - 2 * ((turns * (length - 1)) % 2)) * value
+
+
+def pair_sums(first: Array, second: Array, length: int) -> tuple[Array, Array]:
+    """Return :func:`dirichlet_sum` at the differences f_i - g_j and at the sums f_i + g_j, ``(n, m)`` each.
+
+    By the addition theorems both sines are products of those of single frequencies. They lose their digits where the
+    quotient is near 0 / 0; there, it is computed for the pair.
+    """
+    angles = [(np.pi * k * first[:, np.newaxis], np.pi * k * second) for k in (length, 1)]
+    pairs: list[Array] = []
+    for sign in (-1, 1):
+        value, divisor = (
+            np.hstack([np.sin(f), np.cos(f)]) @ np.stack([np.cos(g), sign * np.sin(g)]) for f, g in angles
+        )
+        i, j = np.nonzero(np.abs(divisor) < 1e-3)
+        divisor[i, j] = 1.0
+        value /= divisor
+        value[i, j] = dirichlet_sum(first[i] + sign * second[j], length)
+        pairs.append(value)
+    return pairs[0], pairs[1]
 
 
 def pair_kernels(frequencies: Array, shape: tuple[int, int]) -> tuple[DirichletKernel, DirichletKernel]:

@@ -302,7 +302,7 @@ def find_waves_analytic(spectrum: Spectrum, threshold: float | None, false_alarm
     spectrum, threshold, false_alarms, most
         As for :func:`find_waves`.
     """
-    floor = noise_floor(np.abs(spectrum.bins()) ** 2)
+    floor = noise_floor(np.abs(spectrum.bins) ** 2)
     limit = power_limit(spectrum, floor, threshold, false_alarms)
     waves = fit_frequencies(spectrum, find_complex_waves(spectrum, limit, most)).waves
     return WaveDetection(_keep_significant(waves, limit), floor, limit)
@@ -322,7 +322,7 @@ def find_complex_waves(spectrum: Spectrum, limit: Array, most: int) -> Array:
     """
     search = _AnalyticSearch(spectrum)
     ky, kx = bin_numbers(spectrum.shape)
-    values = _join_parts(np.moveaxis(search.spectrum.bins().astype(np.complex128), 0, 2))
+    values = _join_parts(np.moveaxis(search.spectrum.bins.astype(np.complex128), 0, 2))
     rows, cols = np.nonzero((np.abs(values) ** 2 / 4 > np.moveaxis(limit, 0, 2)).any(2))
     bins, residual = np.stack([kx[cols], ky[rows]], 1), values[rows, cols]
     limits = np.ascontiguousarray(limit[:, rows, cols].T)

@@ -19,7 +19,7 @@ from nrbench.plugins.forms import Again, FoundLattice, Region, Shape, Texture
 from nrbench.plugins.parameters import parse_size, size_text
 from nrbench.streams import stream
 
-RESULTS_VERSION = 21
+RESULTS_VERSION = 22
 """Increased whenever a change of the code changes an output or a score. Results of other versions are never reused."""
 
 Size = Annotated[Shape, BeforeValidator(parse_size), PlainSerializer(size_text)]

@@ -4,10 +4,41 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Float32x2, Float32x3, Float32x4, kernel
+from nrbench.jit import Float32x1, Float32x2, Float32x3, Float32x4, kernel, step_kernel
 
 BINS = 1 << 14
 """Values are ranked by this many bins between the least and the largest one, and by position within a bin."""
+
+
+_TOGETHER = 7
+"""Taps of a filter that are added in one pass, so that a row is loaded and stored once for all of them."""
+
+
+@step_kernel
+def add_products(row: Float32x1, values: Float32x1, taps: Float32x1) -> None:
+    """Add the product of each part of some values with the taps of a filter, tap by tap.
+
+    Parameters
+    ----------
+    row
+        ``(n,)``. The products are added to it.
+    values
+        ``(n + size - 1,)``: the part of element k begins at k.
+    taps
+        ``(size,)``.
+    """
+    width, size = len(row), len(taps)
+    whole = size - size % _TOGETHER
+    for j in range(0, whole, _TOGETHER):
+        a, b, c, d, e, f, g = taps[j], taps[j + 1], taps[j + 2], taps[j + 3], taps[j + 4], taps[j + 5], taps[j + 6]
+        part = values[j : j + width + 6]
+        for x in range(width):
+            first = row[x] + a * part[x] + b * part[x + 1] + c * part[x + 2] + d * part[x + 3]
+            row[x] = first + e * part[x + 4] + f * part[x + 5] + g * part[x + 6]
+    for j in range(whole, size):
+        weight, part = taps[j], values[j : j + width]
+        for x in range(width):
+            row[x] += weight * part[x]
 
 
 @kernel
@@ -24,17 +55,14 @@ def project_patches(planes: Float32x3, filters: Float32x4, projections: Float32x
         ``(P, H - size + 1, W - size + 1)``. It is overwritten.
     """
     count, channels, size, _ = filters.shape
-    _, height, width = projections.shape
+    height = projections.shape[1]
     for p in range(count):
         for y in range(height):
             row = projections[p, y]
             row[:] = 0
             for c in range(channels):
                 for i in range(size):
-                    for j in range(size):
-                        weight, values = filters[p, c, i, j], planes[c, y + i, j : j + width]
-                        for x in range(width):
-                            row[x] += weight * values[x]
+                    add_products(row, planes[c, y + i], filters[p, c, i])
 
 
 @kernel
@@ -52,17 +80,16 @@ def collect_gradient(slopes: Float32x3, filters: Float32x4, gradient: Float32x3)
     """
     count, channels, size, _ = filters.shape
     _, height, width = slopes.shape
-    gradient[:] = 0
-    for c in range(channels):
-        for y in range(height):
+    # From right to left, so that each pixel adds its products in the order of the taps.
+    mirrored = np.zeros_like(gradient)
+    around = np.zeros((count, width + 2 * (size - 1)), np.float32)
+    for y in range(height):
+        around[:, size - 1 : size - 1 + width] = slopes[:, y, ::-1]
+        for c in range(channels):
             for i in range(size):
-                row = gradient[c, y + i]
                 for p in range(count):
-                    values = slopes[p, y]
-                    for j in range(size):
-                        weight, part = filters[p, c, i, j], row[j : j + width]
-                        for x in range(width):
-                            part[x] += weight * values[x]
+                    add_products(mirrored[c, y + i], around[p], filters[p, c, i])
+    gradient[:] = mirrored[:, :, ::-1]
 
 
 @kernel

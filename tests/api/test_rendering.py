@@ -1,7 +1,5 @@
 """Textures as files, and runs on their directory."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Claims about depth: a sample of 16 bits a channel gives an output of 16 bits, from the command line and in Python."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -32,11 +30,8 @@ def share_of_8_bits(image: Image) -> float:
 
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("ending", ["png", "tif"])
-def test_synth_keeps_16_bits(
-    channels: int, ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_synth_keeps_16_bits(channels: int, ending: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The output of a method that copies pixels holds values of the sample alone; the ending of -o is the format."""
-    monkeypatch.chdir(tmp_path)
     write_image("sample.png", heights(channels))
     assert call(f"synth sample.png -m quilting:block=16 --size 90x80 -o out.{ending}") == 0
     output = read_image(f"out.{ending}")
@@ -45,9 +40,8 @@ def test_synth_keeps_16_bits(
     assert "warning" not in capsys.readouterr().err
 
 
-def test_synth_writes_webp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_synth_writes_webp(capsys: pytest.CaptureFixture[str]) -> None:
     """WebP rounds to 8 bits, and a warning on standard error says so; JPEG, which loses pixels, is refused."""
-    monkeypatch.chdir(tmp_path)
     write_image("sample.png", heights(3))
     assert call("synth sample.png -m quilting:block=16 --size 90x80 -o out.webp") == 0
     assert "WebP has 8 bits a channel" in capsys.readouterr().err

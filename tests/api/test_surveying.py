@@ -1,7 +1,5 @@
 """A survey writes the lattices of a folder of pictures into truth.csv, and draws them on contact sheets."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A plugin of each kind that violates the clause of its form that ``how`` names."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``nrbench check``: a plugin that violates a clause fails this clause, and no other one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

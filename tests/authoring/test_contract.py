@@ -1,7 +1,5 @@
 """The contract of a method in docs/plugins.md: the tables hold what a task has and what methods declare."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

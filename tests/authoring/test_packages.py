@@ -1,7 +1,5 @@
 """``nrbench new``: the package of every kind installs, passes ``nrbench check``, and is used by the commands."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

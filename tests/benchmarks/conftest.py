@@ -1,7 +1,5 @@
 """The scripts of benchmarks/, imported as if they were started in their folder."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Callable, Iterator

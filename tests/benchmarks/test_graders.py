@@ -1,7 +1,5 @@
 """The benchmark of graders reads answers by their key, and counts them by method."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The benchmark of labels reads both forms of its files alike, and recognizes the outputs that it makes again."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """The benchmark of prints finds the elements of a picture, and measures their colors by CIELAB distances."""
 
-from __future__ import annotations
-
 from types import ModuleType
 
 import numpy as np

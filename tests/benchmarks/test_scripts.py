@@ -1,7 +1,5 @@
 """The scripts in benchmarks/ fit the present names of the package."""
 
-from __future__ import annotations
-
 import pytest
 
 from .conftest import NAMES, Load

@@ -1,7 +1,5 @@
 """The benchmark of the limits keeps the results that a limit cannot change, and no others."""
 
-from __future__ import annotations
-
 from types import ModuleType
 
 import pytest

@@ -48,9 +48,7 @@ class BendingTiling(Tiling):
 
 def deformation(texture: Texture) -> Deformation:
     """Return the deformation of a texture of known lattice, whether it is bent or not."""
-    assert texture.lattice is not None
     knots = find_knots(texture.image, texture.lattice)
-    assert knots is not None
     return Deformation(texture.image, knots)
 
 
@@ -76,7 +74,6 @@ def test_the_displacement_of_a_model_is_recovered(bend: float, worst: float) -> 
     texture = bent(bend=bend)
     grid = np.stack(np.meshgrid(np.arange(12.0, 180), np.arange(12.0, 180)), -1)
     places = deformation(texture).locate(grid)
-    assert texture.displacement is not None
     truth = np.stack(
         [
             ndimage.map_coordinates(
@@ -156,7 +153,6 @@ def test_strongly_bent_samples_are_straightened(model: str) -> None:
 def test_a_given_lattice_that_cannot_be_followed_is_found_in_a_part() -> None:
     """The sample is straightened to the given lattice; another given one is not replaced."""
     texture = bent("hexagon", bend=1.0, seed=3, side=192, rotation=33.0)
-    assert texture.lattice is not None
     found, _ = find_bend(texture.image, texture.lattice, given=True)
     assert found is not None and found.lattice.is_equivalent(texture.lattice, 2)
     other = Lattice.from_basis(1.3 * texture.lattice.matrix)
@@ -168,7 +164,6 @@ def test_a_bent_lattice_is_found_where_the_detector_finds_none() -> None:
     """Without a lattice, that of a bent sample is found, and a method gets it."""
     texture = bent("weave", bend=1.0, color=0.3, seed=42, side=160)
     followed = find_bent_lattice(texture.image)
-    assert followed is not None and texture.lattice is not None
     assert followed.deformation.lattice.is_equivalent(texture.lattice, 1.5)
 
 
@@ -263,7 +258,6 @@ def test_eight_neighbors_shrink_the_field() -> None:
 def test_a_method_is_called_on_the_straight_sample_and_its_output_bent() -> None:
     """Tiling of a bent sample is regular, straightened and bent it is bent; the source map passes the check."""
     texture = bent()
-    assert texture.lattice is not None
     task = Task(texture.image, (200, 220), texture.lattice, np.random.default_rng(1))
     made = synthesize_in_geometry(BendingTiling(), task)
     assert made.image.shape == (200, 220, 3) and made.source is not None
@@ -278,7 +272,6 @@ def test_a_method_is_called_on_the_straight_sample_and_its_output_bent() -> None
 def test_a_method_gets_the_task_itself_where_nothing_departs() -> None:
     """On a regular sample the mechanism changes no byte."""
     texture = bent(bend=0.0)
-    assert texture.lattice is not None
     tasks = [Task(texture.image, (90, 100), texture.lattice, np.random.default_rng(1)) for _ in range(2)]
     plain, wrapped = Tiling().synthesize(tasks[0]), synthesize_in_geometry(BendingTiling(), tasks[1])
     np.testing.assert_array_equal(plain.image, wrapped.image)

@@ -1,7 +1,5 @@
 """Lattices that close on a torus."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -21,7 +19,6 @@ def test_the_sides_of_the_output_are_vectors_of_the_closed_lattice(name: str) ->
     lattice = LATTICES[name]
     shape = nearest_closing_shape(lattice, (230, 260), MOST_STRAIN)
     closed = close_lattice(lattice, shape)
-    assert closed is not None
     steps = np.diag(shape[::-1]) @ np.linalg.inv(closed.matrix)
     np.testing.assert_allclose(steps, np.rint(steps), atol=1e-9)
     moved = np.hypot(*(closed.matrix - lattice.matrix).T) / np.hypot(*lattice.matrix.T)

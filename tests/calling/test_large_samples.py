@@ -1,7 +1,5 @@
 """The part of a large sample that a method gets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

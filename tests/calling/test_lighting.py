@@ -1,7 +1,5 @@
 """Claims about uneven light: it is separated from the tints of elements, divided out, and named."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

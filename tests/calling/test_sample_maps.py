@@ -1,7 +1,5 @@
 """Materials of several maps: one layout for colors, normals and heights, and the alpha channel of fences."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +90,6 @@ def test_apply_keeps_type_axes_and_values() -> None:
     """Copies are exact for any dtype and number of channels; another size is an error that names both."""
     rng = np.random.default_rng(0)
     made = nrbench.synthesize("quilting:block=24", WALL, (60, 50), seed=1)
-    assert made.source is not None
     x, y = made.source[..., :2].astype(int).transpose(2, 0, 1)
     for other in (rng.random((112, 120)) * 1e3, rng.integers(0, 99, (112, 120, 5)), rng.random((112, 120, 1)) > 0.5):
         laid = made.apply(other)

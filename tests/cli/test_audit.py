@@ -1,7 +1,5 @@
 """Fresh seeds, and the audit that finds methods that know the published samples."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

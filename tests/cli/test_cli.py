@@ -1,7 +1,5 @@
 """The command line: bad input is one line that says what, where and what to do, exit code 2, and nothing is lost."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

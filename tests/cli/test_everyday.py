@@ -1,7 +1,5 @@
 """What a person meets every day: progress, brief scores, columns of choice, runs that share a directory."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -29,7 +27,6 @@ def brick(tmp_path: Path) -> Lattice:
     for name, seed in (("brick", 0), ("out", 1)):
         texture = nrbench.texture("brick", shape=(96, 96), seed=seed, color=0.2)
         write_image(tmp_path / f"{name}.png", texture.image)
-    assert texture.lattice is not None
     return Lattice(texture.lattice.t1, texture.lattice.t2)
 
 

@@ -1,7 +1,5 @@
 """The commands import what they need: a short command is not slowed down by libraries that it does not use."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

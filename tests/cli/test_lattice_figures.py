@@ -1,7 +1,5 @@
 """Diagnostics as pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.figure import Figure
 

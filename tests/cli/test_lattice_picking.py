@@ -1,7 +1,5 @@
 """A lattice by three clicks on a page in the browser."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import queue

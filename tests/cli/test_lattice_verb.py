@@ -1,7 +1,5 @@
 """`nrbench lattice`: one detector, all of them, or a lattice by hand, as text, as JSON and drawn."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -66,7 +64,6 @@ def test_the_clicked_anchor_is_carried_through(
     """`--pick` prints six numbers; with them `synth` cuts tiles around the clicked point, and bricks stay whole."""
     recipe = Recipe("brick", {"color": 0.3}, 0, "wall", 0, (128, 128))
     wall = recipe.render()
-    assert wall.lattice is not None
     write_image(Path("wall.png"), wall.image)
     x, y = wall.lattice.points((64, 64))[0] + 0.25
     (x1, y1), (x2, y2) = wall.lattice.t1, wall.lattice.t2
@@ -209,7 +206,6 @@ def test_a_folder(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_symmetry_is_printed_and_drawn(capsys: pytest.CaptureFixture[str]) -> None:
     """``--symmetry`` prints the group, and adds it to JSON and its signs to the overlay; it needs one lattice."""
     wall = texture("brick", shape=(160, 160), seed=1, color=0.05)
-    assert wall.lattice is not None
     write_image(Path("wall.png"), wall.image)
     command = f"lattice wall.png --lattice {','.join(map(str, wall.lattice.numbers))}"
     assert call(f"{command} -o plain.png") == 0

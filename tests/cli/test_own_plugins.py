@@ -1,7 +1,5 @@
 """A metric and a report in a file: the folder of the report exists, own columns are shown, failures are folded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Each verb of the command line has a function that says the same."""
 
-from __future__ import annotations
-
 import inspect
 import os
 from typing import Any

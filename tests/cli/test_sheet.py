@@ -1,7 +1,5 @@
 """All methods on one photograph, tileable outputs, and the files that synth announces."""
 
-from __future__ import annotations
-
 import functools
 import json
 from pathlib import Path
@@ -13,11 +11,13 @@ import pytest
 from commands import call
 
 import nrbench
+from nrbench import plugins
 from nrbench.api import photo_sheet
 from nrbench.api.photo_sheet import describe_row, photo_suite, prepare_photo, rate_outputs
 from nrbench.api.runs import _plan_sheet
 from nrbench.displacement.deformation_field import map_points
 from nrbench.imaging.mean_tile import explained_share, interpolate
+from nrbench.running.runner import Step
 from nrbench.runs.records import CellRecord
 
 NAMED = photo_sheet.NamedDetector
@@ -32,9 +32,8 @@ class _Blind:
 
 
 @pytest.fixture
-def wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> nrbench.Texture:
+def wall() -> nrbench.Texture:
     """Write ``wall.png`` into the current folder."""
-    monkeypatch.chdir(tmp_path)
     wall = nrbench.texture("brick", shape=(96, 96), seed=0, color=0.2, width=32, height=16)
     nrbench.write_image(Path("wall.png"), wall.image)
     return wall
@@ -132,6 +131,31 @@ def test_the_sheet_prints_json(wall: nrbench.Texture, capsys: pytest.CaptureFixt
     assert row["method"] == "scatter" and {"rank", "tied", "why", "no_peril", "upper_bound"} <= row.keys()
 
 
+def test_a_sheet_grows_and_survives_an_interrupt(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first output is on the sheet before the second method has ended, and one line names the file."""
+    seen = []
+
+    def stop(step: Step) -> None:
+        seen.append(nrbench.read_image(Path("own.png")).shape)
+        if step.done == 2:
+            raise KeyboardInterrupt
+
+    options = nrbench.Options(jobs=0)
+    given = nrbench.Lattice((32, 0), (16, 16))
+    with pytest.raises(KeyboardInterrupt):
+        names = ["scatter", "rsgf", "quilting"]
+        nrbench.sheet(wall, "own.png", methods=names, lattice=given, progress=stop, options=options)
+    assert seen[0][1] < seen[1][1] and nrbench.read_image(Path("own.png")).shape == seen[1]
+    assert capsys.readouterr().err.count("own.png") == 1
+
+
+def test_methods_on_the_lattice_run_first(wall: nrbench.Texture) -> None:
+    """All methods of a sheet that use a lattice stand before those that use none."""
+    methods = photo_suite(Path("wall.png"), "96x96", "64x64").methods
+    uses = [getattr(plugins.build("synthesizers", name), "uses_lattice", True) for name in methods]
+    assert uses == sorted(uses, reverse=True) and len(set(uses)) == 2
+
+
 def test_a_tileable_output_tells_its_strain(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:
     """The command prints the strain and a better size; wrong methods and sizes exit with 2."""
     assert call("synth wall.png -m tiling --lattice 32,0,16,16 --tileable --size 130x96 -o out.png") == 0
@@ -147,7 +171,6 @@ def test_the_lattice_of_a_sheet_is_the_judges_where_it_finds_none(
     wall: nrbench.Texture, monkeypatch: pytest.MonkeyPatch, judged: bool
 ) -> None:
     """So is one that is given. Where the judge's detector finds a lattice, the truth is not known."""
-    assert wall.lattice is not None
     make = functools.partial(photo_suite, Path("wall.png"), "96x96", "64x64", None)
     given = _plan_sheet(make, ["scatter"], wall.lattice, Path("run"), 0)
     if not judged:

@@ -1,7 +1,5 @@
 """`nrbench lattice --straighten`: the lattice of a bent picture, and the picture made straight."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

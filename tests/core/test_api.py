@@ -1,7 +1,5 @@
 """The Python functions: what they accept as a lattice and as images, and the words for errors."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

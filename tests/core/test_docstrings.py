@@ -1,7 +1,5 @@
 """The docstrings: sections are complete where users and authors of plugins read them, and all examples run."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import inspect

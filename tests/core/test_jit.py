@@ -11,6 +11,7 @@ from numba.core import sigutils
 from nrbench import jit
 from nrbench.cli import progress
 from nrbench.jit import BoolView2, Float64x2, Int64x1, kernel
+from nrbench.running import guard
 from nrbench.synthesizers.matching.matching_kernels import correlate_at
 
 
@@ -148,10 +149,12 @@ def test_time_of_compilation_is_named(capsys: pytest.CaptureFixture[str], monkey
     lines = capsys.readouterr().err.splitlines()
     assert any(line.startswith(jit.COMPILING) for line in lines) and lines[-1] == "gncc looks: 0 s"
     assert spent.ended >= 0.1
-    before = jit.work_clock()
+    monkeypatch.setattr(guard, "COMPILATION", spent)
+    before, cpu = jit.work_clock(), guard.cpu_seconds()
     with spent.timed():
         time.sleep(0.1)
     assert jit.work_clock() - before < 0.1
+    assert guard.cpu_seconds() >= cpu, "a compilation that waits for the processor takes nothing off other work"
 
 
 @pytest.mark.usefixtures("undeclared")

@@ -1,7 +1,5 @@
 """The package's public names, and where the package can be imported."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files are written whole or not at all, and errors of a disk name them."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import BinaryIO

@@ -1,7 +1,5 @@
 """The structure of the source tree: where plugins lie, and which folder may import which."""
 
-from __future__ import annotations
-
 import ast
 import tomllib
 from collections import Counter

@@ -4,8 +4,6 @@
 each test.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import functools

@@ -1,7 +1,5 @@
 """The wheel: all that a stranger needs is in it, and nothing of ours lies beside the one package."""
 
-from __future__ import annotations
-
 import csv
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The models that the tests share, and their variants."""
 
-from __future__ import annotations
-
 import dataclasses
 import typing
 from collections.abc import Iterator

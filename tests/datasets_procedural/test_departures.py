@@ -1,7 +1,5 @@
 """Claims about departures, over all models: what each changes, by how much, and what it leaves alone."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -37,7 +35,6 @@ def _render(model: Model, seed: int = 0, side: int = 96) -> Texture:
 
 
 def _pattern(model: Model, texture: Texture) -> Pattern:
-    assert texture.lattice is not None
     moved = None if texture.displacement is None else texture.displacement.astype(np.float64)
     frame = Frame(texture.lattice.origin, model.rotation)
     return model.colored_pattern(*frame.grid(texture.image.shape[:2], moved=moved))
@@ -147,7 +144,6 @@ def test_intact_elements_stay(model: type[Model]) -> None:
     """Damage changes only pixels of damaged elements; about as many are damaged as the strengths say."""
     made = model(rotation=9.0, damage=0.3, missing=0.2, **NONE)
     textures = [_render(made, seed, 100) for seed in range(4)]
-    assert textures[0].ideal is not None
     changed = np.abs(textures[0].image - textures[0].ideal).max(-1) > 1e-5
     lost = _lost(_pattern(made, textures[0]), dict(textures[0].elements))
     assert not changed[lost == 0].any() and (changed & (lost > 0)).any()

@@ -1,7 +1,5 @@
 """Claims about single models: what lies at known places, their lattices, plane groups."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Claims about pictures from files, and about truth.csv and truth.json."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +64,6 @@ def test_again_is_disjoint(picture: Path) -> None:
     """Over streams the oracle's region takes every place that shares no pixel with the sample, and no other."""
     plugin = Images(picture)
     texture = plugin.render((20, 30), np.random.default_rng(1))
-    assert texture.region is not None
     places = [(x, y, x + 24, y + 57) for x in range(90 - 23) for y in range(60 - 56)]
     free = {place for place in places if not _touch(place, texture.region)}
     seen = set()
@@ -168,7 +165,6 @@ def test_origin_moves_with_the_crop(picture: Path) -> None:
     """Vectors stay, and a lattice point of the picture is where it was, in the crop's coordinates."""
     plugin = Images(picture, t1=(11.5, 0.2), t2=(0.0, 9.0), origin=(3.25, 1.5))
     texture = plugin.render((20, 30), np.random.default_rng(1))
-    assert texture.lattice is not None and texture.region is not None
     assert texture.lattice.t1 == (11.5, 0.2) and texture.lattices == (texture.lattice,)
     assert texture.lattice.origin == (3.25 - texture.region[0], 1.5 - texture.region[1])
 

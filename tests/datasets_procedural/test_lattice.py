@@ -1,7 +1,5 @@
 """Claims about the lattice that a texture states: it is the pattern's, and there is no finer one."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Claims about many draws: their mean is the ideal image, next to nothing is clipped, the regular share is right."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

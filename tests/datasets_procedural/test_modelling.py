@@ -1,7 +1,5 @@
 """Claims about shapes, threads, colors, grain and waves. Frozen samples and the claims about models hold the rest."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Claims about recompositions: draws each element of which copies an element of a sample."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -65,7 +63,6 @@ def test_pixels_are_copies(model: Model) -> None:
     """On a lattice of whole vectors every pixel of a whole element, with grain and holes, is a pixel of the sample."""
     sample = render(model)
     output = _recompose(model, sample)
-    assert sample.lattice is not None
     pattern = model.colored_pattern(*Frame(sample.lattice.origin).grid((160, 160)))
     covered, copied = pattern.coverage(), 0
     for layer in pattern.layers:
@@ -101,7 +98,6 @@ def test_one_whole_element_is_copied_everywhere() -> None:
 
 def _whole(texture: Texture) -> Any:
     """Return the factors of the tiles whose centers lie 20 px or more inside the picture."""
-    assert texture.lattice is not None
     center = texture.lattice.from_cell(texture.elements["tile.index"])
     inside = ((center > 20) & (center < np.array(texture.image.shape[1::-1]) - 20)).all(1)
     return texture.elements["tile.factor"][inside]

@@ -1,7 +1,5 @@
 """Claims about the suites that come with the models."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -79,7 +77,6 @@ def test_default_shows_enough_cells() -> None:
     """The samples of default show 25 cells or more, those of few periods 8 to 11."""
     for row in load_suite("default").texture:
         lattice = _model(row).render((16, 16), np.random.default_rng(0)).lattice
-        assert lattice is not None
         cells = 96 * 96 / lattice.area
         assert 8 < cells < 11 if row.name.endswith("few") else cells > 25
 
@@ -123,7 +120,6 @@ def test_share_is_what_the_row_says(row: TextureRow) -> None:
 def test_periods_are_not_lucky(row: TextureRow) -> None:
     """4 to 7 periods fit a side of the sample; none is whole, or commensurate with the sample or a block of 40 px."""
     lattice = _model(row).render((32, 32), np.random.default_rng(0)).lattice
-    assert lattice is not None
     reduced = lattice.reduced()
     assert 4 <= 128 / reduced.s <= 7
     corners = np.array([(1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2)]) @ reduced.matrix

@@ -1,7 +1,5 @@
 """What holds for every detector: its form, its answers to images without a lattice, and its parameters."""
 
-from __future__ import annotations
-
 import pickle
 from typing import Any
 
@@ -15,7 +13,8 @@ from nrbench.imaging.convert import quantize
 from nrbench.plugins.forms import NoLatticeFound
 
 NAMES = [plugin.name for plugin in plugins.inventory("detectors") if plugin.built_in]
-CHEAP: dict[str, dict[str, Any]] = {"frdft": {"reject": "none"}, "ssdn": {"surrogates": 8}}
+FEW = {"surrogates": 8}
+CHEAP: dict[str, dict[str, Any]] = {"frdft": {"reject": "none"}, "ssdn": FEW, "gncc": FEW, "dominance": FEW}
 WITH_COPIES = ("gncc", "frdft", "ssdn", "dominance")
 """The detectors that are tested against phase-randomized copies."""
 REASONS = {

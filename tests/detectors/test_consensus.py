@@ -1,7 +1,5 @@
 """The consensus detector finds the smallest lattice whose tiles best predict one another."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,6 @@ from nrbench.plugins.forms import Detection, NoLatticeFound
 
 def is_exact(detection: Detection, truth: Lattice | None, image: Image, tolerance: float = 1.0) -> bool:
     """Return whether a detection is the true lattice."""
-    assert truth is not None
     return lattice_error(detection.lattice, truth, image.shape[:2], tolerance).relation == "exact"
 
 
@@ -145,7 +142,6 @@ def test_alternatives_are_ranked_and_related() -> None:
     """The alternatives come by confidence, differ from the lattice, and say how; confidences add up to at most 1."""
     drawn = texture("brick", (128, 128), 1, color=0.3, noise=0.05)
     found = Consensus().detect(quantize(drawn.image))
-    assert found.probabilities is not None
     assert found.confidence == found.probabilities.exact
     assert sum(found.probabilities) == pytest.approx(1)
     confidences = [other.confidence for other in found.alternatives]
@@ -200,7 +196,6 @@ def under_grain(seed: int) -> tuple[Image, Lattice]:
     rng = np.random.default_rng(seed)
     specks = 0.35 * (rng.random((288, 288, 1)) < 0.07)
     grain = 0.25 * rng.standard_normal(large.shape).mean(2, keepdims=True)
-    assert drawn.lattice is not None
     image = quantize(np.clip(large + grain - specks, 0, 1).astype(np.float32))
     return image, Lattice.from_basis(3 * drawn.lattice.matrix)
 

@@ -31,7 +31,6 @@ def test_periodic_textures_are_exact(model: str) -> None:
     """Without departures the lattice is exact, within 0.1 px, on an image that is not square."""
     sample = texture(model, (128, 112), 0, **PERIODIC)
     found = Dominance(surrogates=12).detect(quantize(sample.image))
-    assert sample.lattice is not None
     error = lattice_error(found.lattice, sample.lattice, (128, 128))
     assert error.relation == "exact" and error.vector < 0.1
     assert found.diagnostics["tested_support"] > found.diagnostics["limit"] > 0
@@ -43,7 +42,6 @@ def test_departures_leave_the_lattice(model: str) -> None:
     exact = 0
     for seed in range(4):
         sample = texture(model, (128, 128), seed, color=0.3, noise=0.1, jitter=0.2)
-        assert sample.lattice is not None
         found = FAST.detect(quantize(sample.image)).lattice
         exact += lattice_error(found, sample.lattice, (128, 128)).relation == "exact"
     assert exact >= 3
@@ -54,7 +52,6 @@ def test_departures_leave_the_lattice(model: str) -> None:
 def test_strong_color_makes_no_supercell(model: str, seed: int) -> None:
     """If tiles differ strongly in color, the cell is still the smallest that explains the peaks, with confidence."""
     sample = texture(model, (128, 128), seed, color=0.6, noise=0.1)
-    assert sample.lattice is not None
     found = FAST.detect(quantize(sample.image))
     assert lattice_error(found.lattice, sample.lattice, (128, 128)).relation == "exact" and found.confidence > 0.5
 
@@ -96,6 +93,5 @@ def test_hits_and_points_are_counted(a: float, b: float, angle: float, turn: flo
 def test_whole_pixels_stay_near() -> None:
     """Without the sub-pixel fit the vectors are off by a pixel at most."""
     sample = texture("hexagon", (128, 128), 0, **PERIODIC)
-    assert sample.lattice is not None
     found = Dominance(subpixel=False, reject="none").detect(quantize(sample.image)).lattice
     assert np.all(found.matrix == np.rint(found.matrix)) and found.is_equivalent(sample.lattice, 1.0)

@@ -1,7 +1,5 @@
 """A spline surface of correlations rates and fits lattices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

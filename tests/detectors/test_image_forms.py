@@ -1,7 +1,5 @@
 """The consensus detector finds the lattice of an image of any size, depth and color."""
 
-from __future__ import annotations
-
 import tracemalloc
 from typing import Any
 
@@ -25,7 +23,6 @@ MODELS: dict[str, dict[str, Any]] = {
 
 def is_exact(found: Any, drawn: Texture, tolerance: float = 0.5) -> bool:
     """Return whether the detected lattice of an array is the true one."""
-    assert drawn.lattice is not None
     error = lattice_error(detect_lattice(found).lattice, drawn.lattice, drawn.image.shape[:2], tolerance)
     return error.relation == "exact"
 

@@ -1,7 +1,5 @@
 """Tests for structure of the pixels that is no lattice of the scene: lines of a sensor, grids of enlarged pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import zoom
@@ -58,7 +56,6 @@ def test_courses_of_a_wall_stay() -> None:
     """Banding is removed from a wall, and its courses, which are rows, too, are not: the lattice is as precise."""
     wall = texture("brick", shape=(256, 256), seed=0, width=40, height=17)
     lit = wall.image * (1 + 0.25 * np.sin(2 * np.pi * np.arange(256) / 47))[:, np.newaxis, np.newaxis]
-    assert wall.lattice is not None
     assert error_of(quantize(np.clip(lit, 0, 1).astype(np.float32)), wall.lattice) < 0.03
 
 
@@ -66,7 +63,6 @@ def test_courses_of_a_wall_stay() -> None:
 def test_the_grid_of_an_enlarged_picture_is_no_texture(side: int, detector: str) -> None:
     """Copies of pixels show the lattice of the content; if it has none, the reason names the grid."""
     wall = texture("brick", shape=(64, 64), seed=0, color=0.3)
-    assert wall.lattice is not None
     enlarged = wall.image.repeat(side, 0).repeat(side, 1)[1:, 1:]
     assert error_of(enlarged, Lattice.from_basis(side * wall.lattice.matrix), detector) < 0.3 * side
     noise = np.random.default_rng(side).random((48, 48, 3), np.float32).repeat(side, 0).repeat(side, 1)

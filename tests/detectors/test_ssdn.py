@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,6 @@ def test_periodic_rectangular_lattices_are_exact(model: str) -> None:
     """Without departures the lattice is exact, within 0.1 px, on an image that is not square."""
     sample = texture(model, (150, 128), 0, **PERIODIC)
     found = Ssdn().detect(quantize(sample.image))
-    assert sample.lattice is not None
     error = lattice_error(found.lattice, sample.lattice, (128, 128))
     assert error.relation == "exact" and error.vector < 0.1
 
@@ -38,7 +35,6 @@ def test_other_lattices_are_refused_and_say_why(model: str) -> None:
 def test_the_rows_of_a_wall_are_no_supercell(departure: dict[str, float]) -> None:
     """A stacked wall, which repeats fairly well along its rows, has one cell in each rectangle and is exact."""
     sample = texture("brick", (160, 160), 2, bond="stack", **departure)
-    assert sample.lattice is not None
     found = Ssdn(reject="none").detect(quantize(sample.image))
     assert lattice_error(found.lattice, sample.lattice, (160, 160)).relation == "exact"
     assert found.diagnostics["inner"] < 0.5
@@ -60,7 +56,6 @@ def test_the_inner_peak_is_measured_from_its_pass() -> None:
 def test_the_papers_choice_tiles_a_weave_by_two_cells() -> None:
     """With primitive off the rectangle of a centered lattice is returned: a supercell of two cells."""
     sample = texture("weave", (128, 128), 0, **PERIODIC)
-    assert sample.lattice is not None
     found = Ssdn(primitive=False, reject="none").detect(quantize(sample.image)).lattice
     assert lattice_error(found, sample.lattice, (128, 128)).label == "supercell 2"
 

@@ -1,7 +1,5 @@
 """Tests for several lattices in one image."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

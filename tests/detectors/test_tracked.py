@@ -1,7 +1,5 @@
 """The detector of bent lattices: it follows them as the command does, vertex by vertex."""
 
-from __future__ import annotations
-
 import pytest
 
 from nrbench import detect_lattice, texture, track_lattice
@@ -12,7 +10,6 @@ from nrbench.pictures.overlays import draw_vertices
 def test_a_bent_lattice_is_followed() -> None:
     """The vertices of a wavy wall are found, which no straight lattice hits; the answer is that of `track_lattice`."""
     wall = texture("brick", shape=(112, 112), seed=1, bend=0.5)
-    assert wall.lattice is not None and wall.displacement is not None
     truth = displace_vertices(wall.lattice, wall.displacement)
     found = detect_lattice(wall, "tracked", reject="none")
     match = match_vertices(found.vertices, truth, (112, 112))

@@ -1,7 +1,5 @@
 """The lattice of a bent image is detected without help; a straight one is not followed knot by knot."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Where a picture leaves its own lattice and look: one planted fault at a time, and pictures without any."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

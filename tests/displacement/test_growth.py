@@ -1,7 +1,5 @@
 """Lattices that are followed through bent images, and what is reported of the deformation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +33,6 @@ def pixels(side: int = SIDE) -> Points:
 def warped(model: Model, bend: float, seed: int) -> tuple[Image, Lattice, Points]:
     """Return a warped draw, its undisturbed lattice, and the true cell coordinates of each pixel."""
     drawn = replace(model, bend=bend).render((SIDE, SIDE), np.random.default_rng(seed))
-    assert drawn.lattice is not None and drawn.displacement is not None
     return quantize(drawn.image), drawn.lattice, drawn.lattice.to_cell(pixels() - drawn.displacement)
 
 
@@ -43,7 +40,6 @@ def tilted(model: Model, seed: int) -> tuple[Image, Lattice, Points]:
     """Return a draw in perspective, its lattice on the plane, and the true cell coordinates of each pixel."""
     plane = map_points(TILT, pixels())
     drawn = model.render((SIDE + 20, SIDE + 20), np.random.default_rng(seed))
-    assert drawn.lattice is not None
     return quantize(interpolate(drawn.image, plane)), drawn.lattice, drawn.lattice.to_cell(plane)
 
 
@@ -62,7 +58,6 @@ def field_errors(found: Deformation, cells: Points) -> Points:
 def deformation(image: Image, lattice: Lattice) -> Deformation:
     """Return the deformation, which must be found."""
     knots = find_knots(image, lattice)
-    assert knots is not None
     return Deformation(image, knots)
 
 
@@ -92,7 +87,6 @@ def test_a_homography_is_the_true_one_up_to_an_affine_map() -> None:
     """The plane is known up to affine maps, so the vanishing line, which they keep, is the test."""
     image, lattice, _ = tilted(MODELS["weave"], 3)
     matrix = deformation(image, lattice).homography
-    assert matrix is not None
     # The line of the picture that maps to infinity: the last row of the map from the picture to the plane.
     line, true = np.linalg.inv(matrix)[2], TILT[2]
     assert line[:2] / line[2] == pytest.approx(true[:2] / true[2], rel=0.05)
@@ -129,10 +123,8 @@ def test_a_subcell_is_followed_on_from_a_supercell() -> None:
     reduced = lattice.reduced()
     double = Lattice.from_basis(np.array([[2, 0], [0, 1]]) @ reduced.matrix)
     knots = find_knots(image, double)
-    assert knots is not None
     change = reduced.matrix @ np.linalg.inv(knots.mean_lattice().matrix)
     other = follow_on(image, knots, change)
-    assert other is not None
     assert np.median(field_errors(Deformation(image, other), cells)) < 0.05
     assert merit(image, other) > merit(image, knots)
 
@@ -191,7 +183,6 @@ def test_the_lattice_is_followed_on_into_a_gap() -> None:
     """Knots that were taken away, of any part of the image, are found again where they were."""
     image, lattice, _ = warped(MODELS["hexagon"], 0.5, 10)
     knots = find_knots(image, lattice)
-    assert knots is not None
     rows, columns = knots.known.shape
     i, j = np.indices((rows, columns))
     gap = (np.abs(i - rows // 2) < rows // 5) & (np.abs(j - columns // 2) < columns // 5) | (i < 4)
@@ -207,7 +198,6 @@ def test_the_lattice_is_followed_on_into_a_gap() -> None:
 def test_a_bent_lattice_with_a_longer_vector_counts_as_bent() -> None:
     """The vectors of a knit are 1 and 1.3 s long, where displacements of knots one vector apart hardly correlate."""
     drawn = Knit(bend=0.5).render((224, 224), np.random.default_rng(1000))
-    assert drawn.lattice is not None
     assert np.hypot(*drawn.lattice.reduced().t2) > 1.25 * drawn.lattice.s
     found = deformation(quantize(drawn.image), drawn.lattice)
     assert found.bent and found.smoothness > 15
@@ -222,7 +212,6 @@ def test_a_homography_is_fitted_exactly_despite_outliers(p: float, q: float, sca
     images = map_points(matrix, points)
     images[::12] += (25.0, -40.0)
     found = fit_homography(points, images)
-    assert found is not None
     assert map_points(found, points[1:12]) == pytest.approx(map_points(matrix, points[1:12]), abs=1e-5)
 
 

@@ -1,7 +1,5 @@
 """Parts of a followed lattice that are whole vectors off are found, and numbered again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -64,7 +62,6 @@ def test_a_slipped_corner_gets_its_numbers_back(shift: tuple[int, int], border: 
     u, v = np.moveaxis(knots.cells, -1, 0)
     straight = replace(knots, places=20 * np.stack([u, v], -1), slopes=np.tile(20 * np.eye(2), (ROWS, COLUMNS, 1, 1)))
     found = renumber(slipped(straight, shift, border))
-    assert found is not None
     assert np.abs(found.places - 20 * found.cells)[found.known].max() < 1e-9
     assert found.known.sum() > 0.5 * ROWS * COLUMNS
 
@@ -76,7 +73,6 @@ def test_parts_far_from_all_others_are_left_out() -> None:
     apart, gap = i + j < 6, (i + j >= 6) & (i + j < 18)
     both = slipped(knots, (-1, 0), 40)
     found = renumber(replace(both, correlation=np.where(gap, 0.0, both.correlation)))
-    assert found is not None
     left = {tuple(place) for place in found.places[found.known].tolist()}
     assert not left & {tuple(place) for place in both.places[apart].tolist()}
 
@@ -98,7 +94,6 @@ def test_a_part_between_the_knots_of_the_others_is_left_out() -> None:
     places[:, 6:] += (-100, 0)  # five vectors: the part lies so near that it is compared
     slopes = np.tile(20 * np.eye(2), (10, 12, 1, 1))
     found = renumber(Knots((0.5, 0.5), (0, 0), places, slopes, np.full((10, 12), 0.9)))
-    assert found is not None
     assert {tuple(place) for place in found.places[found.known].tolist()} <= {
         tuple(p) for p in places[:, :6].reshape(-1, 2)
     }
@@ -136,7 +131,6 @@ def test_the_similarity_is_a_mean_over_the_image() -> None:
 def warped_brick(seed: int) -> tuple[Image, Lattice, Points]:
     """Return a strongly warped wall, its undisturbed lattice, and the true cell coordinates of each pixel."""
     drawn = Brick(bend=1.0).render((SIDE, SIDE), np.random.default_rng(seed))
-    assert drawn.lattice is not None and drawn.displacement is not None
     points = np.stack(np.meshgrid(np.arange(SIDE, dtype=float), np.arange(SIDE, dtype=float)), -1)
     return quantize(drawn.image), drawn.lattice, drawn.lattice.to_cell(points - drawn.displacement)
 
@@ -146,7 +140,6 @@ def test_strongly_warped_walls_are_followed_without_slips(seed: int) -> None:
     """Rows of bricks look alike, so that a lattice that follows the strongest places first slips by a row. Few do."""
     image, lattice, cells = warped_brick(seed)
     knots = find_knots(image, lattice)
-    assert knots is not None
     places, found = knots.places[knots.known], knots.cells[knots.known]
     at = places.T[::-1]
     true = np.stack([map_coordinates(plane, at, order=1, mode="nearest") for plane in np.moveaxis(cells, -1, 0)], -1)

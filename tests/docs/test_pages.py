@@ -1,7 +1,5 @@
 """The pages of the documentation: their examples run, and the site builds."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

@@ -1,7 +1,5 @@
 """Sums over boxes, the largest box in a mask, and the vertex of a parabola."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Conversion at the border: what users hold becomes one form, and what cannot be used is refused by name."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

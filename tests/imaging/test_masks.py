@@ -1,7 +1,5 @@
 """Tests of images of which some pixels do not count."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

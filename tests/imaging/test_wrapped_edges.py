@@ -1,7 +1,5 @@
 """Whether a picture repeats: pictures that do, one planted fault at a time, and pictures that show nothing."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A small run whose outputs are labelled."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

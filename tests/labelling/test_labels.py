@@ -1,7 +1,5 @@
 """Labels: pages that hide what they show, answers that come back whole, and one clear error for all that is not."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import itertools

@@ -1,7 +1,5 @@
 """The algebra of lattices: bases, wrapping, points, kinds, duals, supercells and subcells."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Vertices: how many of the true ones were found, for lattices that are right, moved, too coarse, too fine, or bent."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -73,7 +71,6 @@ def test_numbers_of_the_truth_may_be_in_any_basis(change: tuple[tuple[int, int],
 def test_vertices_of_a_bent_model_lie_where_its_content_has_moved(bend: float) -> None:
     """The displacement at a vertex leads back to the lattice, and a shift of half a cell of a bent lattice is free."""
     drawn = texture("brick", shape=(128, 160), seed=3, bend=bend)
-    assert drawn.lattice is not None and drawn.displacement is not None
     truth = displace_vertices(drawn.lattice, drawn.displacement)
     inside = [each for each in truth if 0 <= each.x <= 159 and 0 <= each.y <= 127]
     ideal = drawn.lattice.from_cell([(each.column, each.row) for each in inside])

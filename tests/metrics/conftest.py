@@ -57,7 +57,6 @@ class Case:
     def fresh(self, side: int = 192, k: int = 0) -> Image:
         """Return the pixels of a fresh draw."""
         drawn = self.again((side, side), k)
-        assert drawn is not None
         return drawn.image
 
     def planted(self, kind: str, size: float, seed: int = 0, side: int = 192) -> tuple[Image, np.ndarray]:
@@ -96,7 +95,6 @@ def scored(metric: type[Metric], observation: Observation) -> Score:
 def copy_cells(task: Task) -> Image:
     """Fill each cell of the lattice with a random whole cell of the sample, without blending."""
     lattice, sample = task.lattice, task.sample
-    assert lattice is not None
     y, x = np.indices(task.shape)
     uv = lattice.to_cell(np.stack([x, y], -1).astype(float))
     number = np.floor(uv).astype(int)

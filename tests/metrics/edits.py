@@ -1,7 +1,5 @@
 """Edits of pictures that nobody sees, and edits that everybody sees."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Mapping
 

@@ -1,7 +1,5 @@
 """Appearance: color, light and detail as a whole and at the worst place, seams, and tiles that claim to be seamless."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, partial
@@ -17,6 +15,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.appearance import Appearance, _Maps
 from nrbench.metrics.perception.visible import measure_detail, perceive
 from nrbench.metrics.registration.lattice_net import LatticeNet
+from nrbench.metrics.seam_detection.line_kernels import steep_line_sums
 from nrbench.metrics.seam_detection.seam_lines import find_worst_lines
 from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.cartoon import Cartoon
@@ -25,13 +24,21 @@ from .conftest import Case, case, scored
 from .edits import blur, light_half
 
 appearance = partial(scored, Appearance)
+
+
+@cache
+def unplanted(own: Case, model: bool = True, k: int = 0) -> Mapping[str, Any]:
+    """Return the columns of a fresh draw."""
+    return appearance(own.observe(own.fresh(k=k), model)).values
+
+
 RATIOS = ("local", "local_wide", "quarters", "whole", "detail", "surface", "contrast", "light", "tones", "lack")
 
 
 @pytest.mark.parametrize("model", [True, False])
 def test_a_fresh_draw_looks_like_one(own: Case, model: bool) -> None:
     """Fresh draws have ratios of at most about 1, and a score near 1."""
-    found = [appearance(own.observe(own.fresh(k=k), model)).values for k in range(4)]
+    found = [unplanted(own, model, k) for k in range(4)]
     assert np.mean([values["score"] for values in found]) >= 0.95
     for column in RATIOS:
         assert max(values[column] or 0 for values in found) < 1.15
@@ -56,7 +63,7 @@ def test_detail_does_not_depend_on_where_a_checkerboard_is_cut() -> None:
 )
 def test_planted_faults_are_seen(own: Case, kind: str, size: float, most: float) -> None:
     """A tint, a blurred band and a covered tile are farther from the references than the draw is."""
-    before, after = (appearance(own.observe(own.planted(kind, part, 1)[0])).values for part in (0.0, size))
+    before, after = unplanted(own), appearance(own.observe(own.planted(kind, size, 1)[0])).values
     assert after["score"] <= most
     columns = ("local", "local_wide", "quarters", "whole")
     assert max(after[name] for name in columns) > max(before[name] for name in columns)
@@ -77,10 +84,8 @@ def test_a_cartoon_is_no_material(material: Any, model: bool) -> None:
     """Tints and grain of the right covariances lack streaks, speckles and chips; a fresh draw has them."""
     own = material_case(material)
     task = Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(2))
-    cartoon, fresh = (
-        appearance(own.observe(quantize(image), model)).values
-        for image in (Cartoon().synthesize(task).image, own.fresh(k=1))
-    )
+    cartoon = appearance(own.observe(quantize(Cartoon().synthesize(task).image), model)).values
+    fresh = unplanted(own, model, 1)
     assert cartoon["surface"] > (1.5 if model else 1.15) and cartoon["score"] < (0.1 if model else 0.7)
     assert fresh["surface"] < 1 and fresh["detail"] < 1
 
@@ -100,10 +105,8 @@ def gray_picture(image: Image) -> Image:
 def test_other_colors_of_the_same_mean_are_a_contrast(own: Case, edit: Any) -> None:
     """Channels that are swapped, rotated or gray about the mean color have other variances and correlations."""
     mean = own.fresh().mean((0, 1))
-    before, after = (
-        appearance(own.observe(quantize(np.clip(image, 0, 1)))).values
-        for image in (own.fresh(), mean + edit(own.fresh() - mean))
-    )
+    edited = quantize(np.clip(mean + edit(own.fresh() - mean), 0, 1))
+    before, after = unplanted(own), appearance(own.observe(edited)).values
     assert before["contrast"] < 1 and after["contrast"] > 1.3
 
 
@@ -120,7 +123,7 @@ def test_uneven_light_and_few_tones_are_seen(own: Case, column: str, edit: Any) 
     """A ramp of 60 levels and dark corners change the light, and five tones leave plateaus."""
     ramp = np.linspace(-0.5, 0.5, 192, dtype=np.float32)[np.newaxis, :, np.newaxis] * np.ones((192, 1, 1), np.float32)
     edited = quantize(np.clip(edit(own.fresh(), ramp), 0, 1).astype(np.float32))
-    before, after = (appearance(own.observe(image)).values for image in (own.fresh(), edited))
+    before, after = unplanted(own), appearance(own.observe(edited)).values
     assert before[column] < 0.9 and after[column] > 1.15 and after["score"] < 0.65
 
 
@@ -138,7 +141,7 @@ def test_the_segment_forgives_what_the_sample_shows_and_nothing_else(own: Case) 
 def test_a_blurred_hole_lacks_detail(own: Case) -> None:
     """A blurred part of two cells is seen by sample and lattice alone."""
     holed, side = np.array(own.fresh()), int(2 * np.linalg.norm(own.lattice.matrix, axis=1).max())
-    before = appearance(own.observe(holed, model=False)).values
+    before = unplanted(own, False)
     holed[60 : 60 + side, 60 : 60 + side] = blur(own.fresh(), 6)[60 : 60 + side, 60 : 60 + side]
     after = appearance(own.observe(quantize(holed), model=False)).values
     assert before["lack"] < 1.15 and after["lack"] > 1.5 and after["score"] == 0
@@ -193,6 +196,19 @@ def test_the_seam_is_drawn_where_it_is() -> None:
     assert score.values["seam"] > 1.5 and score.values["seam_step"] == pytest.approx(0.1, abs=0.04)
     marked = score.pictures["seam"]
     assert set(np.flatnonzero((marked != quantize(image)).any((0, 2)))) <= {68, 69, 70, 71}
+
+
+@pytest.mark.parametrize("shape", [(12, 16), (300, 40)])
+def test_line_sums_are_those_of_strips(shape: tuple[int, int]) -> None:
+    """Sums along lines, of every second lean of 512, have the bytes of those that join all strips level by level."""
+    image = np.random.default_rng(0).random(shape, np.float32)
+    size = 1 << (max(shape) - 1).bit_length()
+    lines = np.pad(image, ((0, size - shape[0]), (size, 3 * size - shape[1])))[:, np.newaxis]
+    while len(lines) > 1:
+        leans = np.arange(2 * lines.shape[1])
+        lower = [np.roll(lines[1::2, lean // 2], -((lean + 1) // 2), -1) for lean in leans]
+        lines = lines[::2, leans // 2] + np.stack(lower, 1)
+    np.testing.assert_array_equal(steep_line_sums(image), lines[0, :: max(size // 256, 1), : 2 * size])
 
 
 @pytest.mark.parametrize("angle", [10.0, 60.0, 100.0, 160.0])
@@ -270,7 +286,7 @@ def test_basis_and_origin_of_the_truth_do_not_matter() -> None:
         np.array([2 * a + b, a + b]), tuple(np.array(case("hexagon").lattice.origin) + 3 * a - b)
     )
     moved = appearance(replace(observation, truth=replace(case("hexagon").texture, lattice=other))).values
-    own = appearance(observation).values
+    own = unplanted(case("hexagon"))
     for column in ("score", *RATIOS):
         assert moved[column] == pytest.approx(own[column], abs=0.05), column
 

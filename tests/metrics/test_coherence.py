@@ -1,7 +1,5 @@
 """Phase coherence: the lattice of an output, by matches of its places with those of the sample alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

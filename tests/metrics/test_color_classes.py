@@ -1,7 +1,5 @@
 """Prints: element colors that come in classes, colors that belong to none, and equal elements that repeat nothing."""
 
-from __future__ import annotations
-
 from functools import cache, partial
 
 import numpy as np

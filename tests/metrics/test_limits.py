@@ -1,7 +1,5 @@
 """One table holds all numbers by which outputs are judged."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

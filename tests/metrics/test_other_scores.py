@@ -1,7 +1,5 @@
 """Cost, lattice recovery and the use of the sample; every metric fulfils every clause of its form."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

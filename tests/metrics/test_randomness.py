@@ -1,7 +1,5 @@
 """Randomness: variation, repetition, arrangement and distribution of the tiles."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -106,7 +104,6 @@ def lay_tiles(order: str) -> tuple[Case, Image, Image]:
     """Return a wall of stacked bricks, and the same wall with its bricks laid in another order."""
     own = Case.of(Brick(width=20, height=14, joint=2.0, bond="stack", color=0.0, intensity=0.3, noise=0.03), 0)
     drawn = own.again((256, 256), 0)
-    assert drawn is not None and drawn.ideal is not None
     top, left = (int(drawn.ideal.mean(axes)[:period].argmax()) for axes, period in (((1, 2), 14), ((0, 2), 20)))
     rows, columns = (256 - top) // 14, (256 - left) // 20
     inner = (slice(top, top + 14 * rows), slice(left, left + 20 * columns))

@@ -1,7 +1,5 @@
 """Regularity: tiles in place, slips, drift and bending."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Claims about colors: what a file says of its values is converted to sRGB, or named."""
 
-from __future__ import annotations
-
 import io
 import struct
 import warnings
@@ -274,7 +272,6 @@ def test_profile_of_jpeg_2000(tmp_path: Path) -> None:
         PIL.ImageCms.createProfile("LAB"),
         outputMode="LAB",
     )
-    assert lab is not None
     lab.save(tmp_path / "a.tif", icc_profile=LAB_PROFILE)
     image = _read(tmp_path / "a.tif", (tmp_path / "a.tif").read_bytes())
     assert np.abs(image - COLORS).mean() < 2 / 255  # eight bits of L*a*b*

@@ -1,7 +1,5 @@
 """Claims about reading and writing pictures."""
 
-from __future__ import annotations
-
 import struct
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Contact sheets hold every picture and every caption."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

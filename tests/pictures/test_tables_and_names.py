@@ -1,7 +1,5 @@
 """Tables as spreadsheets of several countries save them, and names with accents and shell characters."""
 
-from __future__ import annotations
-
 import json
 import unicodedata
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files of vertices set by hand: what is read, what is refused, and how a folder of photographs is scored by them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +68,6 @@ def test_a_folder_with_vertices_is_scored(tmp_path: Path) -> None:
     A crop has the vertices in it alone.
     """
     drawn = texture("brick", shape=(128, 128), seed=3, bend=0.4, rotation=20.0)
-    assert drawn.lattice is not None and drawn.displacement is not None
     set_by_hand = [
         each
         for each in displace_vertices(drawn.lattice, drawn.displacement)
@@ -83,7 +80,6 @@ def test_a_folder_with_vertices_is_scored(tmp_path: Path) -> None:
     done = run(tmp_path, lattice=["gncc:reject=none", numbers], sample="500x500", out=tmp_path / "whole", **common)
     (row,) = tabulate_answers(done).to_dict("records")
     assert 0.1 < row["vertex_recall"] < 0.95 and row["vertex_precision"] > 0.1
-    assert done.cells[0].cell.lattice_truth is not None
     assert done.cells[0].cell.lattice_truth.is_equivalent(drawn.lattice, 1.0)
     assert done.cells[1].reasons["lattice_recovery.vertex_recall"] == "no detector was used"
     (cell,) = run(tmp_path, lattice="gncc", sample="64x64", out=tmp_path / "crop", **common).cells

@@ -1,7 +1,5 @@
 """Methods, metrics, a detector and a dataset that misbehave, each in its own way."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import mmap
@@ -311,7 +309,6 @@ class Learner:
 
     def prepare(self, task: Task) -> None:
         """Write a number into the folder that lasts."""
-        assert task.cache is not None
         with self.marks.open("a") as marks:
             marks.write(f"{task.shape}\n")
         time.sleep(self.seconds)
@@ -319,7 +316,6 @@ class Learner:
 
     def synthesize(self, task: Task) -> Synthesis:
         """Brighten the sample."""
-        assert task.cache is not None
         number = (task.cache / "number").read_text()
         time.sleep(self.seconds / 2)
         return dataclasses.replace(Fine().synthesize(task), note=number)

@@ -1,7 +1,5 @@
 """The registry: all plugins enter in the same way, broken ones are isolated, and the overview agrees with it."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import re

@@ -1,7 +1,5 @@
 """Presets: named sets of parameters, one mechanism for plugins of every kind."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import make_dataclass
 from pathlib import Path

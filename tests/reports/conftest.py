@@ -1,7 +1,5 @@
 """Runs for the tests of reports: real records over tiny pictures, with every status that a cell can have."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The comparison of two runs: what counts as better, worse, the same, and noise."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

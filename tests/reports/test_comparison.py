@@ -1,7 +1,5 @@
 """The comparison of methods: verdicts, ranks, levels, baselines, and what a notebook shows."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -292,7 +290,6 @@ def test_an_entry_shows_mark_and_score(every_comparison: Comparison, texture: st
     """An entry shows the verdict's mark beside the score, or the status that ended the cell."""
     row = next(row for row in every_comparison.rows if row.texture == texture)
     entry = row.entries[[method.label for method in every_comparison.methods].index(label)]
-    assert entry is not None
     assert entry.text == text
 
 
@@ -300,7 +297,6 @@ def test_replicates_that_disagree_are_mixed(make_cell: Make, make_run: Make) -> 
     """If replicates disagree, the entry shows how many preserve the lattice, and the mean score."""
     cells = [make_cell(replicate=i, preserved=i > 0, score=0.3 * i) for i in range(3)]
     entry = compare_methods(make_run(cells)).rows[0].entries[0]
-    assert entry is not None
     assert (entry.verdict, entry.text) == ("mixed", "~ 2/3 0.30")
 
 

@@ -1,7 +1,5 @@
 """Every report fulfils every clause of its form."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

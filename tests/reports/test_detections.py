@@ -1,7 +1,5 @@
 """Answers of detectors: their kinds, their counts with intervals, and the calibration of the confidence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +87,6 @@ def test_a_detection_that_several_methods_used_counts_once(answered: Run) -> Non
 def test_rates_are_those_of_the_answers(answered: Run) -> None:
     """Exact answers count over draws with a lattice, false lattices over draws without, with Wilson's interval."""
     comparison = compare_detectors(answered)
-    assert comparison is not None
     gncc, hostile = comparison.summaries.to_dict("records")
     assert (gncc["exact"].value, gncc["exact"].n, (gncc["exact"].low, gncc["exact"].high)) == (
         pytest.approx(1 / 3),
@@ -107,7 +104,6 @@ def test_rates_are_those_of_the_answers(answered: Run) -> None:
 def test_groups_are_by_family_departure_and_level(answered: Run) -> None:
     """Departures and levels come from the suite's rows; a stochastic texture is a departure of its own."""
     comparison = compare_detectors(answered)
-    assert comparison is not None
     color, noise = ("bricks", "color"), ("noise", "stochastic")
     assert list(comparison.groups) == [color, ("bricks", "noise"), noise]
     assert (

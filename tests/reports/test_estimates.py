@@ -1,7 +1,5 @@
 """Estimates with intervals, and tests of whether methods differ."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any

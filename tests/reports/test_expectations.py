@@ -1,7 +1,5 @@
 """Claims of papers, and the verdicts of the report of 2004."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -294,7 +292,6 @@ def test_random_pairing_keeps_what_descriptions_explain(make_report: Make) -> No
     """If measured verdicts depend on the description alone, random pairing within descriptions reaches all of kappa."""
     first = {one["description"]: one for one in reversed(read_published().to_dict("records"))}
     published = compare(make_report(lambda figure, method: first[figure["description"]][method] == "preserved"))
-    assert published.chance is not None
     assert published.kappa.value == pytest.approx(published.chance[0], abs=1e-9)
 
 

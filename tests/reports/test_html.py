@@ -1,7 +1,5 @@
 """The page: its form, its safety, its pictures, and the lattices over them."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re

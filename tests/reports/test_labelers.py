@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -144,7 +142,6 @@ def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
         for name in "abc"
     ]
     comparison = compare_labelers(judged, files)
-    assert comparison is not None
     table = agreement_table(comparison)
     assert set(table["question"]) == {"lattice"}
     assert list(table["kind"]) == ["judge and labelers"] * 4 + ["labelers"] * 4 + ["self"] * 3

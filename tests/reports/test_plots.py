@@ -1,7 +1,5 @@
 """Plots: marks, captions, the grid of pictures, the perils plane, the forest plot."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from dataclasses import replace
@@ -149,7 +147,6 @@ def test_points_are_means_over_textures(comparison: Comparison, make_cell: Make,
     cells = [make_cell(f"t{i}", "m", replicate=j, perils=0.5 + 0.01 * i + 0.02 * j) for i in range(20) for j in (0, 1)]
     point = _point(compare_methods(make_run(cells)), "m")
     for one in (point.structure, point.randomness):
-        assert one.low is not None and one.high is not None and one.value is not None
         assert one.low <= one.value <= one.high
 
 

@@ -1,7 +1,5 @@
 """How far the ranking depends on choices."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

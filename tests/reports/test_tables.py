@@ -3,8 +3,6 @@
 ``NRBENCH_GOLDEN=write python -m pytest tests/reports/test_tables.py`` writes the files again; read what changed.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import os

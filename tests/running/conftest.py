@@ -1,7 +1,5 @@
 """Warm workers that tests share."""
 
-from __future__ import annotations
-
 import contextlib
 import queue
 from collections.abc import Callable, Iterator

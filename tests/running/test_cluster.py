@@ -1,7 +1,5 @@
 """Runs on a Dask cluster: a real scheduler and real workers, on this machine."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import signal

@@ -1,7 +1,5 @@
 """Whatever a plugin does, in any phase and on any executor, is a row with its cause and its log."""
 
-from __future__ import annotations
-
 import re
 import sys
 import time

@@ -1,7 +1,5 @@
 """Tests of runs on pictures of which some pixels do not count."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar

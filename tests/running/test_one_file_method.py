@@ -1,7 +1,5 @@
 """A new synthesizer is one file, and few calls lie between the command line and its method."""
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

@@ -1,7 +1,5 @@
 """Scores of one cell, what of an output is a picture, and the pace of a run."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

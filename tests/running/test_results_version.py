@@ -3,8 +3,6 @@
 ``python tests/running/test_results_version.py`` writes the pins to ``pinned_results.json``.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tomllib

@@ -1,7 +1,5 @@
 """A run directory is a folder of files: anything else in it is refused by name, and what is damaged is found."""
 
-from __future__ import annotations
-
 import errno
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A run resumes, repeats nothing, and gives the same bytes in any order and number of workers."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The survey of a sample is made once for all methods of a run."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

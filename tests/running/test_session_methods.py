@@ -1,7 +1,5 @@
 """A method that a notebook defines runs in its process, and says so."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import subprocess

@@ -1,7 +1,5 @@
 """Whatever a plugin does becomes a row with its cause, and touches no neighbor."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -45,7 +43,6 @@ def no_orphan(folder: Path) -> bool:
 
 def server_of(supervisor: Supervisor) -> psutil.Process:
     """Return the process of a worker that forks the children. Its parent only watches it."""
-    assert supervisor._worker is not None
     (server,) = psutil.Process(supervisor._worker.pid).children()
     return server
 

@@ -1,7 +1,5 @@
 """A detector that returns a ranked list of candidates, for tests of what is printed, drawn and written of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from nrbench.imaging.convert import Image

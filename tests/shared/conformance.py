@@ -1,7 +1,5 @@
 """The check of ``nrbench check`` in this process, for tests of the plugins of nrbench."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any

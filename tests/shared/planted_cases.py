@@ -39,7 +39,6 @@ class Draws:
     def __call__(self, shape: Shape, k: int) -> Texture | None:
         """Return the k-th draw."""
         drawn = self.model.again(self.texture, shape, stream("again", k))
-        assert drawn is not None
         self.seen = (*getattr(self, "seen", ()), drawn.image)
         return drawn
 

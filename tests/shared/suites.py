@@ -1,7 +1,5 @@
 """Suites of one wall, for tests of runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

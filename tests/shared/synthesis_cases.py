@@ -68,7 +68,6 @@ def mask_of(tile: Image, stretch: float = 1.0) -> TextureMask:
 
 def places(made: Synthesis, block: int) -> NDArray[np.int64]:
     """Read the (x, y) in the sample of every block's first pixel off the source map at the blocks' middles."""
-    assert made.source is not None
     middle = made.source[block // 2 :: block, block // 2 :: block]
     assert (middle[..., 2] == 1).all()
     return np.asarray(middle[..., :2], np.int64) - block // 2

@@ -22,7 +22,7 @@ from nrbench.spectra.harmonic_groups import (
 from nrbench.spectra.harmonics import WaveAnalysis, find_channel_waves, find_free_waves, find_tied_waves, lowest_period
 from nrbench.spectra.regular_part import line_floor
 from nrbench.spectra.spectrum import Spectrum, dirichlet_sum, pair_kernels
-from nrbench.spectra.wave_fit import Waves
+from nrbench.spectra.wave_fit import FixedWaves, Waves
 from nrbench.spectra.wave_search import analytic_signal, find_complex_waves, find_waves, noise_floor
 
 SIDE = 128
@@ -129,7 +129,7 @@ def test_the_floor_is_the_noise_in_spite_of_waves() -> None:
     """Under a dozen waves a hundred times as strong, the floor is the noise's own, and so is that of noise alone."""
     rng = np.random.default_rng(0)
     noise = 0.01 * rng.standard_normal((SIDE, SIDE, 1))
-    alone = noise_floor(np.abs(Spectrum(noise).bins()) ** 2)
+    alone = noise_floor(np.abs(Spectrum(noise).bins) ** 2)
     under = find_waves(Spectrum(noise + picture(*draw_waves(12, rng))), None, 0.01, 50).floor
     for floor in (alone, under):
         assert 0.95 < np.median(floor) / (0.01**2 * SIDE**2) < 1.3
@@ -139,7 +139,6 @@ def test_tied_masks_hold_far_from_the_sample() -> None:
     """At four times the sample's size a tied mask still fits the ideal brick wall; a free one has drifted."""
     model = Brick(color=0.3, noise=0.1)
     whole = model.render((4 * SIDE, 4 * SIDE), np.random.default_rng(0))
-    assert whole.ideal is not None
     sample = whole.image[:SIDE, :SIDE].astype(np.float64)
     fits = {}
     for harmonics, waves in {"free": find_free_waves(sample), "tied": find_tied_waves(sample)}.items():
@@ -259,6 +258,17 @@ def test_kernels_of_pairs_are_sums_over_the_picture() -> None:
         np.testing.assert_allclose(kernel.curvature, curvature, atol=1e-5)
 
 
+def test_waves_of_fixed_frequencies_have_the_amplitudes_of_others() -> None:
+    """Also where frequencies share a component, or are nearly mirror images across the Nyquist frequency."""
+    rng = np.random.default_rng(3)
+    f = np.array([(0.1, 0.2), (0.1, 0.3), (0.1 + 1e-9, -0.2), (0.0, 0.25), (0.493, 0.493), (0.493, -0.494)])
+    f = np.concatenate([f, draw_waves(90, rng)[0]])
+    spectrum = Spectrum(rng.random((60, 71, 2)))
+    fixed = FixedWaves(spectrum, f, spectrum.values(f))
+    for found, expected in zip(fixed.origin_amplitudes(), Waves(spectrum, f).origin_amplitudes(), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
 def test_what_waves_leave_is_alike_on_grids_and_one_by_one() -> None:
     """The waves' transform on small grids equals that at each frequency."""
     rng = np.random.default_rng(0)
@@ -364,6 +374,6 @@ def test_the_floor_of_a_line_is_its_own() -> None:
     """On a line of the spectrum where rows vary at random the floor is that of the rows; beside it, of the noise."""
     rng = np.random.default_rng(0)
     rows = np.tile(rng.standard_normal((128, 1, 1)), (1, 128, 1)) + 0.01 * rng.standard_normal((128, 128, 1))
-    power = np.abs(Spectrum(rows).bins()) ** 2
+    power = np.abs(Spectrum(rows).bins) ** 2
     on, beside = line_floor(power, (128, 128), np.array([(0.0, 0.2), (0.2, 0.2)]), np.zeros((0, 2)))[:, 0]
     assert 0.3 < on / 128**3 < 3 and 0.3 < beside / (0.01**2 * 128**2) < 3

@@ -1,7 +1,5 @@
 """Claims in suites: which cells they need, and what is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

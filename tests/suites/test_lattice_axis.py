@@ -1,7 +1,5 @@
 """The lattice axis: detectors and manual lattices as sources, and the results of detectors in the tables."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

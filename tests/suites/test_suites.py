@@ -1,7 +1,5 @@
 """Suites: what they promise of their textures, grids, and what is wrong in a file."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -27,9 +25,7 @@ def windows(image: Image, side: int = 16) -> set[bytes]:
 @pytest.mark.parametrize("sample", CORE, ids=lambda sample: sample.row.name)
 def test_no_window_of_the_oracle_occurs_in_the_sample(sample: Sample) -> None:
     """A fresh draw shares no 16 x 16 window with the sample: it is independent of it, not a copy."""
-    assert sample.texture is not None
     fresh = sample.recipe.again(sample.texture)((256, 256), 0)
-    assert fresh is not None
     assert not windows(sample.texture.image) & windows(fresh.image)
 
 
@@ -69,7 +65,6 @@ def test_sizes() -> None:
 def test_samples_are_rounded_to_8_bits() -> None:
     """The sample that a method sees is the one that the PNG holds."""
     texture = CORE[0].texture
-    assert texture is not None
     np.testing.assert_array_equal(texture.image, to_bytes(texture.image) / np.float32(255))
 
 

@@ -27,7 +27,6 @@ def test_every_tile_is_the_same(tile: Any) -> None:
     made = synthesize(Tiling(tile=tile), noise(70, 80), (120, 120), WHOLE)
     np.testing.assert_allclose(made.image[4:, 20:], made.image[:-4, :-20], atol=1e-6)
     np.testing.assert_allclose(made.image[16:, :-3], made.image[:-16, 3:], atol=1e-6)
-    assert made.source is not None
     assert len(np.unique(made.source[..., :2].reshape(-1, 2), axis=0)) == WHOLE.area
 
 
@@ -96,7 +95,6 @@ def test_the_supercell_is_the_largest_that_fits(lattice: Lattice) -> None:
 def test_shuffled_tiles_come_from_equal_places() -> None:
     """Source and pixel differ by a vector of the lattice, and tiles by different ones."""
     source = synthesize(Shuffle(), noise(90, 100), (120, 140), WHOLE).source
-    assert source is not None
     y, x = np.indices(source.shape[:2])
     cells = WHOLE.to_cell(source[..., :2] - np.stack([x, y], -1))
     np.testing.assert_allclose(cells, np.rint(cells), atol=1e-4)
@@ -109,7 +107,6 @@ def test_shuffling_cuts_through_the_middle_of_the_motif() -> None:
     joint = np.minimum(np.arange(128) % 16, 15 - np.arange(128) % 16) < 2
     plates[joint] = plates[:, joint] = 0.5
     source = synthesize(Shuffle(), quantize(plates.astype(np.float32)), (120, 140), SQUARE, 0).source
-    assert source is not None
     broken = np.abs(np.diff(source[..., 0], axis=1) - 1) > 0.5
     columns = np.unique(np.nonzero(broken)[1] + 1) % 16
     assert len(columns)
@@ -119,7 +116,6 @@ def test_shuffling_cuts_through_the_middle_of_the_motif() -> None:
 def test_scattered_patches_come_from_anywhere() -> None:
     """Over many blocks every part of the sample is used, most pixels are copies, and patches seldom recur."""
     made = synthesize(Scatter(), noise(60, 70, 1), (640, 640))
-    assert made.source is not None
     middles = made.source[16::32, 16::32, :2].reshape(-1, 2)
     assert len(np.unique(middles, axis=0)) > 250
     assert made.source[..., 0].min() <= 4 and made.source[..., 0].max() >= 65

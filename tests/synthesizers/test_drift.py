@@ -1,7 +1,5 @@
 """Claims about large outputs: on a lattice with fractional vectors nothing drifts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -56,6 +54,5 @@ def test_on_a_fractional_lattice_every_window_is_in_place(method: Synthesizer) -
 def test_whole_pixel_vectors_would_drift() -> None:
     """The lattice rounded to whole pixels, as in the paper, leaves windows out of place by more than a tenth of s."""
     truth = texture().lattice
-    assert truth is not None
     whole = Lattice(*(tuple(float(round(value)) for value in vector) for vector in truth.reduced().matrix))  # type: ignore[arg-type]
     assert worst_misplacement(Rsgf(seam="blend", subpixel=False), whole) > 0.1

@@ -74,12 +74,9 @@ def test_the_program_runs_in_a_folder_of_its_own(tmp_path: Path, sample: Image) 
     assert not folder.exists()
 
 
-def test_files_of_the_current_folder_may_be_named(
-    tmp_path: Path, sample: Image, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_of_the_current_folder_may_be_named(sample: Image) -> None:
     """A script is found by its relative path."""
-    (tmp_path / "tool.py").write_text(TILES)
-    monkeypatch.chdir(tmp_path)
+    Path("tool.py").write_text(TILES)
     assert run(f"'{sys.executable}' tool.py {FIELDS}", sample).image.shape == (30, 50, 3)
 
 

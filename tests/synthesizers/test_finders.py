@@ -1,7 +1,5 @@
 """Claims about methods and lattices: the detector that a method names, the choice of auto, and regular figures."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import replace
 from pathlib import Path
@@ -134,7 +132,6 @@ def test_an_irregular_texture_gets_a_method_of_neighborhoods(spectrum: str) -> N
 def test_the_threshold_decides() -> None:
     """On a given lattice, the paper's choice is its tile set up to the measured share, and above it the other one."""
     task, truth = task_of("brick", color=0.3)
-    assert truth is not None
     task = replace(task, lattice=truth)
     share = estimate_regular_share(task.sample, truth)
     below, above = (replace(PAPER, threshold=share + step).synthesize(task) for step in (-0.01, 0.01))
@@ -143,8 +140,6 @@ def test_the_threshold_decides() -> None:
     expected = TileSet(**TileSet.presets["paper"]).synthesize(replace(task, rng=np.random.default_rng(7)))
     again = PAPER.synthesize(replace(task, rng=np.random.default_rng(7)))
     np.testing.assert_array_equal(again.image, expected.image)
-    with pytest.raises(BadInput, match="threshold 2"):
-        Auto(threshold=2)
 
 
 def test_the_share_is_that_of_the_model() -> None:
@@ -160,14 +155,12 @@ def test_the_share_is_that_of_the_model() -> None:
     assert estimate_regular_share(drawn.image, drawn.lattice) == pytest.approx(drawn.regular_share, abs=0.08)
 
 
-@pytest.mark.parametrize("method", ["quilting", "patch-based"])
-def test_the_regular_figures_are_preserved(method: str, tmp_path: Path) -> None:
-    """On figures 3 to 7 the verdict on the default output is: preserved (Table 2 of the report)."""
-    suite = changed(load_suite("report2004"), [method], ["given"], metrics=["regularity"])
+def test_the_regular_figures_are_preserved(tmp_path: Path) -> None:
+    """On figures 3 to 7 the verdict on the default outputs is: preserved (Table 2 of the report)."""
+    suite = changed(load_suite("report2004"), ["quilting", "patch-based"], ["given"], metrics=["regularity"])
     cells = run(suite, out=tmp_path / "run", textures=["figure-0[3-7]-*"], options=Options(jobs=0)).cells
-    assert len(cells) == 5
-    for cell in cells:
-        assert cell.values["regularity.preserved"] is True, cell.texture
+    verdicts = {(cell.texture, cell.method): cell.values["regularity.preserved"] for cell in cells}
+    assert len(verdicts) == 10 and set(verdicts.values()) == {True}, verdicts
 
 
 def test_auto_takes_the_next_method_where_one_refuses(monkeypatch: pytest.MonkeyPatch) -> None:

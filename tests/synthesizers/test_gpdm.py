@@ -1,7 +1,5 @@
 """Direct patch distribution matching: the distance and its gradient are exact, and the output approaches the sample."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy

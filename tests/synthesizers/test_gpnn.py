@@ -1,7 +1,5 @@
 """Generative patch nearest neighbors: small alpha makes the output complete, and a flat sample stays flat."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from synthesis_cases import synthesize

@@ -1,7 +1,5 @@
 """Claims that many methods share: copies, exact continuation, lattices with fractional vectors, and parameters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -55,7 +53,6 @@ def test_what_the_source_map_calls_a_copy_is_one(spec: str, shape: tuple[int, in
     """For any shape, the sources lie in the sample, whole ones of weight 1 are copies, and all rebuild the output."""
     sample = noise(50, 45, channels)
     made = checked_synthesis(synthesize(build(spec), sample, shape, LEANING, seed), sample, shape)
-    assert made.source is not None
     x, y, weight = np.moveaxis(made.source, -1, 0)
     assert ((x >= -0.5) & (x <= 44.5) & (y >= -0.5) & (y <= 49.5) & (weight > 0) & (weight <= 1)).all()
     assert weight.min() >= COPYING[spec] - 1e-6
@@ -94,7 +91,7 @@ def periodic(shape: tuple[int, int], lattice: Lattice, channels: int) -> Image:
 def test_a_whole_pixel_lattice_is_continued_exactly(spec: str, lattice: Lattice, channels: int) -> None:
     """On a perfectly periodic sample the output is the periodic continuation, phase included, to the bit."""
     picture = periodic((240, 300), lattice, channels)
-    for shape in ((240, 220), (1, 300), (150, 1), (9, 5)):
+    for shape in ((180, 170), (1, 300), (150, 1), (9, 5)):
         made = synthesize(build(spec), picture[:160, :160], shape, lattice)
         np.testing.assert_array_equal(to_bytes(made.image), to_bytes(picture[: shape[0], : shape[1]]))
 
@@ -138,7 +135,6 @@ def test_sources_stay_on_the_lattice(spec: str, lattice: Lattice) -> None:
     """
     for shape in ((1024, 96), (96, 1024)):
         source = synthesize(build(spec), noise(128, 128), shape, lattice).source
-        assert source is not None
         y, x = np.indices(shape)
         misplaced = lattice.wrap(source[..., :2] - np.stack([x, y], -1))
         off = np.hypot(*np.moveaxis(misplaced, -1, 0))

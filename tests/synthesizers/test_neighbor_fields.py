@@ -1,7 +1,5 @@
 """Nearest patches: the search finds them, the mean of the patches found, and pyramids."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from synthesis_cases import UPRIGHT, noise, waves

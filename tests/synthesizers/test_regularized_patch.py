@@ -59,7 +59,6 @@ def test_the_papers_texels_lie_around_the_origin() -> None:
     sample = quantize(np.random.default_rng(0).random((cells.max() + 1, 3))[cells].astype("f4"))
     paper = RegularizedPatch(**RegularizedPatch.presets["paper"])
     made = synthesize(paper, sample, (80, 80), Lattice((18, 0), (0, 14), (18.0, 14.0)))
-    assert made.lattice is not None
     for left, top in made.lattice.points((72, 70)).astype(int).tolist():
         middle = made.image[max(top - 4, 0) : top + 5, max(left - 6, 0) : left + 7]
         assert np.ptp(middle, axis=(0, 1)).max() < 0.01
@@ -103,7 +102,6 @@ def test_tolerance_trades_fit_for_variety() -> None:
     joints = []
     for tolerance in (0.0, 1.0):
         made = synthesize(RegularizedPatch(tolerance=tolerance, zone=2.0), texture.image, (160, 160), texture.lattice)
-        assert made.source is not None
         joints.append((np.abs(np.diff(made.source[..., :2], axis=1)).max(-1) > 2).mean())
     assert joints[0] < 0.9 * joints[1]
 
@@ -157,7 +155,6 @@ def test_bricks_and_hexagons_are_found() -> None:
     """The borders with least variance follow joints: three quarters of the texel's sides show little color."""
     for model in ("brick", "hexagon"):
         texture = nrbench.texture(model, shape=(192, 192), seed=0, color=0.4, intensity=0.3)
-        assert texture.lattice is not None and texture.ideal is not None
         middles, corners = quiet_texels(quantize(texture.image), texture.lattice, "hexagon")
         np.testing.assert_allclose(corners[:3], -corners[3:], atol=1e-9)
         x, y = corners.T

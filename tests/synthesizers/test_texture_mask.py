@@ -45,7 +45,6 @@ def gray(values: np.ndarray, noise: float = 0.0) -> Image:
 def test_the_mask_is_the_ideal_image_and_not_the_departures(model: str) -> None:
     """The mask correlates with the ideal image, in the sample and far away; the rest of the sample does not."""
     texture, sample = draw_texture(model, 21, far=8)
-    assert texture.ideal is not None and texture.lattice is not None
     mask = MaskParameters().find_mask(sample)
     near, far = mask.draw((128, 128)), mask.draw((1024, 1024))
     assert correlation(near, texture.ideal[:128, :128]) > 0.97
@@ -58,7 +57,6 @@ def test_the_mask_is_the_ideal_image_and_not_the_departures(model: str) -> None:
 def test_a_given_lattice_is_where_it_starts() -> None:
     """From a lattice with an error of 1.5 % and another basis, the search finds the same mask as without a lattice."""
     texture, sample = draw_texture("brick", 22)
-    assert texture.lattice is not None
     (a, b), stretch = texture.lattice.matrix, np.diag([1.015, 0.99])
     given = MaskParameters().find_mask(sample, Lattice.from_basis(np.stack([a + b, b]) @ stretch))
     own = find_own_mask("brick", 22)
@@ -156,7 +154,6 @@ def test_channels_that_show_nothing_change_nothing(levels: tuple[float | None, .
         if level is not None:
             sample[..., channel] = level
     mask = MaskParameters().find_mask(quantize(sample))
-    assert texture.lattice is not None and mask.lattice is not None
     assert mask.lattice.is_equivalent(texture.lattice, 0.1)
 
 
@@ -180,7 +177,6 @@ def test_the_lattice_is_that_of_the_strongest_group() -> None:
     """A given lattice that explains little of the sample comes after the one that explains most."""
     texture, sample = draw_texture("brick", 24)
     mask = MaskParameters().find_mask(sample, Lattice((13.3, 2.1), (-4.0, 17.7)))
-    assert texture.lattice is not None and mask.lattice is not None
     assert mask.lattice.is_equivalent(texture.lattice, 0.3)
 
 
@@ -219,7 +215,6 @@ def test_what_threads_have_in_common_by_chance_is_no_larger_tile(color: float, s
     """The lattice is the weave's, though some of its threads' colors nearly repeat after five rows."""
     texture = nrbench.texture("weave", shape=(128, 128), seed=seed, color=color, intensity=color / 2, noise=0.03)
     mask = MaskParameters().find_mask(quantize(texture.image))
-    assert texture.lattice is not None and mask.lattice is not None
     assert mask.lattice.is_equivalent(texture.lattice, 0.1)
 
 

@@ -1,7 +1,5 @@
 """Texture optimization: the energy falls, and the output consists of what the sample shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from synthesis_cases import synthesize

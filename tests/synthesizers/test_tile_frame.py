@@ -91,7 +91,6 @@ def test_a_whole_numbered_lattice_has_its_exact_rectangle(basis: tuple[int, int,
     det = abs(p * s - q * r)
     lattice = Lattice((p, q), (r, s))
     found = find_upright_rectangle(lattice, 0, 500)
-    assert found is not None
     expected = [[det / math.gcd(q, s), 0], [0, det / math.gcd(p, r)]]
     np.testing.assert_allclose(found @ lattice.matrix, expected, atol=1e-6)
     assert count_rectangle_cells(found) == pytest.approx(math.prod(size(found, lattice)) / det)
@@ -162,7 +161,6 @@ def test_the_free_rectangle_is_no_larger_than_the_upright_one(basis: tuple[int, 
     assume(lattice.s > 2)
     free, upright = find_free_rectangle(lattice, 0, 250), find_upright_rectangle(lattice, 0, 250)
     assume(upright is not None)
-    assert free is not None and upright is not None
     assert math.prod(size(free, lattice)) <= math.prod(size(upright, lattice)) * (1 + 1e-6)
 
 

@@ -1,7 +1,5 @@
 """Outputs that repeat without a seam, by each method that can make them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from commands import call
@@ -44,9 +42,7 @@ def test_opposite_edges_continue_each_other(name: str, hexagons: nrbench.Texture
     assert step_across_edges(made.image) < 1.1
     if name in LOSING:
         return
-    assert hexagons.lattice is not None
     closed = close_lattice(hexagons.lattice, SHAPE)
-    assert closed is not None
     mean = fold(made.image, closed).unfold(SHAPE)
     assert np.square(made.image - mean).mean() < 0.35 * made.image.var()
 
@@ -143,7 +139,6 @@ def test_a_bent_sample_gives_a_straight_output_that_repeats() -> None:
     made = nrbench.synthesize("rsgf", bent, (244, 273), bent.lattice, tileable=True)
     assert "straightened" in made.note
     assert step_across_edges(made.image) < 1.2
-    assert made.source is not None
     x, y = np.rint(made.source[..., :2]).astype(int).transpose(2, 0, 1)
     assert np.abs(bent.image[y, x] - made.image).mean() < 0.1
 
