@@ -95,6 +95,11 @@ class HtmlReport(ComparisonOptions):
         """Write ``report.html`` and return its path."""
         return self.begin(run, directory)()
 
+    def render(self, run: Run, directory: Path) -> str:
+        """Return the page as it will lie in ``directory``."""
+        pictures = PictureStore(directory, self.single_file)
+        return self._render(run, pictures, gallery.begin_figures(run, pictures))
+
     def _render(self, run: Run, pictures: PictureStore, figures: Sequence[Future[gallery.OutputFigure]]) -> str:
         """Return the page."""
         comparison = self.comparison(run)

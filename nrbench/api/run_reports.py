@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import warnings
 from collections import Counter
@@ -129,9 +130,11 @@ def write_reports(
         make_writable(folder, "write the reports to another directory with -o DIR")
     written: dict[str, list[Path]] = {name: [] for name in wanted}
     jobs = {name: partial(report.write, run, root / _folder(report)) for name, report in wanted.items()}
-    for name in [name for name, report in wanted.items() if hasattr(report, "begin")]:
-        jobs.pop(name)
-        jobs[name] = wanted[name].begin(run, root / _folder(wanted[name]))
+    for name, report in wanted.items():
+        if hasattr(report, "begin"):
+            jobs[name] = jobs.pop(name)
+            with contextlib.suppress(Exception):  # its method write then says why
+                jobs[name] = report.begin(run, root / _folder(report))
     for number, (name, write) in enumerate(jobs.items(), 1):
         try:
             written[name] = [Path(path) for path in write()]
