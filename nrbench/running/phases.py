@@ -388,11 +388,15 @@ def score_observation(observation: Observation, metric: str, parameters: Mapping
         When a declared column is missing, None without a reason, or neither a finite number nor a truth value.
     """
     plugin = plugins.build("metrics", metric, parameters)
-    rng = stream("metric", pixels_hash(observation.output), metric)
+    rng = stream("metric", observation.shared(_hash_output), metric)
     score: Score = plugin.score(observation.with_stream(rng))
     if not isinstance(score, Score):
         raise TypeError(f"returned {type(score).__name__} instead of a Score")
     return dataclasses.replace(score, values=_checked_values(score, plugin.columns))
+
+
+def _hash_output(observation: Observation) -> str:
+    return pixels_hash(observation.output)
 
 
 def failure_reason(error: BaseException) -> str:
