@@ -138,7 +138,7 @@ def test_what_a_program_takes_is_the_methods_cost(started: dict[str, CellRecord]
     assert tool.status == "ok", tool.message
     assert tool.values["cost.cpu_seconds"] is not None, tool.reasons
     assert tool.values["cost.cpu_seconds"] >= 0.5
-    assert tool.values["cost.peak_mib"] >= 200  # type: ignore[operator]
+    assert tool.values["cost.peak_mib"] >= 200
 
 
 def test_both_ways_of_starting_agree(started: dict[str, CellRecord], tmp_path: Path) -> None:
