@@ -4,7 +4,7 @@ import functools
 import json
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,7 +69,7 @@ def _record(method: str, **perils: float | str) -> CellRecord:
     told = all(reason.startswith("not applicable") for reason in reasons.values())
     values |= {"quality.score": min(scores), "quality.complete": told or min(scores) == 0}
     fields = {"method": method, "status": "ok", "seconds": 1.0, "message": "", "values": values, "reasons": reasons}
-    return cast(CellRecord, SimpleNamespace(**fields))
+    return SimpleNamespace(**fields)
 
 
 def _ranks(*records: CellRecord) -> dict[str, str]:
