@@ -21,7 +21,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.machinery import SourceFileLoader
-from importlib.metadata import Distribution, EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, EntryPoints, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -206,9 +206,15 @@ def files() -> list[str]:
 
 
 @cache
+def installed_points() -> EntryPoints:
+    """Return the entry points of all installed distributions, which take long to read."""
+    return entry_points()
+
+
+@cache
 def _installed(kind: str) -> list[Plugin]:
     """Return the plugins of a kind that entry points name; of the same name, those of nrbench come first."""
-    known = [(point, *_name_and_version(point.dist)) for point in entry_points(group=f"nrbench.{kind}")]
+    known = [(point, *_name_and_version(point.dist)) for point in installed_points().select(group=f"nrbench.{kind}")]
     grouped: dict[str, list[Plugin]] = {}
     for point, distribution, version in sorted(known, key=lambda each: each[1] != "nrbench"):
         group = grouped.setdefault(point.name, [])
@@ -251,9 +257,9 @@ def in_role(role: str) -> str:
         ``comparison``, which compares two runs; ``run-site``; ``tables``, which has the frames of a run; ``plot``,
         which has the plot of a run.
     """
-    declared = entry_points(group="nrbench.roles", name=role)
+    declared = installed_points().select(group="nrbench.roles", name=role)
     value = next(point.value for point in declared if _name_and_version(point.dist)[0] == "nrbench")
-    points = (point for kind in FORMS for point in entry_points(group=f"nrbench.{kind}"))
+    points = (point for kind in FORMS for point in installed_points().select(group=f"nrbench.{kind}"))
     return next(point.name for point in points if point.value == value)
 
 
