@@ -270,7 +270,7 @@ def best_move(
         correlation = covariance / math.sqrt(variance if variance > 1 else 1)
         if correlation > highest or (correlation == highest and away[m] < away[best]):
             best, highest = m, correlation
-    return nearest[best].copy()
+    return nearest[best, :].copy()
 
 
 @kernel
