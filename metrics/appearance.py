@@ -138,7 +138,7 @@ class _Maps(NamedTuple):
     def measure_parts(self, net: LatticeNet, rows: int = 1, columns: int = 1) -> dict[str, Looks]:
         """Return the features of ``rows`` x ``columns`` parts of the picture, of each kind in :func:`_scales`."""
         thin, samples = net.points[::2, ::2], net.samples // 2
-        planes = np.concatenate([sample_planes(self.levels, thin / 2), sample_planes(self.looks, thin)[..., :3]], -1)
+        planes = np.concatenate([sample_planes(self.levels, thin / 2), sample_planes(self.looks[..., :3], thin)], -1)
         parts = [row & column for row in net.cut_strips(1, rows) for column in net.cut_strips(0, columns)]
         border = min(_BORDER, min(net.shape) // 8)
         inside = net.contains(net.points, border)

@@ -24,7 +24,7 @@ from .perception import limits
 from .perception.visible import tint_places
 from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.followed import FollowedPicture
-from .registration.lattice_net import LatticeNet, Mask, Values, average_blocks, fold_cells, split_cells
+from .registration.lattice_net import LatticeNet, Mask, Values, fold_cells, split_cells
 
 _COLOR = np.array((0.7, 0.1, 0.8), np.float32)
 _SHUFFLES = 4
@@ -174,7 +174,7 @@ def _unseen_noise(plane: CoarsePlane, rng: np.random.Generator) -> Values:
     """Return smooth noise that has the amplitude that is not seen on the places of the cells."""
     steps = plane.samples // limits.PLACES
     noise = ndimage.zoom(rng.normal(0, 1, plane.values.shape), (*steps, 1), order=1)
-    return np.asarray(noise * (limits.UNSEEN_NOISE / average_blocks(noise, steps).std()), np.float32)
+    return np.asarray(noise * (limits.UNSEEN_NOISE / split_cells(noise, steps).mean((2, 3)).std()), np.float32)
 
 
 @lru_cache(maxsize=2)

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.cluster.vq import ClusterError, kmeans2
 from scipy.spatial.distance import cdist
 
 from ..perception import limits
 from ..registration.coarse_plane import CoarsePlane
 from ..registration.lattice_net import Mask, split_cells
+from .element_kernels import assign_colors
 from .texture_reference import TextureReference
 
 Colors = NDArray[np.float64]
@@ -110,10 +110,12 @@ def _gather_elements(parts: list[tuple[Colors, NDArray[np.intp]]]) -> tuple[tupl
     for each in ((1, 0), (0, 1), (1, 1), (1, -1)):
         means, rest = [np.zeros((0, 3))], 0.0
         for own, cells in parts:
-            line = np.unique(cells @ np.array(each), return_inverse=True)[1].ravel()
-            sums = np.stack([np.bincount(line, own[:, k]) for k in range(3)], 1)
-            means.append(sums / np.bincount(line)[:, np.newaxis])
-            rest += float(((own - means[-1][line]) ** 2).sum())
+            line = cells[:, 0] * each[0] + cells[:, 1] * each[1]
+            line -= line.min(initial=0)
+            sums, held = np.stack([np.bincount(line, own[:, k]) for k in range(3)], 1), np.bincount(line)[:, np.newaxis]
+            average = sums / np.maximum(held, 1)
+            means.append(average[held[:, 0] > 0])
+            rest += float(((own - average[line]) ** 2).sum())
         lines = np.concatenate(means)
         free = sum(len(own) for own, _ in parts) - len(lines)
         if free > 0 and rest / free < best:
@@ -164,16 +166,15 @@ def find_classes(colors: Colors) -> PlaceClasses | None:
     colors
         ``(n, 3)``.
     """
-    colors = colors[:: -(-len(colors) // _MOST_CELLS) or 1]
+    colors = np.ascontiguousarray(colors[:: -(-len(colors) // _MOST_CELLS) or 1])
     if len(colors) < _LEAST_ELEMENTS or colors.var(0).sum() < limits.CLASS_GAP**2 * _FLOOR / len(colors):
         return None
     whole, best, found = _log_size(colors - colors.mean(0)), limits.DECISIVE, None
     for count in range(2, min(_MOST_CLASSES, len(colors) // 2) + 1):
-        try:
-            centers, labels = _cluster(colors, count)
-        except ClusterError:  # fewer different colors than clusters
+        centers, labels, counts = _cluster(colors, count)
+        if not counts.all():  # fewer different colors than clusters
             break
-        counts, rest = np.bincount(labels, minlength=count), colors - centers[labels]
+        rest = colors - centers[labels]
         gain = 2 * (counts * np.log(counts / len(colors))).sum() + len(colors) * (whole - _log_size(rest))
         gain -= 4 * (count - 1) * math.log(len(colors))
         if found is not None and gain < best:
@@ -191,12 +192,18 @@ def _log_size(departures: Colors) -> float:
     return float(np.linalg.slogdet(departures.T @ departures / len(departures) + _FLOOR * np.eye(3))[1])
 
 
-def _cluster(colors: Colors, count: int) -> tuple[Colors, NDArray[np.intp]]:
-    """Return the means of clusters and the number of each color's cluster, by k-means from colors far apart."""
+def _cluster(colors: Colors, count: int) -> tuple[Colors, NDArray[np.intp], NDArray[np.intp]]:
+    """Return the means of clusters, the number of each color's cluster, and sizes, by k-means from colors far apart."""
     centers = colors[((colors - colors.mean(0)) ** 2).sum(1).argmax()][np.newaxis]
     while len(centers) < count:
         centers = np.concatenate([centers, colors[_square_distances(colors, centers).min(1).argmax()][np.newaxis]])
-    return kmeans2(colors, centers, _ROUNDS, minit="matrix", missing="raise")
+    labels = np.full(len(colors), -1)
+    for _ in range(_ROUNDS):
+        before, (labels, sums, counts) = labels, assign_colors(colors, centers)
+        if not counts.all() or (labels == before).all():
+            break
+        centers = sums / counts[:, np.newaxis]
+    return centers, labels, counts
 
 
 def _square_distances(a: Colors, b: Colors) -> NDArray[np.float64]:

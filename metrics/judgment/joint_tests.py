@@ -14,6 +14,7 @@ from scipy import ndimage
 from ..perception import limits
 from ..registration.coarse_plane import CoarsePlane, shift_plane
 from ..registration.lattice_net import LatticeNet, Mask, Values, split_cells
+from .element_kernels import compare_tones, sum_products
 
 Lag = tuple[int, int]
 Evidence = NDArray[np.float64]
@@ -89,11 +90,8 @@ class UnlikeTones:
         shape = (known.shape[0] // limits.PLACES, known.shape[1] // limits.PLACES)
         largest = np.full(known.shape, -np.inf, np.float32)
         for pair in self.pairs:
-            other, both = shift_plane(values, known, pair.lag)
-            difference = values - other
-            whole, unrelated = (_square_form(difference, m, shape) for m in (pair.whole, pair.unrelated))
-            ratio = np.log1p(whole / limits.FREEDOM) - np.log1p(unrelated / limits.FREEDOM)
-            evidence = (limits.FREEDOM + 3) / 2 * ratio - np.tile(pair.constant, shape) / 2
+            ratio, both = compare_tones(values, known, *pair.lag, pair.whole, pair.unrelated, limits.FREEDOM)
+            evidence = (limits.FREEDOM + 3) / 2 * np.log(ratio) - np.tile(pair.constant, shape) / 2
             if self.reach > 1:
                 sums = ndimage.uniform_filter(np.where(both, evidence, 0), self.reach, mode="constant")
                 share = ndimage.uniform_filter(both.astype(np.float32), self.reach, mode="constant")
@@ -101,16 +99,6 @@ class UnlikeTones:
                 evidence = sums / np.maximum(share, 0.5)
             largest = np.where(both, np.maximum(largest, evidence), largest)
         return _largest_in_cells(largest, (limits.PLACES, limits.PLACES))
-
-
-def _square_form(difference: Values, matrices: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return d' M d at each place, with one matrix for each place of the cell."""
-    places = (shape[0], limits.PLACES, shape[1], limits.PLACES)
-    planes = [np.ascontiguousarray(difference[..., i]).reshape(places) for i in range(3)]
-    total = np.zeros(places, np.float32)
-    for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
-        total += planes[i] * planes[j] * (matrices[:, np.newaxis, :, i, j] * (1 + (i != j)))
-    return total.reshape(difference.shape[:2])
 
 
 def _largest_in_cells(field: NDArray[np.float32], places: NDArray[np.intp] | tuple[int, int]) -> Evidence:
@@ -132,13 +120,9 @@ def list_lags(net: LatticeNet) -> list[Lag]:
 def learn_pair(planes: Sequence[CoarsePlane], lag: Lag) -> PairModel:
     """Estimate the covariances of all pairs of places. With few cells, 3 x 3 neighboring places are pooled."""
     size = limits.PLACES
-    sums, count = np.zeros((3, size, size, 3, 3)), np.zeros((size, size))
-    for plane in planes:
-        other, both = shift_plane(plane.values, plane.complete, lag)
-        for k, a in enumerate((plane.values - other, plane.values, other)):
-            cells = split_cells(np.where(both[..., np.newaxis], a, 0), (size, size))
-            sums[k] += np.einsum("klpqi,klpqj->pqij", cells, cells)
-        count += split_cells(both, (size, size)).sum((0, 1))
+    found = [sum_products(plane.values, plane.complete, *lag, size) for plane in planes]
+    sums, count = (np.sum(parts, 0) for parts in zip(*found, strict=True))
+    sums = sums.reshape(3, size, size, 3, 3)
     if count.mean() < limits.FEW_CELLS:
         sums = ndimage.uniform_filter(sums, (1, 3, 3, 1, 1), mode="wrap")
         count = ndimage.uniform_filter(count, 3, mode="wrap")

@@ -84,6 +84,7 @@ def perceive_masked(observation: Observation, lattice: Lattice | None) -> SeenSa
     return perceive_sample(sample, known)
 
 
+@lru_cache(maxsize=8)
 def declared_drift(declared: Lattice | None, true: Lattice | None, shape: Shape) -> Points:
     """Return the drift of a declared lattice from the true one, ``(2, 2)``; 0 if there is none or it does not count.
 

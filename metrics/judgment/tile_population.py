@@ -172,6 +172,12 @@ class Population:
                     if len(part) >= LEAST_TILES:
                         yield part
 
+    @cached_property
+    def _energies(self) -> tuple[float, NDArray[np.float64]]:
+        """Standard deviation of the rated energy of parts of the references, and energies of tiles over their mean."""
+        own = ((self.features - self.features.mean(0)) ** 2).mean(1)
+        return float(np.std([self.rate_energy(part) for part in self._cut()] or 0)), own / max(own.mean(), 1e-9)
+
     def rate_energy(self, features: Features) -> float:
         """Return the logarithm of the energy of tiles over that of the references, with the least visible one added."""
         return math.log((float(features.var(0, ddof=1).mean()) + SAME) / (self.energy + SAME))
@@ -184,13 +190,12 @@ class Population:
         that is more. From the interval between the references and the sample from which a method has made the tiles,
         only the number of these tiles counts.
         """
-        level, spread = self.rate_energy(features), float(np.std([self.rate_energy(part) for part in self._cut()] or 0))
-        own = ((self.features - self.features.mean(0)) ** 2).mean(1)
-        single = float(own.std() / max(own.mean(), 1e-9))
+        level, (spread, own) = self.rate_energy(features), self._energies
+        single = float(own.std())
         spread = max(
             spread / (self.parts if self.from_sample else 1),
             single / math.sqrt(min(len(features), self.sources)),
-            self._scatter_lines(own, len(features)) / max(own.mean(), 1e-9) if self.from_sample else 0,
+            self._scatter_lines(own, len(features)) if self.from_sample else 0,
         )
         change = abs(level) - max(limits.TOLERANCE, limits.DEVIATIONS * spread)
         if sample is not None:
@@ -253,6 +258,10 @@ class Population:
         limit = max(float(np.quantile(distances, min(limits.TWINS / self.sources, 0.5))), SAME)
         return limit, float(np.median(distances)), float((distances < limit).mean())
 
+    @cached_property
+    def _scatter_twins(self) -> float:
+        return float(np.mean([tiles.scatter_twins(self.twins[0]) for tiles in self.tiles]))
+
     def allow_twins(self, count: int) -> float:
         """Return the share of twins, beyond that of the references, that chance explains in ``count`` tiles.
 
@@ -260,10 +269,10 @@ class Population:
         of a U-statistic (Hoeffding 1948), 4 v / n + 2 t (1 - t) / n^2, with the share t of twins by chance and the
         variance v of the twins of single windows: in the n tiles of an output, and in those of the sample.
         """
-        limit, _, chance = self.twins
+        chance = self.twins[2]
         often = max(chance - limits.TWINS / self.sources, 0.0)
         pairs = often * (1 - often)
-        single = min(float(np.mean([tiles.scatter_twins(limit) for tiles in self.tiles])), pairs)
+        single = min(self._scatter_twins, pairs)
         variance = sum(4 * single / n + 2 * pairs / n**2 for n in (count, self.sources))
         return min(limits.DEVIATIONS * math.sqrt(variance), 1 - chance)
 

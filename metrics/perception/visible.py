@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import skimage.color
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from nrbench.imaging.convert import Image, gray
 from nrbench.plugins.forms import Shape
 
 from . import limits
+from .blur_kernels import blur_plane
 
 Lab = NDArray[np.float32]
 """``(H, W, 4)``: L*, a* and b* as they are seen, and L* before its blur."""
@@ -37,7 +37,7 @@ def perceive(image: Image) -> Lab:
     """
     lab = skimage.color.rgb2lab(np.broadcast_to(image, (*image.shape[:2], 3))).astype(np.float32)
     sigmas = (limits.BLUR, limits.CHROMA_BLUR, limits.CHROMA_BLUR)
-    seen = [gaussian_filter(lab[..., k], sigma, mode="nearest", truncate=3) for k, sigma in enumerate(sigmas)]
+    seen = [smooth_plane(lab[..., k], sigma, mirrored=False) for k, sigma in enumerate(sigmas)]
     return np.stack([*seen, lab[..., 0]], -1)
 
 
@@ -73,8 +73,19 @@ def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> 
     return np.asarray(np.clip(np.where(marked, (1 - _DIM) * faint + _DIM * tint, faint), 0, 1), np.float32)
 
 
-def _blur(plane: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    return np.asarray(gaussian_filter(plane, sigma, mode="reflect", truncate=3))
+def smooth_plane(plane: NDArray[np.float32], sigma: float, mirrored: bool = True) -> NDArray[np.float32]:
+    """Return a plane blurred by a Gaussian of three standard deviations ``sigma`` px; it is mirrored at the border.
+
+    If not ``mirrored``, it has the values of the nearest pixel there.
+    """
+    return blur_plane(np.ascontiguousarray(plane, np.float32), _find_weights(sigma), mirrored)
+
+
+@lru_cache(maxsize=16)
+def _find_weights(sigma: float) -> NDArray[np.float64]:
+    """Return the weights of a Gaussian cut at three standard deviations, from the middle one to the last."""
+    weights = np.exp(-0.5 / sigma**2 * np.arange(int(3 * sigma + 0.5) + 1) ** 2)
+    return np.asarray(weights / (2 * weights.sum() - 1))
 
 
 def _level(energy: NDArray[Any], unseen: float = limits.BAND_OFFSET) -> NDArray[Any]:
@@ -84,8 +95,8 @@ def _level(energy: NDArray[Any], unseen: float = limits.BAND_OFFSET) -> NDArray[
 
 def _halve(plane: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the means of 2 x 2 pixels."""
-    height, width = plane.shape[0] // 2, plane.shape[1] // 2
-    return np.asarray(plane[: 2 * height, : 2 * width].reshape(height, 2, width, 2).mean((1, 3)))
+    a = plane[: plane.shape[0] // 2 * 2, : plane.shape[1] // 2 * 2]
+    return np.asarray(((a[::2, ::2] + a[::2, 1::2]) + (a[1::2, ::2] + a[1::2, 1::2])) * np.float32(0.25))
 
 
 def measure_looks(lab: Lab) -> NDArray[np.float32]:
@@ -99,11 +110,11 @@ def measure_looks(lab: Lab) -> NDArray[np.float32]:
     raw = lab[..., 3]
     grain = np.zeros_like(raw)
     grain[1:-1, 1:-1] = np.diff(np.diff(raw, 2, 0), 2, 1) / 6
-    octaves = [_blur(raw, sigma) for sigma in (1.2, 2.4, 5.0)]
+    octaves = [smooth_plane(raw, sigma) for sigma in (1.2, 2.4, 5.0)]
     bands = [lab[..., 0] - octaves[0], octaves[0] - octaves[1], octaves[1] - octaves[2]]
-    planes = [lab[..., 0], lab[..., 1], lab[..., 2], _level(_blur(grain * grain, 1.5), limits.GRAIN_OFFSET)]
-    planes += [_level(_blur(band * band, sigma)) for band, sigma in zip(bands, (2, 2, 3), strict=True)]
-    planes += [_level(_blur((lab[..., k] - _blur(lab[..., k], 6)) ** 2, 4), limits.JND) for k in (1, 2)]
+    planes = [lab[..., 0], lab[..., 1], lab[..., 2], _level(smooth_plane(grain * grain, 1.5), limits.GRAIN_OFFSET)]
+    planes += [_level(smooth_plane(band * band, sigma)) for band, sigma in zip(bands, (2, 2, 3), strict=True)]
+    planes += [_level(smooth_plane((lab[..., k] - smooth_plane(lab[..., k], 6)) ** 2, 4), limits.JND) for k in (1, 2)]
     return np.asarray(np.stack(planes, -1), np.float32)
 
 
@@ -119,13 +130,16 @@ def measure_detail(lab: Lab) -> NDArray[np.float32]:
     """
 
     def measure(octave: NDArray[np.float32]) -> tuple[NDArray[np.float32], list[NDArray[Any]]]:
-        low = _blur(octave, 1.2)
+        low = smooth_plane(octave, 1.2)
         band = octave - low
         down, right = (np.asarray(slope, np.float32) for slope in np.gradient(octave))
-        near, energy = _blur(band * band, 1), _blur(band * band, 2)
-        bright = _blur(np.maximum(band, 0) ** 2, 2)
+        near, energy = smooth_plane(band * band, 1), smooth_plane(band * band, 2)
+        bright = smooth_plane(np.maximum(band, 0) ** 2, 2)
         planes = [_level(right**2) - _level(down**2), _level((right + down) ** 2 / 2) - _level((right - down) ** 2 / 2)]
-        planes += [_level(_blur(near, 3)) - _level(near), _level(bright) - _level(np.maximum(energy - bright, 0))]
+        planes += [
+            _level(smooth_plane(near, 3)) - _level(near),
+            _level(bright) - _level(np.maximum(energy - bright, 0)),
+        ]
         return low, planes
 
     height, width = lab.shape[0] // 2, lab.shape[1] // 2
@@ -145,10 +159,10 @@ def measure_levels(lab: Lab) -> NDArray[np.float32]:
     height, width = lab.shape[0] // 2, lab.shape[1] // 2
     octave, planes = lab[..., 3], []
     for number in range(3):
-        low = _blur(octave, 1.2)
+        low = smooth_plane(octave, 1.2)
         down, right = (np.asarray(slope, np.float32) for slope in np.gradient(octave - low))
         for slope in (right, down, (right + down) * np.float32(0.5**0.5), (right - down) * np.float32(0.5**0.5)):
-            energy = _blur(slope * slope, 1.2)
+            energy = smooth_plane(slope * slope, 1.2)
             level = _level(_halve(energy) if number == 0 else energy)
             planes.append(level.repeat(2, 0).repeat(2, 1)[:height, :width] if number == 2 else level[:height, :width])
         octave = low[::2, ::2]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..perception import limits
-from .lattice_net import Mask, Values, average_blocks, split_cells
+from .lattice_net import Mask, Values, split_cells
+from .net_kernels import average_blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,18 +30,21 @@ class CoarsePlane:
     samples: NDArray[np.intp]
 
     @cached_property
+    def _means(self) -> tuple[Values, Mask]:
+        fine = np.ascontiguousarray(self.fine, np.float32)
+        means, share = average_blocks(fine, self.known, *self.samples // limits.PLACES)
+        complete = share > 0.99
+        return np.where(complete[..., np.newaxis], means, 0).astype(np.float32), complete
+
+    @property
     def values(self) -> Values:
         """``(8 N1, 8 N2, 3)``: means over the places of each cell; 0 where unknown."""
-        means = self._mean(np.where(self.known[..., np.newaxis], self.fine, 0))
-        return np.where(self.complete[..., np.newaxis], means, 0)
+        return self._means[0]
 
-    @cached_property
+    @property
     def complete(self) -> Mask:
         """``(8 N1, 8 N2)``: the places all of whose points are known."""
-        return np.asarray(self._mean(self.known.astype(np.float32)) > 0.99)
-
-    def _mean(self, a: Values) -> Values:
-        return average_blocks(a, self.samples // limits.PLACES).astype(np.float32)
+        return self._means[1]
 
     @property
     def cells(self) -> Values:

@@ -19,7 +19,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import Shape
 
 from ..perception import limits
-from ..perception.visible import Lab, SeenSample
+from ..perception.visible import Lab, SeenSample, smooth_plane
 from .lattice_net import LatticeNet, Mask, Values, sum_boxes
 from .lattice_nodes import (
     STRIPS,
@@ -82,7 +82,7 @@ class PointGrid:
         smooth, planes, done = list(np.moveaxis(lab[..., :3], -1, 0)), [], 0.0
         for scale in _SCALES:
             sigma, done = float(np.sqrt(scale**2 - done**2)), float(scale)
-            smooth = [ndimage.gaussian_filter(plane, sigma, mode="reflect", truncate=3) for plane in smooth]
+            smooth = [smooth_plane(plane, sigma) for plane in smooth]
             wide = np.pad(smooth[0], scale, mode="reflect")
             (a, b, c), (d, e, f), (g, h, i) = (
                 [wide[y : y + height, x : x + width][at] for x in (0, scale, 2 * scale)] for y in (0, scale, 2 * scale)

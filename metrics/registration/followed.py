@@ -20,6 +20,7 @@ from ..perception import limits
 from ..perception.visible import Lab
 from .lattice_net import LatticeNet, Mask, Values, find_inside, fold_cells, sample_planes, split_cells
 from .lattice_nodes import Field, LatticeNodes, Strips, find_least, node_shape
+from .net_kernels import measure_misfits
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,15 @@ class FollowedPicture(LatticeNodes):
 
     @cached_property
     def _fit(self) -> tuple[Field, Values, Mask]:
-        return self._fit_windows(self.size)
+        """Displacements, misfits at all displacements ``(R, C, n1, n2)``, and the nodes inside the picture."""
+        windows, cover = _average_windows(self.plane, self.net, self.size)
+        if self.strips is None:
+            costs = _compare(windows, self.models[0], self.size)
+        else:
+            number, costs = self.strips.number(self.centers), np.empty((*cover.shape, *self.net.samples), np.float32)
+            for k, model in enumerate(self.models):
+                costs[number == k] = _compare(windows[number == k], model, self.size)
+        return find_least(costs), costs, cover > 0.97
 
     @cached_property
     def contrast(self) -> Values:
@@ -99,12 +108,11 @@ class FollowedPicture(LatticeNodes):
     @cached_property
     def misfit(self) -> Values:
         """Misfit of the single cell in the middle of each node's window, at the expected displacement."""
-        costs = self._fit_windows(1)[1] if self.size > 1 else self._fit[1]
-        wide = self.size - 1
-        costs = costs[wide : costs.shape[0] - wide, wide : costs.shape[1] - wide]
-        rows, columns = np.indices(self.valid.shape)
-        i, j = np.moveaxis(np.rint(self.expected * self.net.samples).astype(int) % self.net.samples, -1, 0)
-        return np.asarray(costs[rows, columns, i, j])
+        weights = np.stack([_weigh_points(model, 1) for model in self.models])
+        number = np.zeros(self.valid.shape, np.intp) if self.strips is None else self.strips.number(self.centers)
+        moves = np.rint(self.expected * self.net.samples).astype(np.intp)
+        means, first = np.stack([model.mean for model in self.models]), self.size - 1
+        return measure_misfits(self.plane, means.astype(np.float32), weights, number, moves, first)
 
     @cached_property
     def straightened(self) -> tuple[Values, Mask]:
@@ -129,18 +137,6 @@ class FollowedPicture(LatticeNodes):
             return plane - means[0], known
         return plane - np.choose(self.strips.number(self.net.points)[..., np.newaxis], means), known
 
-    def _fit_windows(self, size: int) -> tuple[Field, Values, Mask]:
-        """Return displacements, misfits at all displacements ``(R, C, n1, n2)``, and the nodes inside the picture."""
-        windows, cover = _average_windows(self.plane, self.net, size)
-        found = [_compare(windows, model, size) for model in self.models]
-        if self.strips is None:
-            places, costs = found[0]
-        else:
-            number = self.strips.number(self._centers(size))
-            places = np.choose(number[..., np.newaxis], [f[0] for f in found])
-            costs = np.choose(number[..., np.newaxis, np.newaxis], [f[1] for f in found])
-        return places, costs, cover > 0.97
-
 
 def _spread_matrix(side: int, samples: int, size: int, nodes: int) -> NDArray[np.float64]:
     """Return the weights of nodes in each sample along a vector, ``(side, nodes)``: linear, and constant beyond."""
@@ -149,46 +145,53 @@ def _spread_matrix(side: int, samples: int, size: int, nodes: int) -> NDArray[np
 
 
 def _average_windows(plane: Values, net: LatticeNet, size: int) -> tuple[Values, Values]:
-    """Average the cells of each window, ``(R, C, n1, n2, 3)``, and return which share of it lies inside the picture.
+    """Average the cells of each window, ``(R, C, 3, n1, n2)``, and return which share of it lies inside the picture.
 
     A point that lies outside in all cells has the value at the nearest border.
     """
-    half, inside = net.samples // 2, find_inside(net.points, net.shape)  # what does not count is filled, as it repeats
-    shape = node_shape(net, size)
-    windows, cover = np.zeros((*shape, *net.samples, 3), np.float32), np.zeros(shape, np.float32)
-    for a, b in np.ndindex(2, 2):
-        y, x = a * half[0], b * half[1]
-        part = np.s_[y : plane.shape[0] - y, x : plane.shape[1] - x]
-        known = split_cells(np.where(inside[part], np.float32(1), np.float32(1e-3)), net.samples)
-        cells = split_cells(plane[part], net.samples) * known[..., np.newaxis]
-        sums, counts = (_sum_windows(a, size) for a in (cells, known))
-        if counts.size:
-            windows[a::2, b::2] = np.roll(sums / counts[..., np.newaxis], (y, x), (2, 3))
-            cover[a::2, b::2] = counts.mean((2, 3)) / size**2
-    return windows, cover
+    half, shape = net.samples // 2, node_shape(net, size)
+    # What does not count is filled, as it repeats.
+    known = np.where(find_inside(net.points, net.shape), np.float32(1), np.float32(1e-3))
+    counts = _sum_windows(known, net.samples, size)
+    means = _sum_windows(np.moveaxis(plane, -1, 0) * known, net.samples, size) / counts
+    windows = np.empty((*shape, 3, *net.samples), np.float32)
+    cells = np.moveaxis(split_cells(np.moveaxis(means, 0, -1), net.samples), -1, 2)
+    # A window that begins in the middle of a cell shows the first half of the next one.
+    for a, b, i, j in np.ndindex(2, 2, 2, 2):
+        y, x = (slice(k * n, (k + 1) * n) for k, n in zip((i, j), half, strict=True))
+        down, right = a * (1 - i), b * (1 - j)
+        rows, columns = windows[a::2, b::2].shape[:2]
+        windows[a::2, b::2, :, y, x] = cells[down : down + rows, right : right + columns, :, y, x]
+    share = split_cells(counts, half).mean((2, 3)) / size**2
+    return windows, (share[1:, 1:] + share[1:, :-1] + share[:-1, 1:] + share[:-1, :-1]) / 4
 
 
-def _sum_windows(a: Values, size: int) -> Values:
-    rows, columns = a.shape[0] - size + 1, a.shape[1] - size + 1
-    total = np.zeros((rows, columns, *a.shape[2:]), np.float32)
+def _sum_windows(a: Values, samples: NDArray[np.intp], size: int) -> Values:
+    """Return the sums over ``size`` x ``size`` cells that begin at each point, in the order of a net."""
+    (height, width), (n1, n2) = a.shape[-2:], samples
+    rows, columns = height - (size - 1) * n1, width - (size - 1) * n2
+    total = np.zeros((*a.shape[:-2], rows, columns), np.float32)
     for i, j in np.ndindex(size, size):
-        total += a[i : i + rows, j : j + columns]
+        total += a[..., i * n1 : i * n1 + rows, j * n2 : j * n2 + columns]
     return total
 
 
-def _compare(windows: Values, model: CellModel, size: int) -> tuple[Field, Values]:
-    """Return the displacement of each window with the smallest misfit, to fractions of a sample, and all misfits.
+def _weigh_points(model: CellModel, size: int) -> Values:
+    """Return the weight of each point of the cell in the misfit of windows of ``size`` x ``size`` cells."""
+    return np.asarray(1 / (model.variance / size**2 + limits.JND**2) / model.mean.size, np.float32)
+
+
+def _compare(windows: Values, model: CellModel, size: int) -> Values:
+    """Return the misfits of windows ``(..., 3, n1, n2)`` at all displacements, ``(..., n1, n2)``.
 
     With w = 1 / (variance / size^2 + JND^2) the misfit at a displacement is sum w x^2 - 2 sum w m x + sum w m^2, mean
     over the points of the cell: two cyclic correlations, by FFT.
     """
-    samples = model.mean.shape[:2]
-    weights = np.asarray(1 / (model.variance / size**2 + limits.JND**2) / model.mean.size, np.float32)
-    powers, products = (np.conj(scipy.fft.rfft2(a, axes=(0, 1))) for a in (weights, weights * model.mean))
-    spectra = (scipy.fft.rfft2(a, axes=(2, 3)) for a in (windows * windows, windows))
+    weights = _weigh_points(model, size)
+    planes = (np.ascontiguousarray(np.moveaxis(a, -1, 0)) for a in (weights, weights * model.mean))
+    powers, products = (np.conj(scipy.fft.rfft2(plane)) for plane in planes)
     total = sum(
-        np.einsum("rcijk,ijk->rcij", spectrum, factor)
-        for spectrum, factor in zip(spectra, (powers, -2 * products), strict=True)
+        np.einsum("...kij,kij->...ij", scipy.fft.rfft2(a), factor)
+        for a, factor in ((windows * windows, powers), (windows, -2 * products))
     )
-    costs = scipy.fft.irfft2(total, s=samples, axes=(2, 3)) + (weights * model.mean**2).sum()
-    return find_least(costs), costs
+    return np.asarray(scipy.fft.irfft2(total, s=windows.shape[-2:]) + (weights * model.mean**2).sum())

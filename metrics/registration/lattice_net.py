@@ -15,7 +15,7 @@ from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Shape
 
 from ..perception import limits
-from .net_kernels import interpolate_pixels
+from .net_kernels import average_blocks, interpolate_pixels
 
 Values = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -123,10 +123,9 @@ class LatticeNet:
         """Return the values of cells, ``(N1, N2)``, at all of their points."""
         return cells.repeat(self.samples[0], 0).repeat(self.samples[1], 1)
 
-    def half_cells(self, planes: NDArray[Any], known: Mask) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def half_cells(self, planes: Values, known: Mask) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the means of planes over half cells, where a point is unknown as 0, and the known share of each."""
-        half = self.samples // 2
-        return average_blocks(np.where(known[..., np.newaxis], planes, 0), half), average_blocks(known, half)
+        return average_blocks(planes, known, *self.samples // 2)
 
 
 def find_inside(points: Points, shape: Shape) -> Mask:
@@ -138,19 +137,14 @@ def find_inside(points: Points, shape: Shape) -> Mask:
 def sample_planes(planes: Values, points: Points) -> Values:
     """Return the values of planes ``(H, W, C)`` at points (x, y), interpolated linearly."""
     places = np.ascontiguousarray(points, np.float64).reshape(-1, 2)
-    return interpolate_pixels(planes, places).reshape(*points.shape[:-1], planes.shape[-1])
+    found = interpolate_pixels(np.ascontiguousarray(planes), places)
+    return found.reshape(*points.shape[:-1], planes.shape[-1])
 
 
 def split_cells(a: NDArray[Any], samples: NDArray[np.intp] | tuple[int, int]) -> NDArray[Any]:
     """Return an array in the order of a net, ``(N1 n1, N2 n2, ...)``, cell by cell: ``(N1, N2, n1, n2, ...)``."""
     n1, n2 = samples
     return a.reshape(a.shape[0] // n1, n1, a.shape[1] // n2, n2, *a.shape[2:]).swapaxes(1, 2)
-
-
-def average_blocks(a: NDArray[Any], size: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the means of blocks of ``size`` along the first two axes; first down the columns, which is the fastest."""
-    rows = a.reshape(-1, size[0], *a.shape[1:]).mean(1, dtype=np.float64)
-    return np.asarray(rows.reshape(len(rows), -1, size[1], *a.shape[2:]).mean(2))
 
 
 def fold_cells(planes: Values, known: Mask, samples: NDArray[np.intp]) -> Values:

@@ -16,7 +16,7 @@ from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Shape
 
 from ..perception import limits
-from . import net_kernels
+from . import node_kernels
 from .lattice_net import LatticeNet, Mask, Values
 
 Field = NDArray[np.float64]
@@ -130,10 +130,8 @@ class LatticeNodes:
     @cached_property
     def centers(self) -> Points:
         """``(R, C, 2)``: (x, y) px of the middles of the nodes' windows."""
-        return self._centers(self.size)
-
-    def _centers(self, size: int) -> Points:
-        numbers = np.moveaxis(np.indices(node_shape(self.net, size)), 0, -1) / 2 + size / 2 + self.net.first
+        size, shape = self.size, node_shape(self.net, self.size)
+        numbers = np.moveaxis(np.indices(shape), 0, -1) / 2 + size / 2 + self.net.first
         return np.asarray(numbers @ self.net.vectors + self.net.origin)
 
     @cached_property
@@ -236,53 +234,26 @@ def find_least(costs: NDArray[Any]) -> Field:
 def find_lengths(difference: Field, vectors: Points) -> Values:
     """Return the length px of displacements in cell coordinates, modulo the lattice of reduced vectors."""
     flat = np.ascontiguousarray(difference).reshape(-1, 2)
-    lengths = net_kernels.measure_lengths(flat, np.ascontiguousarray(vectors))
+    lengths = node_kernels.measure_lengths(flat, np.ascontiguousarray(vectors))
     return np.asarray(lengths.reshape(difference.shape[:-1]))
 
 
 def _grow(displacement: Field, valid: Mask, vectors: Points, limit: float) -> tuple[Mask, Field]:
     """Return the nodes in place and the displacement that they predict everywhere."""
-    width = 2 * _REACH + 1
-
-    def box(a: NDArray[np.float64]) -> NDArray[np.float64]:
-        size = (width, width) + (1,) * (a.ndim - 2)
-        return np.asarray(ndimage.uniform_filter(a, size, mode="constant") * width**2)
-
     largest, expected = np.zeros_like(valid), np.zeros_like(displacement)
-    rating = np.where(valid, _count_agreeing(displacement, valid, vectors, limit), -1)
+    field = (np.ascontiguousarray(displacement), np.ascontiguousarray(valid), np.ascontiguousarray(vectors), limit)
+    rating = np.where(valid, node_kernels.count_agreeing(*field, _REACH), -1)
     for _ in range(3):
         if rating.max() < 3:
             break
-        grown = np.zeros_like(valid)
-        grown[np.unravel_index(rating.argmax(), rating.shape)] = True
-        rating[grown] = -1
-        unwrapped = displacement
-        for turn in range(_MOST_ROUNDS):
-            count = np.rint(box(grown.astype(np.float64)))
-            mean = box(unwrapped * grown[..., np.newaxis]) / np.maximum(count, 1)[..., np.newaxis]
-            near = displacement - mean
-            unwrapped = np.where(count[..., np.newaxis] > 0, mean + near - np.rint(near), unwrapped)
-            wider = valid & (count >= (1 if turn < 2 else 3)) & (find_lengths(near, vectors) <= limit)
-            if turn > 2 and (wider == grown).all():
-                break
-            grown = wider
-        rating[grown] = -1
+        seed = int(rating.argmax())
+        grown, mean, count = node_kernels.grow_nodes(*field, _REACH, seed, _MOST_ROUNDS)
+        rating[grown] = rating.flat[seed] = -1
         if grown.sum() > largest.sum():
             largest, expected = grown, _fill(mean, count < 3)
         if 2 * largest.sum() > valid.sum():
             break
     return largest, expected
-
-
-def _count_agreeing(displacement: Field, valid: Mask, vectors: Points, limit: float) -> NDArray[np.intp]:
-    """Return how many nodes around each node have its displacement, to within the limit px."""
-    reach, (rows, columns) = _REACH, valid.shape
-    wide, known = np.pad(displacement, ((reach, reach), (reach, reach), (0, 0))), np.pad(valid, reach)
-    total = np.zeros(valid.shape, np.intp)
-    for i, j in np.ndindex(2 * reach + 1, 2 * reach + 1):
-        part = np.s_[i : i + rows, j : j + columns]
-        total += known[part] & (find_lengths(displacement - wide[part], vectors) < limit)
-    return total
 
 
 def _fill(field: NDArray[Any], unknown: Mask) -> NDArray[Any]:

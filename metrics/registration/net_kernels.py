@@ -1,14 +1,14 @@
-"""Compiled loops of a net: values between pixels, and lengths of displacements modulo the lattice."""
+"""Compiled loops of a net: values between pixels, means of blocks, and misfits of cells."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Float32View3, Float32x2, Float64x1, Float64x2, kernel
+from nrbench.jit import Boolx2, Float32x2, Float32x3, Float32x4, Float64x2, Float64x3, Int64x2, Int64x3, kernel
 
 
 @kernel
-def interpolate_pixels(planes: Float32View3, points: Float64x2) -> Float32x2:
+def interpolate_pixels(planes: Float32x3, points: Float64x2) -> Float32x2:
     """Return the values of planes ``(H, W, C)`` at points (x, y), ``(n, 2)``, interpolated linearly, as ``(n, C)``.
 
     Points beyond the border have the values of the nearest pixel. The values are those of
@@ -20,25 +20,64 @@ def interpolate_pixels(planes: Float32View3, points: Float64x2) -> Float32x2:
         x, y = min(max(points[n, 0], 0.0), width - 1.0), min(max(points[n, 1], 0.0), height - 1.0)
         left, top = min(int(x), width - 2), min(int(y), height - 2)
         u, v = x - left, y - top
-        for c in range(channels):
-            above = planes[top, left, c] * (1.0 - v) * (1.0 - u) + planes[top, left + 1, c] * (1.0 - v) * u
-            below = planes[top + 1, left, c] * v * (1.0 - u) + planes[top + 1, left + 1, c] * v * u
-            found[n, c] = above + below
+        first, second, third, fourth = (1.0 - v) * (1.0 - u), (1.0 - v) * u, v * (1.0 - u), v * u
+        for c in range(channels):  # the weights stand before the loop, so that it is one of vectors
+            above = planes[top, left, c] * first + planes[top, left + 1, c] * second
+            found[n, c] = above + (planes[top + 1, left, c] * third + planes[top + 1, left + 1, c] * fourth)
     return found
 
 
 @kernel
-def measure_lengths(displacements: Float64x2, vectors: Float64x2) -> Float64x1:
-    """Return the length px of displacements in cell coordinates, ``(n, 2)``, modulo the lattice of reduced vectors."""
-    lengths = np.empty(len(displacements))
-    for n in range(len(displacements)):
-        u, v = displacements[n]
-        u, v = u - np.rint(u), v - np.rint(v)
-        least = np.inf
-        for i in range(-1, 2):
-            for j in range(-1, 2):
-                x = (u + i) * vectors[0, 0] + (v + j) * vectors[1, 0]
-                y = (u + i) * vectors[0, 1] + (v + j) * vectors[1, 1]
-                least = min(least, x * x + y * y)
-        lengths[n] = np.sqrt(least)
-    return lengths
+def average_blocks(planes: Float32x3, known: Boolx2, rows: int, columns: int) -> tuple[Float64x3, Float64x2]:
+    """Return the means of planes ``(H, W, C)`` over blocks of ``rows`` x ``columns``, and the known share of each.
+
+    Where a point is unknown, it counts as 0.
+    """
+    height, width, channels = planes.shape[0] // rows, planes.shape[1] // columns, planes.shape[2]
+    means, share = np.zeros((height, width, channels)), np.zeros((height, width))
+    for i in range(height):
+        for y in range(i * rows, (i + 1) * rows):
+            for j in range(width):
+                for x in range(j * columns, (j + 1) * columns):
+                    if known[y, x]:
+                        share[i, j] += 1.0
+                        for c in range(channels):
+                            means[i, j, c] += planes[y, x, c]
+    return means / (rows * columns), share / (rows * columns)
+
+
+@kernel
+def measure_misfits(
+    plane: Float32x3, means: Float32x4, weights: Float32x4, number: Int64x2, moves: Int64x3, first: int
+) -> Float32x2:
+    """Return the weighted mean squared differences of the single cells at nodes, moved, from mean cells, ``(R, C)``.
+
+    Parameters
+    ----------
+    plane
+        ``(N1 n1, N2 n2, 3)``, in the order of a net.
+    means, weights
+        ``(k, n1, n2, 3)``: mean cells, and the weights of their points.
+    number
+        ``(R, C)``: which mean cell counts at each node.
+    moves
+        ``(R, C, 2)``: displacements in samples.
+    first
+        Number of the half cell in which the cell of the first node begins, along both vectors.
+    """
+    rows, columns = number.shape
+    n1, n2 = means.shape[1:3]
+    misfits = np.empty((rows, columns), np.float32)
+    for r in range(rows):
+        top = (first + r) * (n1 // 2)
+        for c in range(columns):
+            left, k, total = (first + c) * (n2 // 2), number[r, c], 0.0
+            for i in range(n1):
+                y = top + (i + moves[r, c, 0] - top) % n1
+                for j in range(n2):
+                    x = left + (j + moves[r, c, 1] - left) % n2
+                    for channel in range(3):
+                        away = plane[y, x, channel] - means[k, i, j, channel]
+                        total += weights[k, i, j, channel] * away * away
+            misfits[r, c] = total
+    return misfits

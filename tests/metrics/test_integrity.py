@@ -11,6 +11,10 @@ from nrbench.datasets_procedural.cans import Cans
 from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.imaging.convert import quantize
 from nrbench.metrics.integrity import Integrity
+from nrbench.metrics.judgment.element_kernels import compare_tones, sum_products
+from nrbench.metrics.perception import limits
+from nrbench.metrics.registration.coarse_plane import shift_plane
+from nrbench.metrics.registration.lattice_net import split_cells
 from nrbench.plugins.forms import Task
 from nrbench.synthesizers.rsgf import Rsgf
 
@@ -130,3 +134,21 @@ def test_alike_elements_are_torn_where_their_parts_are_moved() -> None:
     fresh, broken = (integrity(own.observe(image, False)) for image in (whole, torn))
     assert fresh.values["score"] is None and fresh.reasons["score"].startswith("not applicable")
     assert broken.values["score"] <= 0.4 and broken.records["test"] == "torn"
+
+
+def test_pairs_of_tones_are_compared_at_their_places() -> None:
+    """The kernels of pairs give the ratio of quadratic forms, and the sums of products, that numpy does."""
+    rng, lag, p = np.random.default_rng(0), (2, -3), limits.PLACES
+    values, known = rng.normal(0, 5, (3 * p, 4 * p, 3)).astype(np.float32), rng.random((3 * p, 4 * p)) < 0.8
+    whole, unrelated = (a @ a.swapaxes(2, 3) for a in rng.random((2, p, p, 3, 3)).astype(np.float32))
+    other, both = shift_plane(values, known, lag)
+    away = np.where(both[..., np.newaxis], values - other, 0)
+    forms = [np.einsum("yxi,yxij,yxj->yx", away, np.tile(m, (3, 4, 1, 1)), away) for m in (whole, unrelated)]
+    ratio, pairs = compare_tones(values, known, *lag, whole, unrelated, 5.0)
+    np.testing.assert_array_equal(pairs, both)
+    np.testing.assert_allclose(ratio, (5 + forms[0]) / (5 + forms[1]), rtol=1e-4)
+    sums, count = sum_products(values, known, *lag, p)
+    np.testing.assert_array_equal(count, split_cells(both, (p, p)).sum((0, 1)))
+    cells = split_cells(away, (p, p))
+    expected = np.einsum("klpqi,klpqj->pqij", cells, cells)
+    np.testing.assert_allclose(sums[0].reshape(expected.shape), expected, rtol=1e-4, atol=1e-2)

@@ -14,7 +14,7 @@ from nrbench.lattice.relation import lattice_error
 from nrbench.metrics.judgment.examination import examine
 from nrbench.metrics.judgment.known_lattice import canonical_lattice, find_known_lattice, split_supercell
 from nrbench.metrics.perception.limits import JND
-from nrbench.metrics.perception.visible import measure_detail, measure_looks, perceive, perceive_sample
+from nrbench.metrics.perception.visible import measure_detail, measure_looks, perceive, perceive_sample, smooth_plane
 from nrbench.metrics.quality import Quality
 from nrbench.plugins.forms import Texture
 
@@ -35,6 +35,15 @@ def combine(lattice: Lattice, numbers: list[list[int]]) -> Lattice:
     """Return the lattice of integer combinations of the vectors, from another of its points."""
     matrix = lattice.matrix
     return Lattice.from_basis(np.array(numbers) @ matrix, tuple(lattice.origin + 2 * matrix[0] - matrix[1]))
+
+
+@pytest.mark.parametrize("shape", [(40, 61), (9, 8)])
+@pytest.mark.parametrize("mode", ["reflect", "nearest"])
+def test_a_blur_is_that_of_scipy(shape: tuple[int, int], mode: str) -> None:
+    """A plane, even one narrower than the Gaussian, is blurred as by scipy.ndimage."""
+    plane = np.random.default_rng(0).random(shape, np.float32)
+    expected = gaussian_filter(plane, 4.0, mode=mode, truncate=3)
+    np.testing.assert_allclose(smooth_plane(plane, 4.0, mode == "reflect"), expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -138,6 +147,15 @@ def test_a_phase_step_is_measured_in_px(own: Case, size: float) -> None:
     start = np.median(near[~beyond] - np.rint(near[~beyond] - near[~beyond][0]), 0)
     rest = near[beyond] - start - truth[beyond] @ np.linalg.inv(followed.net.vectors)
     assert np.hypot(*np.median((rest - np.rint(rest)) @ followed.net.vectors, 0)) < 0.5
+
+
+@pytest.mark.parametrize("model", [True, False])
+def test_the_misfit_of_a_cell_is_that_at_its_displacement(own: Case, model: bool) -> None:
+    """The misfits of single cells are those that windows of one cell have, by FFT, at the expected displacements."""
+    picture = replace(examine(own.observe(own.fresh(), model)).reference.pictures[0], size=1)
+    rows, columns = np.indices(picture.valid.shape)
+    i, j = np.moveaxis(np.rint(picture.expected * picture.net.samples).astype(int) % picture.net.samples, -1, 0)
+    np.testing.assert_allclose(picture.misfit, picture._fit[1][rows, columns, i, j], rtol=1e-3, atol=1e-3)
 
 
 def test_bending_leaves_all_tiles_in_place() -> None:

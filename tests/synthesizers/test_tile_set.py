@@ -506,7 +506,7 @@ def test_a_set_is_what_no_lattice_vector_leads_out_of(lattice: Lattice) -> None:
     """Upright, lattice and rectangle tiles have two sets, cells four, and tiles of 2 x 2 cells one."""
     for tile, count in (("upright", 2), ("lattice", 2), ("rectangle", 2), ("cell", 4)):
         for cells in (1, 2, 3):
-            shape = tile_shape(lattice, tile, cells)  # type: ignore[arg-type]
+            shape = tile_shape(lattice, tile, cells)
             numbers = shape.set_offsets(lattice)
             assert len(numbers) == (1 if cells == 2 else count) and numbers[0] == (0, 0)
             between = np.array(list(np.ndindex(2, 2))) @ shape.steps

@@ -1,0 +1,82 @@
+"""Compiled loops over the colors of elements, and over pairs of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nrbench.jit import Boolx2, Float32x2, Float32x3, Float32x4, Float64x2, Float64x4, Int64x1, kernel
+
+
+@kernel
+def compare_tones(
+    values: Float32x3, known: Boolx2, down: int, right: int, whole: Float32x4, unrelated: Float32x4, freedom: float
+) -> tuple[Float32x2, Boolx2]:
+    """Return the ratio (1 + d' W d / freedom) / (1 + d' V d / freedom) at each place, and the places with both values.
+
+    Parameters
+    ----------
+    values, known
+        ``(H, W, 3)`` and ``(H, W)``: colors at the places of cells, and the known ones.
+    down, right
+        Lag of the second value, from which the first one differs by d.
+    whole, unrelated
+        ``(p, p, 3, 3)``: W and V at each place of the cell, symmetric.
+    freedom
+        Degrees of freedom.
+    """
+    (height, width), places = known.shape, len(whole)
+    ratio, both = np.ones((height, width), np.float32), np.zeros((height, width), np.bool_)
+    for y in range(max(-down, 0), height - max(down, 0)):
+        for x in range(max(-right, 0), width - max(right, 0)):
+            if known[y, x] and known[y + down, x + right]:
+                p, q, both[y, x] = y % places, x % places, True
+                above, below = freedom, freedom
+                for i in range(3):
+                    for j in range(3):
+                        product = values[y, x, i] - values[y + down, x + right, i]
+                        product *= values[y, x, j] - values[y + down, x + right, j]
+                        above += product * whole[p, q, i, j]
+                        below += product * unrelated[p, q, i, j]
+                ratio[y, x] = above / below
+    return ratio, both
+
+
+@kernel
+def sum_products(values: Float32x3, known: Boolx2, down: int, right: int, places: int) -> tuple[Float64x4, Float64x2]:
+    """Return sums of products of colors at each place of the cell, ``(3, p, p, 9)``, and the pairs, ``(p, p)``.
+
+    The products are those of the differences of pairs with themselves, of their first and of their second colors.
+    """
+    height, width = known.shape
+    sums, count = np.zeros((3, places, places, 9)), np.zeros((places, places))
+    for y in range(max(-down, 0), height - max(down, 0)):
+        for x in range(max(-right, 0), width - max(right, 0)):
+            if known[y, x] and known[y + down, x + right]:
+                p, q = y % places, x % places
+                count[p, q] += 1.0
+                for i in range(3):
+                    a, b = values[y, x, i], values[y + down, x + right, i]
+                    for j in range(3):
+                        c, d = values[y, x, j], values[y + down, x + right, j]
+                        sums[0, p, q, 3 * i + j] += (a - b) * (c - d)
+                        sums[1, p, q, 3 * i + j] += a * c
+                        sums[2, p, q, 3 * i + j] += b * d
+    return sums, count
+
+
+@kernel
+def assign_colors(colors: Float64x2, centers: Float64x2) -> tuple[Int64x1, Float64x2, Int64x1]:
+    """Return the number of the center nearest to each color, ``(n, 3)``, and the sum and number of colors of each."""
+    labels, sums, counts = np.zeros(len(colors), np.int64), np.zeros(centers.shape), np.zeros(len(centers), np.int64)
+    for n in range(len(colors)):
+        least = np.inf
+        for k in range(len(centers)):
+            square = 0.0
+            for c in range(3):
+                square += (colors[n, c] - centers[k, c]) ** 2
+            if square < least:
+                least, labels[n] = square, k
+        counts[labels[n]] += 1
+        for c in range(3):
+            sums[labels[n], c] += colors[n, c]
+    return labels, sums, counts
