@@ -83,7 +83,10 @@ class Patches:
             patch = self.sample[row : row + height, column : column + width]
         else:
             patch = np.clip(self._interpolate(row, column, shape, fraction), 0, 1)
-        return patch, point_source(pixel_grid(width, height) + np.array((x, y)), self.sample.shape)
+        source, last = np.ones((height, width, 3), np.float32), np.array(self.sample.shape) - 0.5
+        source[..., 0] = np.clip(x + np.arange(width), -0.5, last[1])
+        source[..., 1] = np.clip(y + np.arange(height), -0.5, last[0])[:, np.newaxis]
+        return patch, source
 
     def _interpolate(self, row: int, column: int, shape: tuple[int, int], fraction: tuple[float, float]) -> Image:
         height, width = shape
