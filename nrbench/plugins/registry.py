@@ -21,7 +21,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.machinery import SourceFileLoader
-from importlib.metadata import Distribution, EntryPoint, EntryPoints, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -206,7 +206,7 @@ def files() -> list[str]:
 
 
 @cache
-def installed_points() -> EntryPoints:
+def installed_points() -> Any:
     """Return the entry points of all installed distributions, which take long to read."""
     return entry_points()
 
