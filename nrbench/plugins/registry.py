@@ -260,7 +260,7 @@ def in_role(role: str) -> str:
     declared = installed_points().select(group="nrbench.roles", name=role)
     value = next(point.value for point in declared if _name_and_version(point.dist)[0] == "nrbench")
     points = (point for kind in FORMS for point in installed_points().select(group=f"nrbench.{kind}"))
-    return next(point.name for point in points if point.value == value)
+    return str(next(point.name for point in points if point.value == value))
 
 
 def bent_finders() -> tuple[str, str]:
