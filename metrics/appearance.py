@@ -171,7 +171,8 @@ def _measure_light(planes: NDArray[np.float32], net: LatticeNet) -> Looks:
     rest = np.where(known, plane - net.tile(fold_cells(plane, net.inside, net.samples)), 0)
     weight = known / net.tile(fold_cells(rest**2, net.inside, net.samples) + np.float32(limits.JND**2))
     parts = [row & column for row in net.cut_strips(1, 3) for column in net.cut_strips(0, 3)]
-    return np.array([(weight * rest)[part].sum(0) / np.maximum(weight[part].sum(0), 1e-9) for part in parts])
+    rest = weight * rest
+    return np.array([rest[part].sum(0) / np.maximum(weight[part].sum(0), 1e-9) for part in parts])
 
 
 def _mean_of_places(planes: NDArray[np.float32], known: Mask, samples: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -304,7 +305,7 @@ def _window_means(
 def _cut_means(planes: NDArray[Any], rows: int, columns: int) -> Looks:
     """Return the means of ``rows`` x ``columns`` parts of planes."""
     cut = [part for strip in np.array_split(planes, rows, 0) for part in np.array_split(strip, columns, 1)]
-    return np.array([part.mean((0, 1), dtype=np.float64) for part in cut])
+    return np.array([part.mean(0, dtype=np.float64).mean(0) for part in cut])
 
 
 def _learn_looks(maps: Sequence[_Maps], net: LatticeNet, sample_shape: Shape, from_sample: bool) -> LooksModel:

@@ -378,9 +378,7 @@ _NO_POWER = "not measured: no test tells joined elements from whole ones"
 
 def draw_broken(output: Image, followed: FollowedPicture, broken: Mask) -> Image:
     """Return the output in faint gray, with the broken cells tinted."""
-    y, x = np.indices(output.shape[:2])
     phase: Points = followed.expected[followed.in_place].mean(0) if followed.in_place.any() else np.zeros(2)
-    cell = followed.net.to_cell(np.stack([x, y], -1)) - phase
-    number = np.clip(np.floor(cell).astype(int), 0, np.array(broken.shape) - 1)
-    marked = broken[number[..., 0], number[..., 1]][..., np.newaxis]
-    return tint_places(output, marked, _COLOR)
+    cells = np.floor(followed.net.locate_pixels(output.shape[:2]) - phase[:, np.newaxis, np.newaxis]).astype(np.intp)
+    i, j = (cell.clip(0, number - 1) for cell, number in zip(cells, broken.shape, strict=True))
+    return tint_places(output, broken[i, j, np.newaxis], _COLOR)

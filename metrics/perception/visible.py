@@ -69,8 +69,9 @@ def _perceive_pixels(pixels: bytes, shape: tuple[int, ...], mask: bytes) -> Seen
 
 def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> Image:
     """Return an image in faint gray, with the marked places, ``(H, W, 1)``, in a color, (3,) or ``(H, W, 3)``."""
-    faint = np.repeat((1 - _DIM + _DIM * gray(image))[..., np.newaxis], 3, 2)
-    return np.asarray(np.clip(np.where(marked, (1 - _DIM) * faint + _DIM * tint, faint), 0, 1), np.float32)
+    faint, at = np.repeat((1 - _DIM + _DIM * gray(image))[..., np.newaxis], 3, 2), marked[..., 0]
+    faint[at] = (1 - _DIM) * faint[at] + _DIM * np.broadcast_to(tint, faint.shape)[at]
+    return np.asarray(np.clip(faint, 0, 1), np.float32)
 
 
 def smooth_plane(plane: NDArray[np.float32], sigma: float, mirrored: bool = True) -> NDArray[np.float32]:

@@ -123,7 +123,7 @@ class MatchedPicture(LatticeNodes):
         block, blocks = row * shape[1] + column, int(shape.prod())
         votes = np.bincount((block * _BINS + i) * _BINS + j, self.weight, blocks * _BINS**2).astype(float)
         sums = sum_boxes(votes.reshape(*shape, _BINS**2), 2 * self.size)
-        sums += ndimage.uniform_filter(sums, (3, 3, 1), mode="nearest")
+        sums += sum_boxes(np.pad(sums, ((1, 1), (1, 1), (0, 0)), mode="edge"), 3) / 9
         sigma = 2 / 3 * limits.GOOD_MATCH * net.s / np.linalg.norm(net.vectors, axis=1) * _BINS
         spread = ndimage.gaussian_filter(sums.reshape(*sums.shape[:2], _BINS, _BINS), (0, 0, *sigma), mode="wrap")
         count = sum_boxes(np.bincount(block, minlength=blocks).reshape(shape).astype(float), 2 * self.size)
