@@ -36,6 +36,7 @@ from .registration.lattice_net import (
     split_cells,
     sum_boxes,
 )
+from .registration.net_kernels import average_blocks
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 
 Looks = NDArray[np.float64]
@@ -214,7 +215,8 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
         (12,): the same of L*, a* and b*, and their three correlations.
     """
     planes[~known] = 0
-    mean = (planes.sum((0, 1), dtype=np.float64) / max(known.sum(), 1)).astype(np.float32)
+    means, share = average_blocks(planes, np.ascontiguousarray(known), *known.shape)
+    mean = (means[0, 0] / max(share[0, 0], 1e-9)).astype(np.float32)
     np.subtract(planes, mean, planes, where=known[..., np.newaxis])
 
     def correlate(n1: int, n2: int) -> tuple[NDArray[np.float64], int]:
@@ -223,7 +225,7 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
         other = np.s_[: height - n1, max(-n2, 0) : width - max(n2, 0)]
         rows, (a, b) = max(_BLOCK // width, 1), (planes[one], planes[other])
         blocks = [np.s_[k : k + rows] for k in range(0, max(len(a), 1), rows)]
-        products = sum(np.tensordot(a[k], b[k], ((0, 1), (0, 1))).astype(np.float64) for k in blocks)
+        products = np.sum([np.tensordot(a[k], b[k], ((0, 1), (0, 1))).astype(np.float64) for k in blocks], 0)
         return (products + products.T) / 2, int((known[one] & known[other]).sum())
 
     n1, n2 = (int(n) for n in samples)
@@ -319,7 +321,7 @@ def _window_means(means: NDArray[np.float64], share: NDArray[np.float64], size: 
 def _cut_means(planes: NDArray[Any], rows: int, columns: int) -> Looks:
     """Return the means of ``rows`` x ``columns`` parts of planes."""
     cut = [part for strip in np.array_split(planes, rows, 0) for part in np.array_split(strip, columns, 1)]
-    return np.array([part.mean((0, 1), dtype=np.float64) for part in cut])
+    return np.array([part.mean(0, dtype=np.float64).mean(0) for part in cut])
 
 
 def _learn_looks(maps: Sequence[_Maps], net: LatticeNet, sample_shape: Shape, from_sample: bool) -> LooksModel:

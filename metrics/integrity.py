@@ -380,9 +380,9 @@ def draw_broken(output: Image, followed: FollowedPicture, broken: Mask) -> Image
     """Return the output in faint gray, with the broken cells tinted."""
     phase: Points = followed.expected[followed.in_place].mean(0) if followed.in_place.any() else np.zeros(2)
 
-    def draw(band: Image, pixels: NDArray[np.intp]) -> Image:
-        cell = followed.net.to_cell(pixels) - phase
-        number = np.clip(np.floor(cell).astype(int), 0, np.array(broken.shape) - 1)
-        return tint_places(band, broken[number[..., 0], number[..., 1]][..., np.newaxis], _COLOR)
+    def draw(band: Image, top: int) -> Image:
+        cells = np.floor(followed.net.locate_pixels(band.shape[:2], top) - phase[:, np.newaxis, np.newaxis])
+        i, j = (cell.clip(0, number - 1) for cell, number in zip(cells.astype(np.intp), broken.shape, strict=True))
+        return tint_places(band, broken[i, j, np.newaxis], _COLOR)
 
     return draw_in_bands(output, draw)

@@ -234,13 +234,13 @@ def _own_lattice(followed: FollowedPicture) -> Lattice:
 def draw_misplaced(output: Image, found: Sequence[tuple[LatticeNodes, NDArray[np.float64]]]) -> Image:
     """Return the output in faint gray, with the cells around the nodes that are out of place in :data:`COLORS`."""
 
-    def draw(band: Image, pixels: NDArray[np.intp]) -> Image:
-        amount = np.zeros((*band.shape[:2], 1))
+    def draw(band: Image, top: int) -> Image:
+        height, width = band.shape[:2]
+        amount = np.zeros((height, width, 1))
         for nodes, bad in found:
-            cell = nodes.net.to_cell(pixels)
-            node = np.clip(np.rint(2 * cell - nodes.size).astype(int), 0, np.array(bad.shape) - 1)
-            own = np.where(nodes.valid, bad, 0)[node[..., 0], node[..., 1]]
-            amount = np.maximum(amount, own[..., np.newaxis])
+            places = np.rint(2 * nodes.net.locate_pixels((height, width), top) - nodes.size).astype(np.intp)
+            i, j = (place.clip(0, number - 1) for place, number in zip(places, bad.shape, strict=True))
+            amount = np.maximum(amount, np.where(nodes.valid, bad, 0)[i, j, np.newaxis])
         return tint_places(band, amount > 0.05, np.where(amount < 0.5, COLORS[0], COLORS[1]))
 
     return draw_in_bands(output, draw)

@@ -1,6 +1,10 @@
 """Kernels that numba compiles.
 
-The first call of a kernel, or :func:`load_kernels`, imports numba and compiles the kernel or reads it from the cache.
+The first call of a kernel, or :func:`load_kernels`, reads its machine code from the folder ``machine_code`` beside this
+file, which a binary wheel fills, or from the user's cache. Where neither has it, numba compiles the kernel. Importing
+numba takes much longer than loading machine code, so a process that compiles nothing does not import it: LLVM links the
+code with the C functions of numba's extension modules.
+
 The annotations of a kernel are the types that it is compiled for. ``Float64x2`` is an array of float64 with two
 dimensions, contiguous in memory; a ``Float64View2`` need not be contiguous. A subclass of :class:`typing.NamedTuple` is
 a record of several such values.
@@ -8,19 +12,26 @@ a record of several such values.
 
 from __future__ import annotations
 
+import atexit
+import builtins
 import contextlib
+import ctypes
 import hashlib
 import importlib
+import importlib.util
 import inspect
+import json
 import os
+import pkgutil
 import stat
 import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
 from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import FunctionType
 from typing import Annotated, Any, Generic, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
@@ -28,6 +39,8 @@ from typing import Annotated, Any, Generic, ParamSpec, TypeVar, get_args, get_or
 import numpy as np
 import platformdirs
 from numpy.typing import NDArray
+
+from nrbench.storage import write_bytes
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -66,6 +79,9 @@ KERNELS: list[Kernel[..., Any]] = []
 """Every kernel declared so far."""
 COMPILING = "compiling kernels (once per machine, up to some minutes)"
 """The notice of a process that compiles kernels."""
+SHIPPED_TARGET = "x86-64-v3 "
+"""The processor that the machine code of a binary wheel is compiled for."""
+_SHIPPED = Path(__file__).parent / "machine_code"
 _PATIENCE = 2.0
 """Seconds of compilation after which the notice is given."""
 
@@ -84,12 +100,15 @@ class Compilation:
         When the present one began, of :func:`time.monotonic`; None if there is none.
     told
         Whether the user knows, so that no notice is printed.
+    kernels
+        The kernels that were compiled, by the names of their modules.
     """
 
     ended: float = 0.0
     cpu: float = 0.0
     since: float | None = None
     told: bool = False
+    kernels: list[str] = field(default_factory=list)
 
     @property
     def seconds(self) -> float:
@@ -112,9 +131,16 @@ class Compilation:
             self.ended, self.since = self.seconds, None
             self.cpu += time.process_time() - cpu
 
+    def report(self) -> None:
+        """Print what was compiled, and how long it took, if it took long."""
+        if self.ended > _PATIENCE:
+            modules = ", ".join(sorted({name.removesuffix("_kernels") for name in self.kernels}))
+            print(f"nrbench: compiled {len(self.kernels)} kernels ({modules}) in {self.ended:.0f} s", file=sys.stderr)
+
 
 COMPILATION = Compilation()
 """The compilation of this process."""
+atexit.register(lambda: COMPILATION.report())
 
 
 def work_clock() -> float:
@@ -139,18 +165,53 @@ class Kernel(Generic[P, R]):
 
     def __init__(self, function: Callable[P, R], allocates: bool = True, inlined: bool = False) -> None:
         self.function, self.allocates, self.inlined = function, allocates, inlined
-        self._compiled: Callable[P, R] | None = None
+        self._loaded: Callable[P, R] | None = None
+        self._dispatcher: Any = None
         KERNELS.append(self)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
-        """Run the kernel."""
-        return self.load()(*args, **kwargs)
+        """Run the kernel. All arguments are given by position.
+
+        Raises
+        ------
+        TypeError
+            If an argument has another type than the kernel is compiled for.
+        """
+        return (self._loaded or self.load())(*args, **kwargs)
 
     def load(self) -> Callable[P, R]:
-        """Return the compiled function. The first call compiles it or reads it from the cache."""
-        if self._compiled is None:
-            self._compiled = _compile(self)
-        return self._compiled
+        """Return the compiled function. The first call reads its machine code or compiles it."""
+        if self._loaded is None:
+            if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+                self._loaded = self.function
+            else:
+                self._loaded = _check_types(self.function, (_read_code(self) or self._compile()).link())
+        return self._loaded
+
+    def dispatcher(self) -> Any:
+        """Return numba's form of the function, compiled in this process, for kernels that call it."""
+        if self._dispatcher is None:
+            numba: Any = importlib.import_module("numba")
+            linked = _link_kernels(self.function)
+            if self.inlined:  # compiled with its callers
+                self._dispatcher = numba.njit(inline="always")(linked)
+            else:
+                # Reassociated sums use vector instructions. Results are equal on one type of machine. Across
+                # processors, kernels that sum floats may differ in the last bit.
+                signature = find_signature(self.function)
+                options = {"fastmath": {"reassoc"}, "_nrt": self.allocates}
+                self._dispatcher = numba.njit(signature, **options)(linked)
+        return self._dispatcher
+
+    def _compile(self) -> MachineCode:
+        """Compile the kernel, and keep its machine code in the user's cache."""
+        with COMPILATION.timed():
+            (compiled,) = self.dispatcher().overloads.values()
+        COMPILATION.kernels.append(self.function.__module__.rpartition(".")[2])
+        code = MachineCode.of_compiled(compiled)
+        with contextlib.suppress(OSError):  # without a cache, each process compiles it
+            write_bytes(find_cache() / _code_name(self.function, _target()), code.to_bytes())
+        return code
 
 
 def kernel(function: Callable[P, R]) -> Kernel[P, R]:
@@ -197,10 +258,11 @@ def load_kernels(compiling: Callable[[], None] = lambda: None) -> None:
     compiling
         Called if kernels have to be compiled, before that begins.
     """
-    if any(map(_is_uncompiled, KERNELS)):
+    needed = [declared for declared in KERNELS if not declared.inlined]
+    if not all(map(_find_code, needed)):
         compiling()
     files: dict[str, list[Kernel[..., Any]]] = {}
-    for declared in KERNELS:
+    for declared in needed:
         files.setdefault(declared.function.__module__, []).append(declared)
     for waits in (False, True):
         for name in list(files):
@@ -208,13 +270,6 @@ def load_kernels(compiling: Callable[[], None] = lambda: None) -> None:
                 if own:
                     for declared in files.pop(name):
                         declared.load()
-
-
-def _is_uncompiled(declared: Kernel[..., Any]) -> bool:
-    """Return whether no kernel of a kernel's file is in nrbench's cache. Another cache of numba's is not searched."""
-    numba: Any = importlib.import_module("numba")
-    cached = numba.config.CACHE_DIR or cache_folder(declared.function, numba.__version__).is_dir()
-    return not (cached or declared.inlined)
 
 
 @contextlib.contextmanager
@@ -264,27 +319,226 @@ def _writable(usual: Path) -> Path:
         shared = sys.platform != "win32" and found.st_mode & 0o022
         if shared or found.st_uid != user or not stat.S_ISDIR(found.st_mode):
             folder = Path(tempfile.mkdtemp(prefix="nrbench-"))
+        place = (
+            f"so they are kept in {folder}; set XDG_CACHE_HOME to a folder that lasts, else they may be compiled again"
+        )
     except OSError:
-        return usual
+        folder, place = usual, "nor a temporary folder, so each process compiles them"
     os.environ.setdefault("MPLCONFIGDIR", str(folder))  # else matplotlib has two lines of its own about it
     warnings.warn(
-        f"compiled kernels: {usual if usual.name else 'the cache'} cannot be written ({why}), so they are kept in "
-        f"{folder}; set XDG_CACHE_HOME to a folder that lasts, else they may be compiled again, which takes up to some "
-        "minutes",
+        f"compiled kernels: {usual if usual.name else 'the cache'} cannot be written ({why}), {place}, which takes up "
+        "to some minutes",
         stacklevel=2,
     )
     return folder
 
 
-def cache_folder(function: Callable[..., Any], version: str) -> Path:
-    """Return the folder of a function's machine code, named by numba's version and a hash of the function's file.
+@dataclass(frozen=True)
+class MachineCode:
+    """The machine code of a kernel.
 
-    The hash includes the files of the kernels that the function calls, because they are compiled into it.
+    Parameters
+    ----------
+    content
+        An object file.
+    wrapper, environment
+        Its symbols for the function that Python calls, and for a pointer to numba's environment.
+    constants
+        The Python objects of the environment, in order: types of arrays as numpy writes them, and classes of records as
+        ``module:name``.
+    needed
+        The C functions that it calls.
     """
-    sources = [Path(inspect.getfile(each)) for each in (function, *_list_called(function))]
-    texts = b"".join(source.read_bytes() for source in dict.fromkeys(sources))
-    digest = hashlib.blake2b(texts, digest_size=8).hexdigest()
-    return find_cache() / f"{sources[0].stem}-{digest}-numba-{version}"
+
+    content: bytes
+    wrapper: str
+    environment: str
+    constants: tuple[str, ...]
+    needed: tuple[str, ...]
+
+    @classmethod
+    def of_compiled(cls, compiled: Any) -> MachineCode:
+        """Return the machine code of what numba has compiled."""
+        constants = tuple(
+            each.str if isinstance(each, np.dtype) else f"{each.__module__}:{each.__qualname__}"
+            for each in compiled.environment.consts
+        )
+        functions = compiled.library._final_module.functions
+        needed = tuple(each.name for each in functions if each.is_declaration and not each.name.startswith("llvm."))
+        description, content = compiled.fndesc, compiled.library._get_compiled_object()
+        return cls(content, description.llvm_cpython_wrapper_name, description.env_name, constants, needed)
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> MachineCode:
+        """Return what :meth:`to_bytes` has written."""
+        head, _, code = content.partition(b"\n")
+        wrapper, environment, constants, needed = json.loads(head)
+        return cls(code, wrapper, environment, tuple(constants), tuple(needed))
+
+    def to_bytes(self) -> bytes:
+        """Return a line of JSON and the object file."""
+        return json.dumps((self.wrapper, self.environment, self.constants, self.needed)).encode() + b"\n" + self.content
+
+    def is_complete(self) -> bool:
+        """Return whether this process has all C functions that the code calls; LLVM ends a process that lacks one."""
+        llvm, *_ = _linker()
+        return all(map(llvm.address_of_symbol, self.needed))
+
+    def link(self) -> Callable[..., Any]:
+        """Return the function, which takes arguments by position."""
+        llvm, engine, functions = _linker()
+        engine.add_object_file(llvm.ObjectFileRef.from_data(self.content))
+        engine.finalize_object()
+        environment = functions.Environment({})
+        environment.consts.extend(
+            pkgutil.resolve_name(each) if ":" in each else np.dtype(each) for each in self.constants
+        )
+        pointer = engine.get_global_value_address(self.environment)
+        ctypes.c_void_p.from_address(pointer).value = id(environment)
+        address = engine.get_function_address(self.wrapper)
+        linked: Callable[..., Any] = functions.make_function(sys, self.wrapper, "", address, environment, (engine,))
+        return linked
+
+
+def _restore(address: int, size: int, digest: int) -> object:
+    """Return an object that machine code holds pickled: the class of the arrays that it returns, or an error."""
+    content = ctypes.string_at(address, size)
+    if content.endswith(b"\x8c\x07ndarray\x94\x93\x94."):
+        return np.ndarray
+    serialize: Any = importlib.import_module("numba.core.serialize")
+    return serialize._numba_unpickle(address, content, ctypes.string_at(digest, 20))
+
+
+_RESTORE: Any = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)(_restore)
+
+
+@cache
+def _linker() -> tuple[Any, Any, Any]:
+    """Return LLVM, an engine that links machine code, and the module of numba's functions and environments.
+
+    LLVM gets the names that :mod:`numba` gives it, without importing that package.
+    """
+    llvm: Any = importlib.import_module("llvmlite.binding")
+    helpers, functions, arrays = map(_import_extension, ("_helperlib", "_dynfunc", "core/runtime/_nrt_python"))
+    arrays.memsys_use_cpython_allocator()
+    symbols = {f"numba_{name}": address for part in (helpers, functions) for name, address in part.c_helpers.items()}
+    symbols |= {name if name[0] == "_" else f"NRT_{name}": each for name, each in arrays.c_helpers.items()}
+    symbols |= {f"PyExc_{name}": id(each) for name, each in vars(builtins).items() if isinstance(each, type)}
+    symbols |= {"_Py_NoneStruct": id(None), "numba_unpickle": ctypes.cast(_RESTORE, ctypes.c_void_p).value or 0}
+    for name, address in symbols.items():
+        llvm.add_symbol(name, address)
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine()
+    return llvm, llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine), functions
+
+
+@cache
+def _find_numba() -> Path:
+    """Return the folder of numba, which is not imported."""
+    found = importlib.util.find_spec("numba")
+    assert found is not None and found.origin is not None
+    return Path(found.origin).parent
+
+
+def _import_extension(name: str) -> Any:
+    """Import an extension module of numba without the package."""
+    file = next(file for suffix in EXTENSION_SUFFIXES if (file := _find_numba() / f"{name}{suffix}").is_file())
+    spec = importlib.util.spec_from_file_location(f"numba_only.{Path(name).name}", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _read_code(declared: Kernel[..., Any]) -> MachineCode | None:
+    """Return a kernel's machine code from the wheel or from the user's cache; None if it has to be compiled."""
+    file = _find_code(declared)
+    if file is None:
+        return None
+    code = MachineCode.from_bytes(file.read_bytes())
+    return code if code.is_complete() else None
+
+
+def _find_code(declared: Kernel[..., Any]) -> Path | None:
+    """Return the file of a kernel's machine code, if there is one."""
+    shipped = _SHIPPED / _code_name(declared.function, SHIPPED_TARGET)
+    if shipped.is_file() and _runs_shipped():
+        return shipped
+    cached = find_cache() / _code_name(declared.function, _target())
+    return cached if cached.is_file() else None
+
+
+@cache
+def _target() -> str:
+    """Return the processor that numba compiles for, as its settings say: this one, unless another is set."""
+    llvm: Any = importlib.import_module("llvmlite.binding")
+    name, features = os.environ.get("NUMBA_CPU_NAME"), os.environ.get("NUMBA_CPU_FEATURES")
+    name = llvm.get_host_cpu_name() if name is None else name
+    return f"{name} {llvm.get_host_cpu_features().flatten() if features is None else features}"
+
+
+@cache
+def _runs_shipped() -> bool:
+    """Return whether this processor has the instructions of :data:`SHIPPED_TARGET`."""
+    llvm: Any = importlib.import_module("llvmlite.binding")
+    features = llvm.get_host_cpu_features()
+    return all(features.get(each) for each in ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))
+
+
+def _code_name(function: Callable[..., Any], target: str) -> str:
+    """Return the name of a function's machine code: of its file, a hash of all that the code depends on, and its own.
+
+    These are the files of the function and of the kernels that it calls, which are compiled into it, this file, the
+    versions of Python and numba, and the processor.
+    """
+    sources = [inspect.getfile(each) for each in (function, *_list_called(function))]
+    texts = b"".join(map(_read_source, dict.fromkeys((*sources, __file__, str(_find_numba() / "_version.py")))))
+    digest = hashlib.blake2b(texts + f"{sys.implementation.cache_tag} {target}".encode(), digest_size=8).hexdigest()
+    return f"{Path(sources[0]).stem}-{digest}/{function.__qualname__}.bin"
+
+
+@cache
+def _read_source(file: str) -> bytes:
+    return Path(file).read_bytes()
+
+
+def _check_types(function: Callable[P, R], compiled: Callable[P, R]) -> Callable[P, R]:
+    """Return the compiled function with a check of its arrays, because machine code would misread others."""
+    hints = get_type_hints(function, include_extras=True)
+    layouts = [_find_layout(hint) for name, hint in hints.items() if name != "return"]
+
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        if not _fits(args, layouts):
+            raise TypeError(f"{function.__qualname__}: the arguments do not have the types of its annotations")
+        return compiled(*args, **kwargs)
+
+    return run
+
+
+def _find_layout(hint: Any) -> Any:
+    """Return what a hint says of arrays: type, dimensions and whether contiguous; a list for a tuple; else None."""
+    if hasattr(hint, "_fields"):
+        return [_find_layout(field) for field in get_type_hints(hint, include_extras=True).values()]
+    if get_origin(hint) is tuple:
+        return [_find_layout(part) for part in get_args(hint)]
+    if get_origin(hint) is not Annotated:
+        return None
+    name, _, axes = get_args(hint)[1].partition("[")
+    return np.dtype(name.replace("boolean", "bool")), axes.count(":") - axes.count("::"), "::1" in axes
+
+
+def _fits(values: Iterable[Any], layouts: Iterable[Any]) -> bool:
+    """Return whether all arrays have their layouts."""
+    for value, layout in zip(values, layouts, strict=True):
+        if type(layout) is list:
+            if not _fits(value, layout):
+                return False
+        elif layout is not None:
+            dtype, dimensions, contiguous = layout
+            if value.dtype != dtype or value.ndim != dimensions or (contiguous and not value.flags.c_contiguous):
+                return False
+    return True
 
 
 def find_called_kernels(function: Callable[..., Any]) -> dict[str, Kernel[..., Any]]:
@@ -302,8 +556,8 @@ def _list_called(function: Callable[..., Any]) -> list[Callable[..., Any]]:
 
 
 def _link_kernels(function: Callable[P, R]) -> Callable[P, R]:
-    """Return the function with its kernels replaced by compiled functions, because numba cannot call kernels."""
-    called = {name: each.load() for name, each in find_called_kernels(function).items()}
+    """Return the function with its kernels replaced by numba's forms of them, because numba cannot call kernels."""
+    called = {name: each.dispatcher() for name, each in find_called_kernels(function).items()}
     if not called:
         return function
     linked = FunctionType(
@@ -311,35 +565,3 @@ def _link_kernels(function: Callable[P, R]) -> Callable[P, R]:
     )
     linked.__module__, linked.__qualname__ = function.__module__, function.__qualname__
     return linked
-
-
-def _compile(declared: Kernel[P, R]) -> Callable[P, R]:
-    import numba
-
-    function = declared.function
-    if declared.inlined:  # compiled with its callers
-        inlined: Callable[P, R] = numba.njit(inline="always")(_link_kernels(function))
-        return inlined
-    signature, folder = find_signature(function), cache_folder(function, numba.__version__)
-    if any(folder.glob(f"*/*.{function.__qualname__}-*.nbi")):
-        # The machine code in the cache includes that of the kernels it calls, which are not loaded then. Kernels are no
-        # functions to numba: if it has to compile after all, as for another processor, it says so.
-        with contextlib.suppress(numba.TypingError):
-            return _njit(numba, function, signature, folder, declared.allocates)
-    with COMPILATION.timed():
-        return _njit(numba, _link_kernels(function), signature, folder, declared.allocates)
-
-
-def _njit(numba: Any, function: Callable[P, R], signature: Any, folder: Path, allocates: bool) -> Callable[P, R]:
-    # The folder is numba's global setting, read while it decorates. It is put back, so that the user's setting stays.
-    # Reassociated sums use vector instructions. Results are equal on one type of machine. Across processors, kernels
-    # that sum floats may differ in the last bit.
-    before = numba.config.CACHE_DIR
-    try:
-        numba.config.CACHE_DIR = before or str(folder)
-        compiled: Callable[P, R] = numba.njit(signature, cache=True, fastmath={"reassoc"}, _nrt=allocates)(function)
-    except (RuntimeError, OSError):  # no folder to cache in
-        compiled = numba.njit(signature, fastmath={"reassoc"}, _nrt=allocates)(function)
-    finally:
-        numba.config.CACHE_DIR = before
-    return compiled

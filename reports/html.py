@@ -7,6 +7,7 @@ import shlex
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -84,17 +85,27 @@ class HtmlReport(ComparisonOptions):
     version: ClassVar[str] = "1"
     folder: ClassVar[str] = "report"
 
+    def begin(self, run: Run, directory: Path) -> Callable[[], list[Path]]:
+        """Begin to make the pictures in threads; return the function that writes the page with them."""
+        pictures = PictureStore(directory, self.single_file)
+        figures = gallery.begin_figures(run, pictures)
+        return lambda: write_files(directory, {"report.html": self._render(run, pictures, figures)})
+
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write ``report.html`` and return its path."""
-        return write_files(directory, {"report.html": self.render(run, directory)})
+        return self.begin(run, directory)()
 
     def render(self, run: Run, directory: Path) -> str:
         """Return the page as it will lie in ``directory``."""
-        comparison = self.comparison(run)
         pictures = PictureStore(directory, self.single_file)
+        return self._render(run, pictures, gallery.begin_figures(run, pictures))
+
+    def _render(self, run: Run, pictures: PictureStore, figures: Sequence[Future[gallery.OutputFigure]]) -> str:
+        """Return the page."""
+        comparison = self.comparison(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         labelers, claims, timed = compare_labelers(run, self.labels), evaluate_claims(run), timed_methods(comparison)
-        sections = gallery.build_gallery(run, comparison, pictures)
+        sections = gallery.build_gallery(comparison, figures, pictures)
         content: dict[str, Any] = {
             "command": shlex.join(map(str, run.info.get("argv") or [])),
             "run": run,

@@ -49,6 +49,7 @@ class Command:
     run: str
 
     reference: ClassVar[bool] = False
+    starts_programs: ClassVar[bool] = True
     version: ClassVar[str] = "1"
 
     @property

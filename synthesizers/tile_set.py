@@ -19,7 +19,7 @@ from nrbench.plugins.registry import NamedDetector
 from .canvas.canvas import Canvas, Window, find_paths
 from .gap_filling.holes import leaves_out
 from .lattice_places.equal_places import require_two_periods
-from .tile_laying.tile_kernels import FEATHER, Under, blend_weights, cut_tile, error_surface
+from .tile_laying.tile_kernels import FEATHER, Under, blend_weights, error_surface, join_tile
 from .tile_laying.tiles import (
     AnchorKind,
     ElementWeights,
@@ -322,17 +322,17 @@ class TileLaying:
         (x0, y0), (x1, y1) = (self.tile.box + pixel.astype(int)).tolist()
         window = y0, y1 + 1, x0, x1 + 1
         pixels = self.canvas.pixels(window)
-        under = self.canvas.image[pixels], self.canvas.known[pixels], self.canvas.seams[:, *pixels]
-        overlap = self.stock.gather(*under[:2])
+        canvas = self.canvas
+        under = canvas.image[pixels], canvas.source[pixels], canvas.known[pixels], canvas.seams[:, *pixels]
+        overlap, differences = self.stock.compare(under[0], under[2], tiles)
         size = len(overlap[0]) // self.task.sample.shape[2]
         if self.task.tileable and size == self._size and not self._is_inside(pixel):
             return  # It repeats others on the opposite side.
         if not size:
-            drawn = self.draw(tiles, np.arange(len(tiles.row)))
+            drawn = self.draw(tiles, np.arange(len(tiles.place)))
         else:
-            differences = self.stock.differences(overlap, tiles)
             limit = threshold * (size if self.method.overlap_measure == "mean" else 1)
-            drawn = self.draw(tiles, np.flatnonzero(differences <= max(limit, int(differences.min()))))
+            drawn = self.draw(tiles, (differences <= max(limit, int(differences.min()))).nonzero()[0])
             if self.radius:
                 drawn = self.stock.register(overlap, drawn, self.radius)
         self.join(window, drawn, under)
@@ -345,13 +345,14 @@ class TileLaying:
         patch = self.stock.cut(drawn)
         if self.method.stitch == "graphcut":
             corner = window[2] + int(self.margin[0]), window[0] + int(self.margin[1])
-            shown = cut_tile(under, patch[0], self._border, self._weights, corner)
-            self.canvas.place(window, patch, shown)
-            self.canvas.seams[:, *self.canvas.pixels(window)] = under[2]
+            shown = join_tile(under, patch[0], patch[1], self._border, self._weights, corner)
+            if self.canvas.exact is not None or under[0].base is not self.canvas.image:  # copies across an edge
+                self.canvas.place(window, patch, shown)
+                self.canvas.seams[:, *self.canvas.pixels(window)] = under[3]
             return
-        surface, bands = error_surface(*under[:2], patch[0], self.tile.cells)
+        surface, bands = error_surface(under[0], under[2], patch[0], self.tile.cells)
         across, down, row, column = find_paths(surface, *bands)
-        weights = blend_weights(under[1], self.tile.pixel_cells, across, down, (row, column), bands)
+        weights = blend_weights(under[2], self.tile.pixel_cells, across, down, (row, column), bands)
         self.canvas.blend(window, patch, weights)
 
     @cached_property

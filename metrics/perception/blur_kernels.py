@@ -30,10 +30,10 @@ def blur_plane(plane: Float32x2, weights: Float64x1, mirrored: bool) -> Float32x
         for x in range(width):
             total[x] = plane[y, x] * weights[0]
         for k in range(reach, 0, -1):
-            above, below = _find_place(y - k, height, mirrored), _find_place(y + k, height, mirrored)
+            above, below = plane[_find_place(y - k, height, mirrored)], plane[_find_place(y + k, height, mirrored)]
             weight = weights[k]
             for x in range(width):
-                total[x] += (np.float64(plane[above, x]) + np.float64(plane[below, x])) * weight
+                total[x] += (np.float64(above[x]) + np.float64(below[x])) * weight
         for x in range(width):
             line[reach + x] = np.float32(total[x])
         for x in range(reach):
@@ -42,9 +42,10 @@ def blur_plane(plane: Float32x2, weights: Float64x1, mirrored: bool) -> Float32x
         for x in range(width):
             total[x] = line[reach + x] * weights[0]
         for k in range(reach, 0, -1):
-            weight = weights[k]
+            # By slices: of an index that may be negative, numba makes no loop of vectors.
+            before, after, weight = line[reach - k :], line[reach + k :], weights[k]
             for x in range(width):
-                total[x] += (line[reach + x - k] + line[reach + x + k]) * weight
+                total[x] += (before[x] + after[x]) * weight
         for x in range(width):
             blurred[y, x] = total[x]
     return blurred

@@ -69,19 +69,17 @@ def _perceive_pixels(pixels: bytes, shape: tuple[int, ...], mask: bytes) -> Seen
     return SeenSample(perceive(np.frombuffer(pixels, np.float32).reshape(shape)), known)
 
 
-def draw_in_bands(output: Image, draw: Callable[[Image, NDArray[np.intp]], Image]) -> Image:
-    """Return what a function draws on bands of an image, of about half a million pixels (x, y), ``(h, W, 2)``."""
-    step, drawn = max(_BAND // output.shape[1], 1), []
-    for top in range(0, output.shape[0], step):
-        y, x = np.indices(output[top : top + step].shape[:2])
-        drawn.append(draw(output[top : top + step], np.stack([x, y + top], -1)))
-    return np.concatenate(drawn)
+def draw_in_bands(output: Image, draw: Callable[[Image, int], Image]) -> Image:
+    """Return what a function draws on bands of an image, of about half a million pixels, from their first rows on."""
+    step = max(_BAND // output.shape[1], 1)
+    return np.concatenate([draw(output[top : top + step], top) for top in range(0, output.shape[0], step)])
 
 
 def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> Image:
     """Return an image in faint gray, with the marked places, ``(H, W, 1)``, in a color, (3,) or ``(H, W, 3)``."""
-    faint = np.repeat((1 - _DIM + _DIM * gray(image))[..., np.newaxis], 3, 2)
-    return np.asarray(np.clip(np.where(marked, (1 - _DIM) * faint + _DIM * tint, faint), 0, 1), np.float32)
+    faint, at = np.repeat((1 - _DIM + _DIM * gray(image))[..., np.newaxis], 3, 2), marked[..., 0]
+    faint[at] = (1 - _DIM) * faint[at] + _DIM * np.broadcast_to(tint, faint.shape)[at]
+    return np.asarray(np.clip(faint, 0, 1), np.float32)
 
 
 def smooth_plane(plane: NDArray[np.float32], sigma: float, mirrored: bool = True) -> NDArray[np.float32]:

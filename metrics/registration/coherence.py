@@ -142,7 +142,7 @@ class MatchedPicture(LatticeNodes):
         start, number = above * width * _BINS**2, (below - above) * width * _BINS**2
         votes = np.bincount(place[near] - start, self.weight[near], number).astype(float)
         sums = sum_boxes(votes.reshape(shape), 2 * self.size)
-        sums += ndimage.uniform_filter(sums, (3, 3, 1), mode="nearest")
+        sums += sum_boxes(np.pad(sums, ((1, 1), (1, 1), (0, 0)), mode="edge"), 3) / 9
         sums = sums[first - low : last - low]
         sigma = 2 / 3 * limits.GOOD_MATCH * net.s / np.linalg.norm(net.vectors, axis=1) * _BINS
         spread = sums.reshape(*sums.shape[:2], _BINS, _BINS)

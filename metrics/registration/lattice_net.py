@@ -88,6 +88,12 @@ class LatticeNet:
         """Return the cell coordinates of points (x, y) px, from the first point of the net."""
         return np.asarray((points - self.origin) @ np.linalg.inv(self.vectors) - self.first)
 
+    def locate_pixels(self, shape: Shape, top: int) -> NDArray[np.float64]:
+        """Return the cell coordinates of pixels from row ``top`` on, ``(2, H, W)``, from the first point of the net."""
+        (a, b), (c, d) = np.linalg.inv(self.vectors)
+        (u, v), (y, x) = self.to_cell(np.zeros(2)), np.ogrid[top : top + shape[0], : shape[1]]
+        return np.stack([u + x * a + y * c, v + x * b + y * d])
+
     @cached_property
     def points(self) -> Points:
         """``(N1 n1, N2 n2, 2)``: (x, y) px of all points."""
@@ -192,5 +198,6 @@ def fold_cells(planes: Values, known: Mask, samples: NDArray[np.intp]) -> Values
 
 def sum_boxes(a: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     """Return the sums of ``size`` x ``size`` neighbors along the first two axes."""
-    sums = np.pad(a, ((1, 0), (1, 0)) + ((0, 0),) * (a.ndim - 2)).cumsum(0).cumsum(1)
-    return np.asarray(sums[size:, size:] - sums[:-size, size:] - sums[size:, :-size] + sums[:-size, :-size])
+    rows, columns = a.shape[0] - size + 1, a.shape[1] - size + 1
+    down = sum((a[k : k + rows] for k in range(1, size)), a[:rows])
+    return sum((down[:, k : k + columns] for k in range(1, size)), down[:, :columns])

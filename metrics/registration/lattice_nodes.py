@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -269,16 +269,19 @@ def _compare_sides(picture: LatticeNodes) -> NDArray[np.float64]:
     near = picture.displacement - picture.expected
     known = picture.valid & (picture.away < 0.3)
     moved = np.where(known[..., np.newaxis], (picture.expected + near - np.rint(near)) @ picture.net.vectors, 0)
+    kernels = _cut_sides()
+    planes = np.stack([known.astype(float), *np.moveaxis(moved, -1, 0)])[np.newaxis, np.newaxis]
+    sums = scipy.signal.fftconvolve(planes, kernels, axes=(3, 4))[..., _SIDE:-_SIDE, _SIDE:-_SIDE]
+    means = sums[:, :, 1:] / np.maximum(sums[:, :, :1], 1)
+    enough = (sums[:, :, 0] > 0.45 * kernels[:, :, 0].sum((2, 3), keepdims=True)).all(1)
+    return np.asarray(np.where(enough, np.linalg.norm(means[:, 0] - means[:, 1], axis=1), 0).max(0))
+
+
+@cache
+def _cut_sides() -> NDArray[np.float64]:
+    """Return the nodes on the two sides of a line in four directions, ``(4, 2, 1, 9, 9)``."""
     y, x = np.mgrid[-_SIDE : _SIDE + 1, -_SIDE : _SIDE + 1]
-    planes = np.stack([known.astype(float), *np.moveaxis(moved, -1, 0)])
-    planes = np.broadcast_to(planes, (2, *planes.shape))
-    largest = np.zeros(known.shape)
-    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        across, along = (y * down + x * right) / np.hypot(down, right), (y * right - x * down) / np.hypot(down, right)
-        side = ((across > 0.6) & (across <= _SIDE) & (np.abs(along) <= _ALONG)).astype(np.float64)
-        kernels = np.stack([side, side[::-1, ::-1]])[:, np.newaxis]
-        sums = scipy.signal.fftconvolve(planes, kernels, mode="same", axes=(2, 3))
-        means = sums[:, 1:] / np.maximum(sums[:, :1], 1)
-        enough = (sums[:, 0] > 0.45 * side.sum()).all(0)
-        largest = np.maximum(largest, np.where(enough, np.linalg.norm(means[0] - means[1], axis=0), 0))
-    return largest
+    down, right = np.array(((0, 1), (1, 0), (1, 1), (1, -1))).T[..., np.newaxis, np.newaxis]
+    across, along = (y * down + x * right) / np.hypot(down, right), (y * right - x * down) / np.hypot(down, right)
+    side = ((across > 0.6) & (across <= _SIDE) & (np.abs(along) <= _ALONG)).astype(np.float64)
+    return np.stack([side, side[:, ::-1, ::-1]], 1)[:, :, np.newaxis]

@@ -15,15 +15,17 @@ def interpolate_pixels(planes: Float32x3, points: Float64x2) -> Float32x2:
     :func:`scipy.ndimage.map_coordinates`, which takes one plane at a time and calculates each weight anew.
     """
     height, width, channels = planes.shape
-    found = np.empty((len(points), channels), np.float32)
+    found, pixels = np.empty((len(points), channels), np.float32), planes.reshape(height * width, channels)
     for n in range(len(points)):
         x, y = min(max(points[n, 0], 0.0), width - 1.0), min(max(points[n, 1], 0.0), height - 1.0)
         left, top = min(int(x), width - 2), min(int(y), height - 2)
         u, v = x - left, y - top
         first, second, third, fourth = (1.0 - v) * (1.0 - u), (1.0 - v) * u, v * (1.0 - u), v * u
-        for c in range(channels):  # the weights stand before the loop, so that it is one of vectors
-            above = planes[top, left, c] * first + planes[top, left + 1, c] * second
-            found[n, c] = above + (planes[top + 1, left, c] * third + planes[top + 1, left + 1, c] * fourth)
+        p, one = np.uint64(top * width + left), np.uint64(1)  # no index is negative, so the loop is one of vectors
+        q = p + np.uint64(width)
+        for c in range(channels):
+            above = pixels[p, c] * first + pixels[p + one, c] * second
+            found[n, c] = above + (pixels[q, c] * third + pixels[q + one, c] * fourth)
     return found
 
 

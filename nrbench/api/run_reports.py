@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +81,8 @@ def write_reports(
 ) -> list[Path]:
     """Write the reports of a run.
 
+    A report with a method ``begin(run, directory)`` begins before the others, and ends last: threads do its slow part.
+
     Parameters
     ----------
     run
@@ -124,15 +128,21 @@ def write_reports(
         raise BadInput(f"-o {root}: is another run, whose reports would be lost; pass another directory")
     for folder in sorted({root / _folder(report) for report in wanted.values()}):
         make_writable(folder, "write the reports to another directory with -o DIR")
-    written: list[Path] = []
-    for number, (name, report) in enumerate(wanted.items(), 1):
+    written: dict[str, list[Path]] = {name: [] for name in wanted}
+    jobs = {name: partial(report.write, run, root / _folder(report)) for name, report in wanted.items()}
+    for name, report in wanted.items():
+        if hasattr(report, "begin"):
+            jobs[name] = jobs.pop(name)
+            with contextlib.suppress(Exception):  # its method write then says why
+                jobs[name] = report.begin(run, root / _folder(report))
+    for number, (name, write) in enumerate(jobs.items(), 1):
         try:
-            written += [Path(path) for path in report.write(run, root / _folder(report))]
+            written[name] = [Path(path) for path in write()]
         except (Exception, SystemExit) as error:
             tell_failure(f"report {name} failed: {describe_error(error)}")
         if progress:
             progress(number, len(wanted), name)
-    return written
+    return [path for paths in written.values() for path in paths]
 
 
 def _folder(report: Any) -> str:

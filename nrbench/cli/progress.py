@@ -15,13 +15,15 @@ PATIENCE = 2.0
 """Delay before the first message of progress, s."""
 PAUSE = 5.0
 """Least seconds between two lines where standard error is no terminal."""
+LINES = 20
+"""Most lines of one long piece of work where standard error is no terminal, without those of failures."""
 SHARE = 0.01
 """Least fraction done from which the time left is estimated; the first steps are often slow."""
 
 
 @contextmanager
-def live_progress(estimate: bool = True, patience: bool = False) -> Iterator[Callable[[int, int, str], None]]:
-    """Show progress on standard error: a live bar on a terminal, plain lines elsewhere.
+def live_progress(estimate: bool = True, patience: bool = False) -> Iterator[Callable[..., None]]:
+    """Show progress on standard error: a live bar on a terminal, elsewhere a line at each twentieth of the work.
 
     Parameters
     ----------
@@ -33,13 +35,15 @@ def live_progress(estimate: bool = True, patience: bool = False) -> Iterator[Cal
     Yields
     ------
     Callable
-        Shows the number of items done, of all, and the last one.
+        Shows the number of items done, of all, and the last one; the fourth argument tells whether it failed, which
+        always has a line.
     """
     if not sys.stderr.isatty():
         start = time.monotonic()
 
-        def print_line(done: int, total: int, what: str) -> None:
-            if not patience or time.monotonic() - start > PATIENCE:
+        def print_line(done: int, total: int, what: str, failed: bool = False) -> None:
+            reached = failed or done * LINES // total > (done - 1) * LINES // total
+            if reached and (not patience or time.monotonic() - start > PATIENCE):
                 with contextlib.suppress(OSError):  # nobody can read it, and the work goes on
                     print(f"[{done}/{total}] {strip_control(what)}", file=sys.stderr, flush=True)
 
@@ -52,7 +56,13 @@ def live_progress(estimate: bool = True, patience: bool = False) -> Iterator[Cal
     columns = (BarColumn(), MofNCompleteColumn(), *remaining, TextColumn("{task.description}", markup=False))
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=None)
-        yield lambda done, total, what: bar.update(task, completed=done, total=total, description=what)
+
+        def update(done: int, total: int, what: str, failed: bool = False) -> None:
+            if failed:
+                bar.console.print(what, markup=False, highlight=False)
+            bar.update(task, completed=done, total=total, description=what)
+
+        yield update
 
 
 @contextmanager

@@ -116,8 +116,10 @@ def show_steps(as_json: bool = False) -> Iterator[Callable[[Step], None]]:
     if as_json:
         yield lambda step: print(json.dumps({"event": "cell", **dataclasses.asdict(step)}), file=sys.stderr, flush=True)
         return
+    from nrbench.runs.store import FAILED
+
     with live_progress(estimate=False) as show:
-        yield lambda step: show(step.done, step.total, _describe_step(step))
+        yield lambda step: show(step.done, step.total, _describe_step(step), step.status in FAILED)
 
 
 def _describe_step(step: Step) -> str:

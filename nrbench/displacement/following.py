@@ -193,8 +193,26 @@ def _shrink(image: Image, lattice: Lattice) -> tuple[Values, Lattice, int]:
     """Return the image, shrunk and smoothed, the lattice in its pixels, and the factor."""
     factor = max(1, int(lattice.s / _FINEST))
     sigma = _SMOOTH * lattice.s / factor
-    smooth = scipy.ndimage.gaussian_filter(shrink(image, factor), (sigma, sigma, 0))
-    return smooth, Lattice.from_basis(lattice.matrix / factor), factor
+    return _smooth(shrink(image, factor), sigma), Lattice.from_basis(lattice.matrix / factor), factor
+
+
+def _smooth(values: Values, sigma: float) -> Values:
+    """Return the values ``(H, W, C)`` that :func:`scipy.ndimage.gaussian_filter` gives, to the bit.
+
+    Importing that function takes longer than all else that a sample with a given lattice needs.
+    """
+    reach = int(4 * sigma + 0.5)
+    weights = np.exp(-0.5 / sigma**2 * np.arange(-reach, 1) ** 2)
+    weights /= 2 * weights.sum() - 1
+    for axis in (0, 1):
+        edges = [(reach, reach) if each == axis else (0, 0) for each in range(3)]
+        padded = np.moveaxis(np.pad(values.astype(np.float64), edges, "symmetric"), axis, 0)
+        size = values.shape[axis]
+        total = padded[reach : reach + size] * weights[reach]
+        for k in range(reach):
+            total += (padded[k : k + size] + padded[2 * reach - k :][:size]) * weights[k]
+        values = np.moveaxis(total, 0, axis).astype(values.dtype)
+    return values
 
 
 def _starts(image: Values, lattice: Lattice) -> Iterator[Start]:

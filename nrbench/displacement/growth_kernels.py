@@ -7,10 +7,8 @@ The point of the template at ``offset`` is read at ``place + M @ offset``.
 from __future__ import annotations
 
 import heapq
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nrbench.jit import (
     Boolx2,
@@ -188,7 +186,26 @@ def add_prior(
 
 
 @inlined_kernel
-def move_state(state: Float64x1, move: NDArray[np.floating[Any]]) -> None:
+def solve_normal_equations(a: Float64x2, b: Float64x1) -> None:
+    """Replace b by the solution m of a m = b, for a symmetric positive definite; a by its factors L D L^T.
+
+    For six unknowns this takes a fraction of a call of LAPACK, which numba reaches by importing scipy.linalg.
+    """
+    for m in range(6):
+        for n in range(m):
+            for k in range(n):
+                a[m, n] -= a[m, k] * a[n, k] * a[k, k]
+            a[m, n] /= a[n, n]
+            a[m, m] -= a[m, n] * a[m, n] * a[n, n]
+            b[m] -= a[m, n] * b[n]
+    for m in range(5, -1, -1):
+        b[m] /= a[m, m]
+        for n in range(m + 1, 6):
+            b[m] -= a[n, m] * b[n]
+
+
+@inlined_kernel
+def move_state(state: Float64x1, move: Float64x1) -> None:
     """Add a step on the plane of the template to the state: M @ move, for the place and for both columns of the map."""
     xx, xy, yx, yy = state[2], state[3], state[4], state[5]
     state[0] += xx * move[0] + xy * move[1]
@@ -271,9 +288,9 @@ def register(
             return -1.0
         add_prior(a, b, state, predicted, prior, determinant)
         # Move the state. After a short move one last reading measures the correlation.
-        move = np.linalg.solve(a, b)
-        move_state(state, move)
-        if np.sqrt(move[0] ** 2 + move[1] ** 2) < 0.01 and step < steps - 1:
+        solve_normal_equations(a, b)
+        move_state(state, b)
+        if np.sqrt(b[0] ** 2 + b[1] ** 2) < 0.01 and step < steps - 1:
             steps = step + 1
     return correlation
 

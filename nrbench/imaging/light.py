@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from nrbench.imaging.convert import Image
 from nrbench.imaging.masks import Mask, fill_unknown
@@ -54,22 +53,39 @@ def estimate_light(
     shape = image.shape[0], image.shape[1]
     seen = np.log(np.mean(image.astype(np.float64) ** _GAMMA, -1, keepdims=True) + _BLACK)
     grid = [min(max(math.ceil(side * _PARTS / lattice.s), 2), side) for side in shape]
-    y, x = np.mgrid[-1 : 1 : grid[0] * 1j, -1 : 1 : grid[1] * 1j]
-    terms = np.stack([(x**i * y**j).ravel() for i in range(3) for j in range(3 - i)], -1)
     light = np.zeros((*shape, 1))
     for _ in range(_ROUNDS if edges else 1):
         rest = seen - fold(np.asarray(seen - light, np.float32), lattice, known).unfold(shape)
         rest = (rest if known is None else fill_unknown(rest, known))[..., 0]
-        blur = [(side / points - 1) / 2 for side, points in zip(shape, grid, strict=True)]
-        small = _resize(ndimage.gaussian_filter(rest, blur, mode="mirror"), grid)
-        slow = (terms @ np.linalg.lstsq(terms, small.ravel(), rcond=None)[0]).reshape(small.shape)
-        light = _resize(slow + _find_edges(small - slow) if edges else slow, shape)[..., np.newaxis]
+        light = (_find_light(rest, grid) if edges else _fit_polynomial(rest))[..., np.newaxis]
     return np.asarray(light[..., 0] - np.median(light))
 
 
-def _resize(values: NDArray[Any], shape: Sequence[int]) -> NDArray[np.float64]:
-    factors = [new / old for new, old in zip(shape, values.shape, strict=True)]
-    return np.asarray(ndimage.zoom(values.astype(np.float64), factors, order=1, mode="mirror", grid_mode=True))
+def _find_light(rest: NDArray[Any], grid: Sequence[int]) -> NDArray[np.float64]:
+    """Return the light with its edges, found on a coarse grid."""
+    from scipy import ndimage  # light that is only named has no edges
+
+    def resize(values: NDArray[Any], shape: Sequence[int]) -> NDArray[np.float64]:
+        factors = [new / old for new, old in zip(shape, values.shape, strict=True)]
+        return np.asarray(ndimage.zoom(values.astype(np.float64), factors, order=1, mode="mirror", grid_mode=True))
+
+    blur = [(side / points - 1) / 2 for side, points in zip(rest.shape, grid, strict=True)]
+    small = resize(ndimage.gaussian_filter(rest, blur, mode="mirror"), grid)
+    slow = _fit_polynomial(small)
+    return resize(slow + _find_edges(small - slow), rest.shape)
+
+
+def _fit_polynomial(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the polynomial of degree 2 that fits an array of two dimensions best.
+
+    Its terms are products of powers of x and of y, so its sums over the array are products of sums along the axes.
+    """
+    y, x = (np.linspace(-1, 1, side)[:, np.newaxis] ** np.arange(3) for side in values.shape)
+    used = np.add.outer(np.arange(3), np.arange(3)).ravel() < 3
+    products = np.kron(y.T @ y, x.T @ x)[used][:, used]
+    factors = np.zeros(9)
+    factors[used] = np.linalg.solve(products, (y.T @ values @ x).ravel()[used])
+    return np.asarray(y @ factors.reshape(3, 3) @ x.T)
 
 
 def _find_edges(rest: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -87,6 +87,8 @@ class Request:
         Kind and name of the installed third-party plugins that a worker of a cluster imports before it forks.
     built_in
         Whether it runs no third-party code: it scores by metrics of nrbench, and a dataset of nrbench drew the texture.
+    own_method
+        Whether the method and its detectors are nrbench's, and the method starts no programs.
     side_by_side
         1 if other cells run at the same time, else 0; it is recorded beside the costs.
     group
@@ -109,6 +111,7 @@ class Request:
     plugin_files: tuple[str, ...] = ()
     imports: tuple[tuple[str, str], ...] = ()
     built_in: bool = False
+    own_method: bool = False
     side_by_side: float = 0.0
     group: str = ""
     here: bool = False
@@ -529,7 +532,7 @@ class Spent:
 
 @dataclasses.dataclass(frozen=True)
 class KeptSurvey:
-    """The content of the file of a survey. A bent sample, whose survey holds pictures, is surveyed by each cell.
+    """The content of the file of a survey. That of a bent sample, which holds pictures, is kept by the process.
 
     Parameters
     ----------
@@ -542,6 +545,10 @@ class KeptSurvey:
     found: FoundLattice
     note: str
     spent: Spent
+
+
+_bent_surveys: dict[str, tuple[SampleSurvey, Spent]] = {}
+"""The last surveys of bent samples in this process, by :func:`_survey_key`, and what they cost."""
 
 
 def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> tuple[SampleSurvey | None, Spent]:
@@ -559,15 +566,24 @@ def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> tuple[Samp
     finder = (cell.finder or (in_role("detector"),))[0]
     if not all(plugins.find("detectors", name).built_in for name in (finder, *bent_finders())):
         return survey_sample(method, task), Spent()
-    file = folder / f"{_survey_key(cell)}.json"
+    if getattr(method, "geometry", "as-is") == "as-is" or not getattr(method, "uses_lattice", True):
+        return None, Spent()
+    key = _survey_key(cell)
+    if key in _bent_surveys:
+        return _bent_surveys[key]
+    file = folder / f"{key}.json"
     kept = _read_survey(file)
-    if kept is not None and getattr(method, "geometry", "as-is") != "as-is" and getattr(method, "uses_lattice", True):
+    if kept is not None:
         return SampleSurvey(kept.found, None, kept.note, kept.spent.seconds), kept.spent
     wall, cpu, peak = work_clock(), cpu_seconds(), peak_bytes()
     survey = survey_sample(method, task)
+    spent = Spent(work_clock() - wall, cpu_seconds() - cpu, (peak_bytes() - peak) / MIB)
     if survey is not None and survey.bent is None:
-        wall, cpu, mib = work_clock() - wall, cpu_seconds() - cpu, (peak_bytes() - peak) / MIB
-        write_json(file, dataclasses.asdict(KeptSurvey(survey.found, survey.note, Spent(wall, cpu, mib))))
+        write_json(file, dataclasses.asdict(KeptSurvey(survey.found, survey.note, spent)))
+    elif survey is not None:
+        while len(_bent_surveys) > 1:  # given and own lattice of one sample
+            del _bent_surveys[next(iter(_bent_surveys))]
+        _bent_surveys[key] = survey, spent
     return survey, Spent()
 
 

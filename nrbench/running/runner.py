@@ -23,6 +23,7 @@ from nrbench.errors import BadInput, strip_control
 from nrbench.imaging.convert import Image
 from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import FoundLattice, Shape, Texture
+from nrbench.plugins.registry import bent_finders
 from nrbench.running.executors import Executor, executor, synthesize_here
 from nrbench.running.guard import LIMITS, Limits
 from nrbench.running.options import Options as Options
@@ -244,8 +245,13 @@ class _Runner:
             result = {"status": cell.fault_status, "message": cell.fault, "phase": phase}
             return {**where.write_result(result), "wall": 0.0}
         built_in = plugins.lookup("datasets", cell.recipe.dataset).built_in
-        here = plugins.lookup("synthesizers", cell.method).in_session
-        return dataclasses.replace(self._job("cell", where, cell.texture, built_in), here=here)
+        method = plugins.lookup("synthesizers", cell.method)
+        finders = (*bent_finders(), *(cell.finder or ())[:1])
+        own = built_in and method.built_in and all(plugins.lookup("detectors", str(each)).built_in for each in finders)
+        own = own and not getattr(method.cls, "starts_programs", False)
+        return dataclasses.replace(
+            self._job("cell", where, cell.texture, built_in), own_method=own, here=method.in_session
+        )
 
     def _job(self, phase: str, where: CellFolder, group: str = "", built_in: bool = False) -> Request:
         options = self.options
@@ -360,7 +366,7 @@ class Step:
     status
         How it ended.
     remaining
-        Estimated wall seconds until the run ends; None before a cell has been run.
+        Estimated wall seconds until the run ends; None before they can be estimated.
     """
 
     done: int
@@ -397,6 +403,10 @@ OnStep = Callable[[Step], None]
 class Pace:
     """Counts the cells of a run, and estimates the time that the others will take.
 
+    The first cell of a texture also pays for what is learned of the texture, and the first cells of all for the start
+    of the workers. So the first cells of textures have a mean of their own, without those of the first workers, and all
+    other cells that of their method. There is no estimate before all means are known that it needs.
+
     Parameters
     ----------
     cells
@@ -405,10 +415,12 @@ class Pace:
 
     cells: list[Cell]
     _seconds: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    _first_seconds: list[float] = field(default_factory=list)
     _counts: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
-        self._left = Counter(cell.label for cell in self.cells)
+        self._unopened = {cell.texture: cell.label for cell in reversed(self.cells)}
+        self._left = Counter(cell.label for cell in self.cells) - Counter(self._unopened.values())
 
     def step(self, cell: Cell, status: str, seconds: float | None, slots: int) -> Step:
         """Count a cell that has ended.
@@ -422,22 +434,26 @@ class Pace:
         slots
             Number of cells that run at the same time, at present.
         """
+        first = self._unopened.pop(cell.texture, None)
+        if first is not None:  # the cells of a texture may end in another order
+            self._left[first] += 1
         self._left[cell.label] -= 1
         self._counts.update(done=1, cached=int(seconds is None), failed=int(status in FAILED))
         if seconds is not None:
-            self._seconds[cell.label].append(seconds)
+            (self._seconds[cell.label] if first is None else self._first_seconds).append(seconds)
         done, cached, failed = (self._counts[name] for name in ("done", "cached", "failed"))
         what = (cell.texture, cell.label, cell.lattice_source, status)
         return Step(done, len(self.cells), cached, failed, *what, self._remaining(slots))
 
     def _remaining(self, slots: int) -> float | None:
-        """Return the seconds left: each method's mean for its own cells, the mean of all for an unknown method."""
-        if not self._seconds:
+        """Return the seconds left; None as long as a mean is unknown."""
+        started = self._first_seconds[max(1, slots) :]
+        counts = [(count, self._seconds.get(label, [])) for label, count in self._left.items() if count]
+        counts += [(len(self._unopened), started)] if self._unopened else []
+        if not all(times for _, times in counts):
             return None
-        means = {label: sum(times) / len(times) for label, times in self._seconds.items()}
-        usual = sum(means.values()) / len(means)
-        total = sum(count * means.get(label, usual) for label, count in self._left.items())
-        return total / max(1, min(slots, sum(self._left.values())))
+        total = sum(count * sum(times) / len(times) for count, times in counts)
+        return total / max(1, min(slots, sum(count for count, _ in counts)))
 
 
 @contextmanager

@@ -38,6 +38,13 @@ THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",
 )
 """Set to 1 in every worker, before numpy loads there."""
+KEEP_MEMORY = {
+    "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(128 << 20),
+    "MALLOC_TOP_PAD_": str(16 << 20),
+}
+"""Bytes from which the C library (glibc) maps an array by itself, returns freed memory to the system, and fetches more
+memory than it needs. By default each array of an image is mapped and returned again, page by page."""
 ROOM = 4 << 20
 """Bytes that must find room on the disk of a run for it to go on after an error of a disk."""
 START = 900.0
@@ -68,7 +75,7 @@ def run_job(job: Request, run: RunRequest) -> Result:
     """
     start, where = time.monotonic(), CellFolder(Path(job.folder))
     phase, function = ("detect", "detect") if job.phase == "detect" else ("synthesize", "synthesize_cell")
-    request = dataclasses.replace(job, phase=function, metrics=(), built_in=False)
+    request = dataclasses.replace(job, phase=function, metrics=(), built_in=job.own_method)
     try:
         result = where.result()
         if result is None:
@@ -261,8 +268,9 @@ def run_here(request: Request) -> Reply:
 
 
 def worker_environment() -> dict[str, str]:
-    """Return the environment of a worker: one thread, and no imports from the working directory."""
-    return {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONSAFEPATH": "1", "MPLBACKEND": "Agg"}
+    """Return the environment of a worker: one thread, freed memory kept, no imports from the working directory."""
+    fixed = {**dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONSAFEPATH": "1", "MPLBACKEND": "Agg"}
+    return {**KEEP_MEMORY, **os.environ, **fixed}
 
 
 _own = threading.local()

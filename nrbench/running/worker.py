@@ -1,8 +1,8 @@
 """The worker process: it imports the plugins of a run, loads their kernels, and then forks children that run phases.
 
 The worker computes nothing itself and has a single thread, so that forking is safe. Where it is not, each child is a
-fresh interpreter. Each phase has a child of its own. The exception is scoring by the metrics of nrbench: one forked
-child, the scorer, scores many cells.
+fresh interpreter. Each phase that runs third-party code has a child of its own. Two forked children serve many cells:
+one synthesizes by the methods of nrbench, and the other, the scorer, scores by its metrics.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import PREPARED, KeptSurvey, Request, Send, perform, send_error
 from nrbench.suites.cell import Cell, Recipe, reader_of
 
-SCORER_ROOM = 256.0
-"""MiB that the scorer may hold between two cells, beyond what the worker holds. Above it, a new one takes its place."""
+ROOM_BETWEEN = 256.0
+"""MiB beyond those of the worker that a child may hold between two cells. Above it, a new child takes its place."""
 PATIENCE = 0.02
 """Seconds that a worker waits for the next request before it ends the child of the last one."""
 LATE = 5.0
@@ -235,9 +235,10 @@ def read_lines(process: subprocess.Popen[str]) -> tuple[queue.Queue[str | None],
 class ChildServer:
     """Runs requests in children, one at a time, under their limits.
 
-    A child that runs third-party code, or whose costs are measured, ends with its request. The metrics of nrbench keep
-    no state and start nothing, so one child, the scorer, scores many cells: a fork takes longer than many a score. It
-    is replaced when it breaks a limit, dies, or has come to hold more than :data:`SCORER_ROOM`.
+    A child that runs third-party code ends with its request. The methods and metrics of nrbench keep no state and start
+    nothing, so one child synthesizes many cells and one scores them: a fork takes longer than many a cell, and what is
+    found of a sample is found once. Between two cells, the first gives free memory back and starts to measure its peak
+    anew. Each is replaced when it breaks a limit, dies, or has come to hold more than :data:`ROOM_BETWEEN`.
 
     A fork takes milliseconds, and so does the end of a process. Neither delays a reply: the child of the next request
     is forked after a reply (:attr:`next_child`), and the last child ends while the scorer works, or before the next
@@ -256,34 +257,35 @@ class ChildServer:
     def __init__(self, forks: bool, home: str, folder: str) -> None:
         self._forks, self._home, self._folder = forks, home, folder
         self.next_child: ForkedChild | None = None
-        self._scorer: ForkedChild | None = None
+        self._shared: dict[str, ForkedChild] = {}
         self._last: ForkedChild | FreshChild | None = None
         self._work = ""
 
     def run(self, request: Request) -> Reply:
         """Run one request; return how it ended."""
         shared = self._forks and request.built_in
-        if not shared:
+        scores = shared and request.phase == "score_cell"
+        if not scores:
             self.recover()
             self._work = self._work or tempfile.mkdtemp(dir=self._folder)
-        request = dataclasses.replace(request, temporary=self._folder if shared else self._work)
+        request = dataclasses.replace(request, temporary=self._folder if scores else self._work)
         child = self._take_child(request, shared)
         limits = guard.Limits(request.seconds, request.mib, request.metrics or (PREPARED,))
         if not self._forks:
             limits = dataclasses.replace(limits, start_seconds=GRACE, start_mib=512)
         base = guard.held_bytes(child.pid) if self._forks else 0
         child.send(request)
-        if shared:
+        if scores:
             self.recover({child.pid})
-        others = [each.pid for each in (self._scorer, self.next_child) if each is not None]
+        others = self._waiting_children()
         watch = guard.Watch(child, limits, base, request.log, others)
         broken = watch.watch()
         if watch.finished and shared:
-            self._scorer = cast("ForkedChild", child)
+            self._shared[request.phase] = cast("ForkedChild", child)
         elif watch.finished:
             self._last = child
         code = 0 if watch.finished else child.end(kill=broken is not None)
-        if not shared:
+        if not scores:
             self._empty_work()  # the disk of the run may be full of it
         return watch.reply(broken, code)
 
@@ -291,15 +293,18 @@ class ChildServer:
         """Return a child that waits for a request."""
         if not self._forks:
             return FreshChild(request.log, self._home)
-        waiting = self._scorer if shared else self.next_child
         if shared:
-            self._scorer = None
+            waiting = self._shared.pop(request.phase, None)
         else:
-            self.next_child = None
+            waiting, self.next_child = self.next_child, None
         if waiting is not None and waiting.has_ended():  # something has killed it
             waiting.end(kill=False)
             waiting = None
         return waiting or ForkedChild(many=shared)
+
+    def _waiting_children(self) -> set[int]:
+        """Return the process ids of the children that wait for a request."""
+        return {child.pid for child in (*self._shared.values(), self.next_child) if child is not None}
 
     def recover(self, spared: Collection[int] = ()) -> None:
         """End the child of the last request, kill all that it started, and remove its files.
@@ -312,12 +317,11 @@ class ChildServer:
         last, self._last = self._last, None
         if last is not None:
             last.end(kill=True)
-        scorer = self._scorer
-        if scorer and guard.held_bytes(scorer.pid) > guard.held_bytes(os.getpid()) + SCORER_ROOM * guard.MIB:
-            self._scorer = None
-            scorer.end(kill=True)
-        kept = {child.pid for child in (self._scorer, self.next_child) if child is not None}
-        guard.kill_children(os.getpid(), kept.union(spared))
+        room = guard.held_bytes(os.getpid()) + ROOM_BETWEEN * guard.MIB
+        for phase, child in list(self._shared.items()):
+            if guard.held_bytes(child.pid) > room:
+                self._shared.pop(phase).end(kill=True)
+        guard.kill_children(os.getpid(), self._waiting_children().union(spared))
         self._empty_work()
 
     def _empty_work(self) -> None:
@@ -361,6 +365,8 @@ def _serve(requests: int, messages: int, many: bool) -> NoReturn:
                     _send({"finished": True})
                 if not many:
                     break
+                if request.phase == "synthesize_cell":  # its costs are measured
+                    guard.forget_peak()
         code = 0
     finally:
         os._exit(code)

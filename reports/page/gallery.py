@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,13 +164,21 @@ def list_layers(textures: Sequence[Sequence[TextureDraw]]) -> list[tuple[int, st
     return sorted({(index, title) for figure in figures for index, title, _ in figure.layers})
 
 
-def build_gallery(run: Run, comparison: Comparison, pictures: PictureStore) -> list[list[TextureDraw]]:
-    """Return the replicates of every texture of the comparison."""
+def begin_figures(run: Run, pictures: PictureStore) -> list[Future[OutputFigure]]:
+    """Begin to make the figures of all outputs in threads: pictures are coded outside of Python's lock."""
     names = dict.fromkeys(title for record in run.cells for title in record.pictures)
     titles = [*sort_headlines_first(names), SOURCE_MAP]
-    with ThreadPoolExecutor(2) as pool:  # images are decoded and encoded outside of Python's lock
-        figures = list(pool.map(lambda record: _output_figure(record, titles, pictures), run.cells))
-    by_cell = {id(figure.record): figure for figure in figures}
+    pool = ThreadPoolExecutor(2)
+    figures = [pool.submit(_output_figure, record, titles, pictures) for record in run.cells]
+    pool.shutdown(wait=False)
+    return figures
+
+
+def build_gallery(
+    comparison: Comparison, figures: Iterable[Future[OutputFigure]], pictures: PictureStore
+) -> list[list[TextureDraw]]:
+    """Return the replicates of every texture of the comparison, from the figures of :func:`begin_figures`."""
+    by_cell = {id(figure.record): figure for figure in (each.result() for each in figures)}
     textures = []
     for row in comparison.rows:
         replicates: dict[int, list[OutputFigure]] = {}

@@ -160,9 +160,14 @@ def grow_trees(residual: Float64x2, terminal: Float64x1, width: int) -> UInt8x1:
     for i in range(n):
         if terminal[i] != 0:
             tree[i] = SOURCE if terminal[i] > 0 else SINK
-            parent[i], distance[i], waiting[i] = _ROOT, 1, True
-            queue[tail] = i
-            tail += 1
+            parent[i], distance[i] = _ROOT, 1
+            # Nothing grows from a fixed node among others that are fixed alike.
+            alike = abs(terminal[i]) == np.inf
+            for d in range(4):
+                alike = alike and terminal[i + offset[d]] == terminal[i]
+            if not alike:
+                queue[tail], waiting[i] = i, True
+                tail += 1
     state = np.array([0, tail, -1])
     time = 0
     while True:

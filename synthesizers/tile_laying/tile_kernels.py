@@ -12,9 +12,11 @@ import numpy as np
 
 from nrbench.jit import (
     BoolView2,
+    Boolx1,
     Boolx2,
     Float32View3,
     Float32x2,
+    Float32x3,
     Float64x1,
     Float64x2,
     Float64x3,
@@ -24,6 +26,7 @@ from nrbench.jit import (
     UInt8View3,
     UInt8x1,
     UInt8x2,
+    inlined_kernel,
     kernel,
 )
 
@@ -40,30 +43,20 @@ value, its length, and the offset of its first value from that of the tile's mid
 Images = tuple[UInt8x2, int, int, int, int]
 """The shifted images of a sample, ``(n, height * width * channels)``, their height, width and channels, and the parts
 of a pixel by which they are shifted."""
-Under = tuple[UInt8View3, BoolView2, Float32View3]
-"""What lies under the box of a tile: the pixels ``(h, w, C)``, which of them are known ``(h, w)``, and the costs of the
-seams to the right and downward ``(2, h, w)``."""
+Under = tuple[UInt8View3, Float32View3, BoolView2, Float32View3]
+"""What lies under the box of a tile: the pixels ``(h, w, C)``, their source map ``(h, w, 3)``, which of them are known
+``(h, w)``, and the costs of the seams to the right and downward ``(2, h, w)``."""
 
 
-@kernel
-def gather(image: UInt8View3, covered: Boolx2, offsets: Int64x2) -> Overlap:
-    """Return the covered pixels of a window as an :data:`Overlap`.
-
-    Parameters
-    ----------
-    image
-        ``(h, w, C)``: the window.
-    covered
-        ``(h, w)``: which pixels count.
-    offsets
-        ``(h, w)``: the offset of each pixel's first value from that of the tile's middle in a flat image.
-    """
+@inlined_kernel
+def gather(image: UInt8View3, known: BoolView2, mask: Boolx2, offsets: Int64x2) -> Overlap:
+    """Return the known pixels under a tile as an :data:`Overlap`; parameters as in :func:`compare_tiles`."""
     height, width, channels = image.shape
     values, runs = np.empty(height * width * channels, np.uint8), np.empty((height * width, 3), np.int64)
     count, number, following = 0, 0, np.int64(0)
     for y in range(height):
         for x in range(width):
-            if not covered[y, x]:
+            if not (known[y, x] and mask[y, x]):
                 continue
             if number == 0 or offsets[y, x] != following:  # the last run ended before this pixel
                 runs[number, 0], runs[number, 1], runs[number, 2] = count, 0, offsets[y, x]
@@ -77,27 +70,36 @@ def gather(image: UInt8View3, covered: Boolx2, offsets: Int64x2) -> Overlap:
 
 
 @kernel
-def absolute_differences(overlap: Overlap, images: UInt8x2, places: Int64x2) -> Int64x1:
-    """Compute, for each place of an image, the sum of absolute differences between its values and those of an overlap.
+def compare_tiles(
+    image: UInt8View3, known: BoolView2, mask: Boolx2, offsets: Int64x2, images: Images, places: Int64x2
+) -> tuple[Overlap, Int64x1]:
+    """Return what is known under a tile, and how the tiles at some places differ from it.
 
     Parameters
     ----------
-    overlap
-        See :data:`Overlap`.
+    image, known
+        ``(h, w, C)`` and ``(h, w)``: the picture under the tile's box, and where it is known.
+    mask
+        ``(h, w)``: which pixels of the box belong to the tile.
+    offsets
+        ``(h, w)``: the offset of each pixel's first value from that of the tile's middle in a flat image.
     images
-        ``(n, m)``: the images, flat.
+        See :data:`Images`.
     places
-        ``(p, 2)``: image, and position in it.
+        ``(p, 3)``: shifted image and pixel (x, y) of the middle of each tile.
 
     Returns
     -------
-    NDArray
-        ``(p,)``.
+    overlap
+        See :data:`Overlap`.
+    sums
+        ``(p,)``: the sum of absolute differences between the values of each tile and those of the overlap.
     """
-    values, runs = overlap
+    overlap = gather(image, known, mask, offsets)
+    (values, runs), (sources, _, width, channels, _) = overlap, images
     sums = np.zeros(places.shape[0], np.int64)
     for p in range(places.shape[0]):
-        source, first = images[places[p, 0]], places[p, 1]
+        source, first = sources[places[p, 0]], (places[p, 2] * width + places[p, 1]) * channels
         total = np.int64(0)
         for r in range(runs.shape[0]):
             here = values[runs[r, 0] : runs[r, 0] + runs[r, 1]]
@@ -107,14 +109,28 @@ def absolute_differences(overlap: Overlap, images: UInt8x2, places: Int64x2) -> 
                 part += np.int32(abs(np.int32(here[i]) - np.int32(there[i])))
             total += part
         sums[p] = total
-    return sums
+    return overlap, sums
 
 
 @kernel
 def product_sums(overlap: Overlap, images: UInt8x2, places: Int64x2, channels: int) -> Int64x3:
     """Compute, for each place of an image, the sums of its values, their squares, and their products with an overlap.
 
-    Parameters as in :func:`absolute_differences`, each run of whole pixels; the result is ``(p, channels, 3)``.
+    Parameters
+    ----------
+    overlap
+        See :data:`Overlap`; its runs are whole pixels.
+    images
+        ``(n, m)``: the images, flat.
+    places
+        ``(p, 2)``: image, and position in it.
+    channels
+        Number of channels.
+
+    Returns
+    -------
+    NDArray
+        ``(p, channels, 3)``.
     """
     values, runs = overlap
     sums = np.zeros((places.shape[0], channels, 3), np.int64)
@@ -131,7 +147,7 @@ def product_sums(overlap: Overlap, images: UInt8x2, places: Int64x2, channels: i
 
 
 @kernel
-def nearest_places(places: Float64x2, images: Images, box: Int64x2) -> Int64x2:
+def nearest_places(places: Float64x2, images: Images, box: Int64x2) -> tuple[Int64x2, Boolx1]:
     """Return the nearest places that shifted images have, and whether a tile around them lies inside the sample.
 
     Parameters
@@ -145,12 +161,13 @@ def nearest_places(places: Float64x2, images: Images, box: Int64x2) -> Int64x2:
 
     Returns
     -------
-    NDArray
-        ``(p, 4)``: the shifted image, pixel (x, y), and 1 if the tile and the pixels that it is
-        interpolated from lie inside, else 0.
+    nearest
+        ``(p, 3)``: the shifted image, and pixel (x, y).
+    inside
+        ``(p,)``: whether the tile and the pixels that it is interpolated from lie inside.
     """
     _, height, width, _, parts = images
-    nearest = np.empty((places.shape[0], 4), np.int64)
+    nearest, inside = np.empty((places.shape[0], 3), np.int64), np.empty(places.shape[0], np.bool_)
     for p in range(places.shape[0]):
         # The place in parts of a pixel; what is left beyond whole pixels is the number of the image.
         u = np.int64(math.floor(places[p, 0] * parts + 0.5))
@@ -160,8 +177,8 @@ def nearest_places(places: Float64x2, images: Images, box: Int64x2) -> Int64x2:
         within = x + box[0, 0] >= 0 and x + box[1, 0] + (1 if right > 0 else 0) <= width - 1
         within = within and y + box[0, 1] >= 0 and y + box[1, 1] + (1 if below > 0 else 0) <= height - 1
         nearest[p, 0], nearest[p, 1], nearest[p, 2] = below * parts + right, x, y
-        nearest[p, 3] = 1 if within else 0
-    return nearest
+        inside[p] = within
+    return nearest, inside
 
 
 @kernel
@@ -189,7 +206,7 @@ def list_moves(start: Float64x1, radius: float, parts: int) -> Float64x2:
 
 @kernel
 def best_move(
-    overlap: Overlap, images: Images, box: Int64x2, start: Float64x1, middle: Float64x1, radius: float
+    overlap: Overlap, images: Images, box: Int64x2, drawn: Int64x1, middle: Float64x1, radius: float
 ) -> Int64x1:
     """Return the place at which a tile correlates best with what is known there.
 
@@ -197,15 +214,17 @@ def best_move(
     ----------
     overlap, images, box
         See :data:`Overlap`, :data:`Images` and :func:`nearest_places`.
-    start, middle
-        ``(2,)``: the place of the tile in the sample, and its real middle, (x, y).
+    drawn
+        ``(3,)``: the shifted image and the pixel (x, y) of the tile.
+    middle
+        ``(2,)``: its real middle (x, y).
     radius
         Largest distance from the middle, px.
 
     Returns
     -------
     NDArray
-        ``(3,)``: shifted image and pixel (x, y). Ties go to no move, then to the place nearest to the real middle.
+        ``(3,)``: as ``drawn``. Ties go to no move, then to the place nearest to the real middle.
 
     Notes
     -----
@@ -218,17 +237,20 @@ def best_move(
     whole numbers.
     """
     sources, _, width, channels, parts = images
+    copy, part = drawn[0] // (parts * parts), drawn[0] % (parts * parts)
+    start = np.array([drawn[1] + part % parts / parts, drawn[2] + part // parts / parts])
     moves = list_moves(start, radius, parts)
-    nearest = nearest_places(moves, images, box)
+    nearest, inside = nearest_places(moves, images, box)
     places, away = np.empty((moves.shape[0], 2), np.int64), np.empty(moves.shape[0])
     # Keep the places within the radius at which the tile lies inside the sample; no move is always one of them.
     count = 0
     for m in range(moves.shape[0]):
         distance = math.hypot(moves[m, 0] - middle[0], moves[m, 1] - middle[1])
-        if m == 0 or (distance <= radius and nearest[m, 3] == 1):
+        if m == 0 or (distance <= radius and inside[m]):
             away[count] = distance if m else -1.0
-            nearest[count] = nearest[m]
-            places[count, 0] = nearest[m, 0]
+            for k in range(3):
+                nearest[count, k] = nearest[m, k] + (copy * parts * parts if k == 0 else 0)
+            places[count, 0] = nearest[count, 0]
             places[count, 1] = (nearest[m, 2] * width + nearest[m, 1]) * channels
             count += 1
     # The sums of the tile at each place, and of the overlap.
@@ -248,7 +270,7 @@ def best_move(
         correlation = covariance / math.sqrt(variance if variance > 1 else 1)
         if correlation > highest or (correlation == highest and away[m] < away[best]):
             best, highest = m, correlation
-    return nearest[best, :3].copy()
+    return nearest[best, :].copy()
 
 
 @kernel
@@ -354,18 +376,22 @@ def blend_weights(
 
 
 @kernel
-def cut_tile(
-    under: Under, patch: UInt8View3, border: Int64x2, weights: tuple[Float32x2, Float64x2], corner: tuple[int, int]
+def join_tile(
+    under: Under,
+    patch: UInt8View3,
+    origin: Float32x3,
+    border: Int64x2,
+    weights: tuple[Float32x2, Float64x2],
+    corner: tuple[int, int],
 ) -> Boolx2:
-    """Return which of a tile's pixels are shown: those where nothing is known, and those beyond the best seam.
+    """Show a tile where nothing is known, and beyond the best seam; return where it is shown.
 
     Parameters
     ----------
     under
-        See :data:`Under`. The seams count for pixels that stay, so that it pays to cover them; they are changed to
-        those with the tile.
-    patch
-        ``(h, w, C)``: the tile.
+        See :data:`Under`; changed. The seams count for pixels that stay, so that it pays to cover them.
+    patch, origin
+        ``(h, w, C)`` and ``(h, w, 3)``: the tile, and its source map.
     border
         ``(h, w)``: the number of cells between each pixel and the tile's border, negative outside the tile. The tile's
         outermost pixels are not shown where the picture is known.
@@ -387,7 +413,7 @@ def cut_tile(
     side contributes, for this tile and for those that follow. If it were free, cuts would follow it straight through
     elements.
     """
-    image, known, seams = under
+    image, source, known, seams = under
     height, width, channels = image.shape
     state = np.full((height, width), KEPT, np.uint8)
     old = np.empty((height, width, channels), np.float32)
@@ -406,13 +432,20 @@ def cut_tile(
                         old[y, x, c] = new[y, x, c]
                     elif old[y, x, c] != new[y, x, c]:
                         differs = True
-    must: Boolx2 = state == EMPTY
-    if not differs:  # no seam is needed
-        return must
-    costs = link_costs(old, new, False)
-    weigh_links(state, weights, corner, costs)
-    shown = cut_overlap(costs, seams, state == KEPT, must)
-    record_seams(seams, known, shown, costs)
+    shown: Boolx2 = state == EMPTY
+    if differs:  # else no seam is needed
+        costs = link_costs(old, new, False)
+        weigh_links(state, weights, corner, costs)
+        shown = cut_overlap(costs, seams, state == KEPT, shown)
+        record_seams(seams, known, shown, costs)
+    for y in range(height):
+        for x in range(width):
+            if shown[y, x]:
+                known[y, x] = True
+                for c in range(channels):
+                    image[y, x, c] = patch[y, x, c]
+                for c in range(3):
+                    source[y, x, c] = origin[y, x, c]
     return shown
 
 
@@ -427,7 +460,7 @@ def weigh_links(state: UInt8x2, table: tuple[Float32x2, Float64x2], corner: tupl
     state
         ``(h, w)``: the state of each pixel of the box.
     table, corner
-        As ``weights`` and ``corner`` in :func:`cut_tile`.
+        As ``weights`` and ``corner`` in :func:`join_tile`.
     costs
         ``(2, h, w)``: costs of the links to the right and downward; changed.
     """

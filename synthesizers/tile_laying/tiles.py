@@ -20,7 +20,7 @@ from nrbench.lattice.geometry import Lattice, Points
 from ..canvas.canvas import ExactPatch, Mask, Pixels, Source
 from ..lattice_places.equal_places import pixel_grid
 from ..sample_reading.patches import Patches, point_source
-from .tile_kernels import Overlap, absolute_differences, best_move, gather, nearest_places
+from .tile_kernels import Overlap, best_move, compare_tiles, nearest_places
 
 TileKind = Literal["upright", "lattice", "rectangle", "cell"]
 AnchorKind = Literal["quiet", "elements"]
@@ -434,15 +434,27 @@ def symmetric_copies(sample: Image, lattice: Lattice, whole: bool) -> list[Isome
 
 
 class TilePlaces(NamedTuple):
-    """Tiles around whole pixels: row of the shifted images ``(n,)``, pixel (x, y) and real middle (x, y) ``(n, 2)``."""
+    """Tiles around whole pixels.
 
-    row: NDArray[np.int64]
-    pixel: NDArray[np.int64]
+    Parameters
+    ----------
+    place
+        ``(n, 3)``: the row of the shifted images, and the pixel (x, y).
+    middle
+        ``(n, 2)``: the real middle (x, y).
+    """
+
+    place: NDArray[np.int64]
     middle: Points
 
-    def take(self, indices: NDArray[np.bool_] | NDArray[np.int64]) -> TilePlaces:
+    @property
+    def pixel(self) -> NDArray[np.int64]:
+        """The pixel (x, y) of each tile, ``(n, 2)``."""
+        return self.place[:, 1:]
+
+    def take(self, indices: NDArray[np.int64]) -> TilePlaces:
         """Return some of the tiles."""
-        return TilePlaces(self.row[indices], self.pixel[indices], self.middle[indices])
+        return TilePlaces(self.place.take(indices, 0), self.middle.take(indices, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -477,13 +489,14 @@ class TileStock:
         If rounding leaves none inside, return all of them, moved inward by less than a pixel.
         """
         height, width, _ = self.images.shape
-        places = nearest_places(np.ascontiguousarray(middles), self.images.record, self.tile.box)
-        row, pixel, inside = places[:, 0], places[:, 1:3], places[:, 3] == 1
-        if not inside.any():
+        places, inside = nearest_places(np.ascontiguousarray(middles), self.images.record, self.tile.box)
+        found = TilePlaces(places, middles).take(inside.nonzero()[0])
+        if not len(found.place):
             (left, top), (right, bottom) = self.tile.box
-            pixel = np.clip(pixel, (-left, -top), (width - 1 - right, height - 1 - bottom))
-            row, inside = np.zeros_like(row), ~inside
-        found = TilePlaces(row, pixel, middles).take(inside)
+            pixel = np.clip(places[:, 1:], (-left, -top), (width - 1 - right, height - 1 - bottom))
+            found = TilePlaces(np.pad(pixel, ((0, 0), (1, 0))), middles)
+        if not self.images.copies:
+            return found
         sets = [found, *(self._find_in_copy(found, n) for n in range(len(self.images.copies)))]
         return TilePlaces(*(np.concatenate(part) for part in zip(*sets, strict=True)))
 
@@ -494,11 +507,12 @@ class TileStock:
         corners = np.array([(left, top), (right, top), (left, bottom), (right, bottom)])
         at = (places.pixel[:, np.newaxis] + corners) @ matrix + offset
         shown = ((at >= 0) & (at <= np.array(self.images.shape[1::-1]) - 1)).all((1, 2))
-        return places._replace(row=places.row + (copy + 1) * self.images.parts**2).take(shown)
+        row = np.array([(copy + 1) * self.images.parts**2, 0, 0])
+        return places._replace(place=places.place + row).take(np.flatnonzero(shown))
 
     def cut(self, drawn: TilePlaces) -> ExactPatch:
         """Return the patch of one tile over its box, and its source map."""
-        (x, y), row, parts = drawn.pixel[0], int(drawn.row[0]), self.images.parts
+        (row, x, y), parts = drawn.place[0].tolist(), self.images.parts
         (left, top), (right, bottom) = self.tile.box.tolist()
         rows, columns = slice(y + top, y + bottom + 1), slice(x + left, x + right + 1)
         copy, part = divmod(row, parts**2)
@@ -518,9 +532,22 @@ class TileStock:
         steps = pixel_grid(right - left + 1, bottom - top + 1, left, top)
         return np.pad(steps, ((0, 0), (0, 0), (0, 1))).astype(np.float32)
 
-    def gather(self, image: Pixels, covered: Mask) -> Overlap:
-        """Return what is covered under a tile's box, whose pixels are ``uint8 (h, w, C)``."""
-        return gather(image, covered & self.tile.mask, self._offsets)
+    def compare(self, image: Pixels, covered: Mask, tiles: TilePlaces) -> tuple[Overlap, NDArray[np.int64]]:
+        """Return what is covered under a tile's box, and how each tile differs from it (step 3).
+
+        Parameters
+        ----------
+        image, covered
+            ``uint8 (h, w, C)`` and ``bool (h, w)``: the pixels under the box, and which of them are covered.
+        tiles
+            n tiles.
+
+        Returns
+        -------
+        tuple
+            The covered pixels, and ``(n,)``: the sums of absolute differences, channels added.
+        """
+        return compare_tiles(image, covered, self.tile.mask, self._offsets, self.images.record, tiles.place)
 
     @cached_property
     def _offsets(self) -> NDArray[np.int64]:
@@ -529,29 +556,13 @@ class TileStock:
         x, y, _ = np.moveaxis(self._steps.astype(np.int64), -1, 0)
         return np.ascontiguousarray((y * width + x) * channels)
 
-    def differences(self, overlap: Overlap, tiles: TilePlaces) -> NDArray[np.int64]:
-        """Compute each tile's sum of absolute differences over the overlap, channels added (step 3)."""
-        return absolute_differences(overlap, self.images.values, self._positions(tiles))
-
     def register(self, overlap: Overlap, drawn: TilePlaces, radius: float) -> TilePlaces:
         """Return one tile moved to where it correlates best, by at most ``radius`` px from its real middle (step 4).
 
         The correlation is normalized over the overlap, without the mean of each channel.
         """
-        parts = self.images.parts
-        (x, y), (copy, part) = drawn.pixel[0], divmod(int(drawn.row[0]), parts**2)
-        first = copy * parts**2
-        images = self.images.values[first : first + parts**2], *self.images.shape, parts
-        start = np.array([x + part % parts / parts, y + part // parts / parts])
-        best = best_move(overlap, images, self.tile.box, start, drawn.middle[0], radius)
-        return TilePlaces(best[:1] + first, best[np.newaxis, 1:], drawn.middle)
-
-    def _positions(self, tiles: TilePlaces) -> NDArray[np.int64]:
-        """Return row and position of each tile's middle in the shifted images."""
-        _, width, channels = self.images.shape
-        positions = np.empty((len(tiles.row), 2), np.int64)
-        positions[:, 0], positions[:, 1] = tiles.row, (tiles.pixel[:, 1] * width + tiles.pixel[:, 0]) * channels
-        return positions
+        best = best_move(overlap, self.images.record, self.tile.box, drawn.place[0], drawn.middle[0], radius)
+        return TilePlaces(best[np.newaxis], drawn.middle)
 
     def estimate_threshold(self, quantile: float, accepting: float, measure: OverlapMeasure) -> float:
         """Return the least threshold at which enough tiles of the sample accept enough of the others.
@@ -567,10 +578,9 @@ class TileStock:
         quantiles: list[float] = []
         for number in self.tile.set_offsets(self.lattice):
             tiles = self.find_places(self.middles(*number))
-            tiles = tiles.take(np.unique(np.linspace(0, len(tiles.row) - 1, MAX_COMPARED).astype(np.int64)))
-            for n in range(len(tiles.row)):
-                overlap = self.gather(self.cut(tiles.take(np.array([n])))[0], usual)
-                others = np.delete(self.differences(overlap, tiles), n)
+            tiles = tiles.take(np.unique(np.linspace(0, len(tiles.place) - 1, MAX_COMPARED).astype(np.int64)))
+            for n in range(len(tiles.place)):
+                others = np.delete(self.compare(self.cut(tiles.take(np.array([n])))[0], usual, tiles)[1], n)
                 quantiles += [float(np.quantile(others, quantile))] if len(others) else []
         threshold = float(np.quantile(quantiles, accepting)) if quantiles else np.inf
         return threshold / (int((usual & self.tile.mask).sum()) if measure == "mean" else 1)

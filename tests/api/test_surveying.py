@@ -36,7 +36,7 @@ def add(name: str, brightness: float = 0.9, shape: tuple[int, int] = (40, 60)) -
 
 def survey(detector: str = "ranked", **options: object) -> Survey:
     """Run a survey of the folder."""
-    made = Survey(PICTURES, detector, **options)  # type: ignore[arg-type]
+    made = Survey(PICTURES, detector, **options)
     made.run(lambda done, total, name: None)
     return made
 

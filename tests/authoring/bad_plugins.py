@@ -46,7 +46,7 @@ class BadMethod:
         if how == "gray":
             image = image[..., [0, -1, -1]]
         if how == "own lattice" and task.lattice is None and image.std() < 0.2:  # not in noise
-            return Synthesis(image, lattice="16,0,0,12")  # type: ignore[arg-type]
+            return Synthesis(image, lattice="16,0,0,12")
         if how == "refusals" and min(height, width) < 16:
             raise IndexError("too small")
         if how == "progress":
@@ -209,4 +209,4 @@ class BadReport:
 
     def render(self, run: Run) -> str:
         """Return text."""
-        return None if self.how == "terminal" else "text"  # type: ignore[return-value]
+        return None if self.how == "terminal" else "text"

@@ -12,7 +12,7 @@ from nrbench import run
 from nrbench.api.run_reports import parse_formats
 from nrbench.api.textures import Scores
 from nrbench.cli.picture_commands import _score_line
-from nrbench.cli.progress import waiting
+from nrbench.cli.progress import live_progress, waiting
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice
 from nrbench.metrics.quality import Quality
@@ -28,6 +28,16 @@ def brick(tmp_path: Path) -> Lattice:
         texture = nrbench.texture("brick", shape=(96, 96), seed=seed, color=0.2)
         write_image(tmp_path / f"{name}.png", texture.image)
     return Lattice(texture.lattice.t1, texture.lattice.t2)
+
+
+def test_a_long_run_prints_few_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a terminal there is a line at each twentieth of the cells, and for each that failed."""
+    with live_progress() as show:
+        for done in range(1, 745):
+            show(done, 744, f"cell {done}", done == 100)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 21
+    assert "[100/744] cell 100" in lines and lines[-1] == "[744/744] cell 744"
 
 
 def test_a_short_wait_shows_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

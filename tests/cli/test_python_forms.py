@@ -29,9 +29,9 @@ CHOICE = "core -m scatter -t brick-mild --size 64x64"
 @pytest.mark.parametrize("verb", sorted({*VERBS} - {"check", "lattice"}))
 def test_a_command_and_its_function_have_the_same_options(verb: str) -> None:
     """Each parameter of the function is an option of the command with the same default, and each has a help."""
-    command: Any = program.get_command(None, verb)  # type: ignore[arg-type]
+    command: Any = program.get_command(None, verb)
     given = {option.name: option for option in command.params}
-    signature = inspect.signature(FUNCTIONS[verb]).parameters  # type: ignore[arg-type]
+    signature = inspect.signature(FUNCTIONS[verb]).parameters
     parameters = {name: each.default for name, each in signature.items() if name not in IN_PYTHON}
     assert command.function is FUNCTIONS[verb] and parameters.keys() <= given.keys()
     for name, default in parameters.items():

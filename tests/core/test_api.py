@@ -19,8 +19,8 @@ def test_a_lattice_may_be_given_in_any_form() -> None:
     lattice = Lattice((27.3, 0), (13.65, 12.2), (3, 4))
     vectors = ((27.3, 0), (13.65, 12.2), (3, 4))
     assert as_lattice(lattice) == as_lattice(vectors) == as_lattice("27.3,0,13.65,12.2,3,4") == lattice
-    assert as_lattice(vectors[:2]) == as_lattice("27.3,0,13.65,12.2")  # type: ignore[arg-type]
-    assert as_lattice((27.3, 0, 13.65, 12.2)) == as_lattice(vectors[:2])  # type: ignore[arg-type]
+    assert as_lattice(vectors[:2]) == as_lattice("27.3,0,13.65,12.2")
+    assert as_lattice((27.3, 0, 13.65, 12.2)) == as_lattice(vectors[:2])
     assert as_lattice(np.ravel(vectors)) == lattice and as_lattice(None) is None
 
 
@@ -53,7 +53,7 @@ def test_an_origin_of_zero_is_known() -> None:
     for given in ("28,0,14,12,0,0", ((28, 0), (14, 12), (0, 0)), (28, 0, 14, 12, 0, 0)):
         made = as_lattice(given)
         assert made is not None and made.origin == (28, 0)
-    assert as_lattice("28,0,14,12").origin == (0, 0)  # type: ignore[union-attr]
+    assert as_lattice("28,0,14,12").origin == (0, 0)
 
 
 @pytest.mark.parametrize(

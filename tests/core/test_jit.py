@@ -3,14 +3,13 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import pytest
 from numba.core import sigutils
 
 from nrbench import jit
 from nrbench.cli import progress
-from nrbench.jit import BoolView2, Float64x2, Int64x1, kernel
+from nrbench.jit import BoolView2, Float64x1, Float64x2, Int64x1, kernel
 from nrbench.running import guard
 from nrbench.synthesizers.matching.matching_kernels import correlate_at
 
@@ -46,15 +45,11 @@ def undeclared(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("undeclared")
 def test_a_kernel_is_compiled_on_its_first_call_and_cached(tmp_path: Path) -> None:
-    """A kernel is compiled when first called, gives what Python gives, and leaves its machine code in the cache.
-
-    The cache of the user's own numba functions does not move.
-    """
-    kernel, before = jit.kernel(double), numba.config.CACHE_DIR
-    assert not list(tmp_path.rglob("*.nbi"))
+    """A kernel is compiled when first called, gives what Python gives, and leaves its machine code in the cache."""
+    kernel = jit.kernel(double)
+    assert not list(tmp_path.rglob("*.bin"))
     assert kernel(3.0) == double(3.0)
-    assert list(tmp_path.rglob("*.nbi"))
-    assert before == numba.config.CACHE_DIR
+    assert list(tmp_path.rglob("*.bin"))
 
 
 @pytest.mark.usefixtures("undeclared")
@@ -85,10 +80,10 @@ def test_without_a_home_machine_code_is_temporary(homeless: Path) -> None:
     for hits in (0, 1):
         jit._writable.cache_clear()
         with pytest.warns(UserWarning, match=r"file/nrbench cannot be written .*set XDG_CACHE_HOME") as said:
-            compiled = jit.kernel(double).load()
+            declared = jit.kernel(double)
             jit.load_kernels()
-        assert compiled(3.0) == 6.0 and sum(compiled.stats.cache_hits.values()) == hits  # type: ignore[attr-defined]
-        assert len(said) == 1 and len(list(homeless.rglob("*.nbi"))) == 1
+        assert declared(3.0) == 6.0 and (declared._dispatcher is None) == bool(hits)
+        assert len(said) == 1 and len(list(homeless.rglob("*.bin"))) == 1
     (folder,) = homeless.iterdir()
     assert os.environ["MPLCONFIGDIR"] == str(folder)
     assert folder.stat().st_mode & 0o777 == 0o700
@@ -124,9 +119,11 @@ def test_machine_code_that_others_may_write_is_not_run(homeless: Path) -> None:
 
 
 def test_a_kernel_works_where_nothing_can_be_written(homeless: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is compiled in each process then."""
+    """It is compiled in each process then, which says so once."""
     monkeypatch.setattr(jit.tempfile, "tempdir", str(homeless / "missing"))
-    assert jit.kernel(double)(3.0) == 6.0
+    with pytest.warns(UserWarning, match="nor a temporary folder, so each process compiles them") as said:
+        assert jit.kernel(double)(3.0) == jit.kernel(double)(3.0) == 6.0
+    assert len(said) == 1
 
 
 def test_time_of_compilation_is_named(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,6 +135,9 @@ def test_time_of_compilation_is_named(capsys: pytest.CaptureFixture[str], monkey
         with spent.timed(), spent.timed():
             now[0] += 1.5
     assert spent.seconds == 4.5 and capsys.readouterr().err.splitlines() == [f"nrbench: {jit.COMPILING}"]
+    spent.kernels += ["seam_kernels", "tile_kernels", "seam_kernels"]
+    spent.report()
+    assert capsys.readouterr().err == "nrbench: compiled 3 kernels (seam, tile) in 4 s\n"
     monkeypatch.undo()
     monkeypatch.setattr(jit, "COMPILATION", spent := jit.Compilation())
     monkeypatch.setattr(progress, "PATIENCE", 0.0)
@@ -159,19 +159,12 @@ def test_time_of_compilation_is_named(capsys: pytest.CaptureFixture[str], monkey
 
 @pytest.mark.usefixtures("undeclared")
 def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A kernel is compiled with those it calls, inlined or not, and gives what Python gives.
-
-    It is read from the cache without those. If a part of the cache is lost, it is compiled with them again.
-    """
-    folder = jit.cache_folder(sum_of_squares, numba.__version__)
-    for link in (jit._link_kernels, None, jit._link_kernels):
+    """A kernel is compiled with those it calls, inlined or not, gives what Python gives, and is read without those."""
+    for link in (jit._link_kernels, None):
         monkeypatch.setattr(jit, "_link_kernels", link)
-        compiled = jit.kernel(sum_of_squares).load()
-        assert compiled(3.0, 4.0) == 25.0
-        assert bool(compiled.stats.cache_hits) == (link is None)  # type: ignore[attr-defined]
-        assert Path(compiled.stats.cache_path).parent == folder  # type: ignore[attr-defined]
-        for file in tmp_path.rglob("*.nbc") if link is None else ():
-            file.unlink()
+        assert jit.kernel(sum_of_squares)(3.0, 4.0) == 25.0
+    (file,) = tmp_path.rglob("*.bin")
+    assert str(file.relative_to(tmp_path / "nrbench")) == jit._code_name(sum_of_squares, jit._target())
 
 
 @pytest.mark.usefixtures("undeclared")
@@ -180,19 +173,24 @@ def test_the_user_is_told_before_kernels_are_compiled(tmp_path: Path) -> None:
     said = []
     for _ in range(2):
         jit.KERNELS[:] = [jit.kernel(sum_of_squares)]
-        jit.load_kernels(lambda: said.append(len(list(tmp_path.rglob("*.nbi")))))
+        jit.load_kernels(lambda: said.append(len(list(tmp_path.rglob("*.bin")))))
     assert said == [0]
 
 
 def test_the_cache_follows_the_kernels_that_are_called(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Machine code is made anew for another numba, and when only the text of a called kernel's file changes."""
+    """Machine code is made anew for another numba or processor, and when only the file of a called kernel changes."""
     other = tmp_path / "other.py"
     other.write_text("first")
+    (tmp_path / "_version.py").write_text("first")
+    monkeypatch.setattr(jit, "_find_numba", lambda: tmp_path)
     monkeypatch.setattr(jit.inspect, "getfile", lambda f: str(other) if f is squared.function else __file__)
-    before = jit.cache_folder(sum_of_squares, "1.0")
-    assert jit.cache_folder(sum_of_squares, "2.0") != before
-    other.write_text("second")
-    assert jit.cache_folder(sum_of_squares, "1.0") != before
+    names = {jit._code_name(sum_of_squares, target) for target in ("one", "other")}
+    for changed in (other, tmp_path / "_version.py"):
+        changed.write_text("second")
+        jit._read_source.cache_clear()
+        names.add(jit._code_name(sum_of_squares, "one"))
+    jit._read_source.cache_clear()
+    assert len(names) == 4
 
 
 def test_compiled_and_plain_kernels_agree() -> None:
@@ -204,6 +202,36 @@ def test_compiled_and_plain_kernels_agree() -> None:
     positions = np.array([[0, 0], [21, 7], [4, 3]])
     compiled = correlate_at(image, template, hole, positions)
     np.testing.assert_array_equal(compiled, correlate_at.function(image, template, hole, positions))
+
+
+@kernel
+def divide(x: Float64x1, y: float) -> Float64x1:
+    """Return a quotient."""
+    return x * (1.0 / y)
+
+
+def test_arrays_of_another_type_are_refused() -> None:
+    """Machine code would misread arrays of another type, so there is an error. Errors of kernels come through."""
+    assert divide(np.ones(2), 2.0).tolist() == [0.5, 0.5]
+    for wrong in (np.ones(2, np.int64), np.ones((2, 2)), np.ones(4)[::2]):
+        with pytest.raises(TypeError, match="divide: the arguments"):
+            divide(wrong, 2.0)
+    with pytest.raises(ZeroDivisionError):
+        divide(np.ones(2), 0.0)
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_machine_code_of_a_wheel_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Machine code beside the module is loaded, but not on a processor that lacks its instructions."""
+    shipped = tmp_path / jit._code_name(double, jit.SHIPPED_TARGET)
+    shipped.parent.mkdir()
+    assert jit.kernel(double)(3.0) == 6.0
+    next(tmp_path.rglob("*.bin")).rename(shipped)
+    monkeypatch.setattr(jit, "_SHIPPED", tmp_path)
+    for runs in (True, False):
+        monkeypatch.setattr(jit, "_runs_shipped", lambda runs=runs: runs)
+        declared = jit.kernel(double)
+        assert declared(3.0) == 6.0 and (declared._dispatcher is None) == runs
 
 
 def test_annotations_are_the_types_of_a_kernel() -> None:

@@ -33,4 +33,4 @@ def test_the_package_imports_in_the_root_of_a_checkout() -> None:
 def test_a_name_that_has_changed_is_deprecated() -> None:
     """``nrbench.Sheet`` is ``nrbench.Scores``, with a warning."""
     with pytest.warns(DeprecationWarning, match="Scores"):
-        assert nrbench.Sheet is nrbench.Scores  # type: ignore[attr-defined]
+        assert nrbench.Sheet is nrbench.Scores

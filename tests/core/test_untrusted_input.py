@@ -239,7 +239,7 @@ NAMED = [
     for kind in ("synthesizers", "detectors", "datasets", "reports")
     for plugin in plugins.inventory(kind)
     if plugin.built_in
-    for field in plugin.cls.__dataclass_fields__  # type: ignore[union-attr]
+    for field in plugin.cls.__dataclass_fields__
 ]
 
 

@@ -132,7 +132,7 @@ def test_jitter_seldom_folds(model: type[Model]) -> None:
 def test_bend_is_smooth(model: type[Model]) -> None:
     """Pixels move by a standard deviation of bend x s / 4, with mean 0, and neighbors nearly alike."""
     made = model(bend=0.4, **NONE)
-    fields = np.stack([_render(made, seed, 48).displacement for seed in range(30)])  # type: ignore[arg-type]
+    fields = np.stack([_render(made, seed, 48).displacement for seed in range(30)])
     spread = 0.1 * made.s
     assert np.abs(fields.mean((0, 1, 2))).max() < 5 * spread / np.sqrt(30)
     assert fields.std() == pytest.approx(spread, rel=0.25)

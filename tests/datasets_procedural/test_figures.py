@@ -86,7 +86,7 @@ def test_each_wire_is_one_element() -> None:
 def test_pieces_fit() -> None:
     """A jigsaw piece has the area of its cell, whatever its tabs: what it bulges out, its neighbors lack."""
     for tabs in ("same", "alternate"):
-        puzzle = Jigsaw(width=60, height=50, gap=1.0, tabs=tabs)  # type: ignore[arg-type]
+        puzzle = Jigsaw(width=60, height=50, gap=1.0, tabs=tabs)
         y, x = np.mgrid[-60:60:0.25, -60:60:0.25]
         i, j = puzzle.pattern(x, y).layers[0].index
         assert ((i == 0) & (j == 0)).sum() / 16 == pytest.approx(3000, rel=0.07 if tabs == "alternate" else 0.01)

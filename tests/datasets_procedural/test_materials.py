@@ -36,10 +36,7 @@ def test_the_ideal_image_and_the_regular_share_hold(material: str) -> None:
 @pytest.mark.parametrize("material", MATERIALS)
 def test_a_material_changes_neither_lattice_nor_ideal(material: str) -> None:
     """Lattice and ideal image are those of the plain model of the same seed, the pixels are not."""
-    plain, made = (
-        Brick(material=name).render((64, 64), np.random.default_rng(5))  # type: ignore[arg-type]
-        for name in ("plain", material)
-    )
+    plain, made = (Brick(material=name).render((64, 64), np.random.default_rng(5)) for name in ("plain", material))
     assert made.lattice == plain.lattice and np.array_equal(made.ideal, plain.ideal)
     assert np.abs(made.image - plain.image).mean() > 0.01 and made.regular_share < plain.regular_share
 
@@ -77,4 +74,4 @@ def test_a_recomposition_copies_the_material(material: str) -> None:
 def test_an_unknown_material_is_named() -> None:
     """The error lists the materials."""
     with pytest.raises(BadInput, match="plain, clay, stone, wood, cloth"):
-        Brick(material="gold")  # type: ignore[arg-type]
+        Brick(material="gold")

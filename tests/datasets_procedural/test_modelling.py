@@ -105,7 +105,7 @@ def test_drafts_of_weaves() -> None:
     grid = np.mgrid[0:8, 0:8] * 10.0
     above = {}
     for draft in ("plain", "twill", "basket", "herringbone"):
-        cloth = Weave(warp=10, weft=10, gap=2, draft=draft)  # type: ignore[arg-type]
+        cloth = Weave(warp=10, weft=10, gap=2, draft=draft)
         above[draft] = cloth.pattern(grid[1], grid[0]).layers[0].coverage > 0.5
     assert (above["plain"] != np.roll(above["plain"], 1, 0)).all()
     for draft in ("twill", "basket", "herringbone"):

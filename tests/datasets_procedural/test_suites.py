@@ -160,7 +160,7 @@ def test_report_rows() -> None:
     """Each of figures 3 to 45 has a row: 3 to 7 are exact, the others nearly regular in places and colors."""
     rows = {sample.row.figure: sample for sample in drawn("report2004") if sample.row.figure}
     assert sorted(rows) == [*range(3, 46)] and len(drawn("report2004")) == 47
-    kinds = [rows[figure].texture.kind for figure in sorted(rows)]  # type: ignore[union-attr]
+    kinds = [rows[figure].texture.kind for figure in sorted(rows)]
     assert kinds == ["0"] * 5 + ["III"] * 38
     others = [sample.texture.kind for sample in drawn("report2004") if not sample.row.figure and sample.texture]
     assert others == ["II", "II", "III", "III"]

@@ -67,7 +67,7 @@ def test_color_at_equal_luminance(detector: str, model: str, direction: tuple[fl
     image = at_equal_luminance(drawn.image, direction)
     weights = (0.299, 0.587, 0.114) if direction[1] > -1 else (1 / 3,) * 3
     assert np.ptp(image @ np.array(weights, np.float32)) < 0.01 < np.ptp(image[..., 0])
-    error = lattice_error(detect_lattice(image, detector).lattice, drawn.lattice, (96, 112))  # type: ignore[arg-type]
+    error = lattice_error(detect_lattice(image, detector).lattice, drawn.lattice, (96, 112))
     assert error.relation == "exact"
 
 

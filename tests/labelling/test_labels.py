@@ -137,7 +137,7 @@ def test_the_page_hides_what_it_shows(run: Run) -> None:
     """No method, texture, key or path stands in the page; pictures hold pixels only; nothing is fetched."""
     label_page = make_page(run)
     page = page_html(run.root, label_page)
-    content = json.loads(re.search(r'id="content">(.*?)</script>', page, re.S)[1])  # type: ignore[index]
+    content = json.loads(re.search(r'id="content">(.*?)</script>', page, re.S)[1])
     rest = page.replace(json.dumps(content["pictures"], separators=(",", ":")), "")
     for record in run.cells:
         for word in (record.key, record.method, record.texture, record.key[:8], str(run.root)):

@@ -140,7 +140,7 @@ def test_the_dual_is_reciprocal(lattice: Lattice) -> None:
 @given(lattices())
 def test_the_covering_radius_is_that_of_the_deepest_hole(lattice: Lattice) -> None:
     """No wrapped displacement is longer, some are nearly as long; displacements below s / 2 wrap to themselves."""
-    u, v = np.mgrid[0:1:0.02, 0:1:0.02]  # type: ignore[misc]
+    u, v = np.mgrid[0:1:0.02, 0:1:0.02]
     away = np.hypot(*np.moveaxis(lattice.wrap(np.stack([u, v], -1) @ lattice.reduced().matrix), -1, 0))
     assert lattice.covering_radius * 0.93 < away.max() <= lattice.covering_radius * (1 + 1e-9)
     near = np.array([lattice.s / 2 * 0.99, 0.0])
@@ -230,7 +230,7 @@ def test_the_kind_has_a_tolerance() -> None:
 def test_no_lattice_without_two_directions(t1: object, t2: object, hint: str) -> None:
     """Parallel, zero or unreadable vectors are refused, saying what to give."""
     with pytest.raises(BadInput, match=hint):
-        Lattice(t1, t2)  # type: ignore[arg-type]
+        Lattice(t1, t2)
 
 
 def test_the_command_lines_form_is_checked() -> None:

@@ -83,7 +83,7 @@ def test_a_wrong_lattice_has_no_index() -> None:
     """A wrong lattice has no index, with a reason, but it has an error."""
     score = LatticeRecovery().score(observed(Lattice((23.0, 3.0), (-5.0, 15.0))))
     assert score.values["index"] is None and "wrong" in score.reasons["index"]
-    assert score.values["exact"] is False and score.values["vector_error"] > 1  # type: ignore[operator]
+    assert score.values["exact"] is False and score.values["vector_error"] > 1
 
 
 @pytest.mark.parametrize(("used", "truth", "reason"), [(TRUTH, None, "truth"), (None, TRUTH, "method")])

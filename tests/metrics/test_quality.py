@@ -149,7 +149,7 @@ def test_a_peril_without_power_makes_an_upper_bound() -> None:
     assert score.values["complete"] is False and score.values["score"] > 0.9
 
 
-@pytest.mark.parametrize(("sample", "output"), [(128, 8), (128, 24), (128, 40), (16, 192), (8, 8)])
+@pytest.mark.parametrize(("sample", "output"), [(128, 8), (128, 24), (128, 40), (16, 96), (8, 8)])
 @pytest.mark.parametrize("model", [True, False])
 def test_too_small_pictures_have_reasons(sample: int, output: int, model: bool) -> None:
     """A sample or an output of few tiles gives values with reasons, and no error."""

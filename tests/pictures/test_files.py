@@ -19,7 +19,7 @@ RAMP = np.arange(16 * 12, dtype=np.uint8).reshape(12, 16)
 
 def _saved(folder: Path, picture: PIL.Image.Image, name: str = "picture.png", **options: object) -> Path:
     path = folder / name
-    picture.save(path, **options)  # type: ignore[arg-type]
+    picture.save(path, **options)
     return path
 
 

@@ -188,7 +188,7 @@ class Faulty:
         if self.how == "type":
             image = image.astype(object)
         if self.how == "nothing":
-            return None  # type: ignore[return-value]
+            return None
         if self.how == "lie":
             return Synthesis(1 - task.sample[1, 1] + 0 * image, source=np.ones((*task.shape, 3), np.float32))
         return Synthesis(image, extras={MISJUDGED: np.ones(1)})
@@ -206,7 +206,7 @@ class Probe:
         if self.how == "mutate":
             image[...] = 0
         if self.how == "nothing":
-            return None  # type: ignore[return-value]
+            return None
         if self.how == "nan":
             return Detection(Lattice((float("nan"), 0), (0, 16)), 1.0)
         return Detection(Lattice((16, 0), (0, 16)), 1.0)
@@ -232,7 +232,7 @@ def make_judge(how: str) -> type:
         if how == "mutate":
             observation.output[...] = 0
         if how == "nothing":
-            return None  # type: ignore[return-value]
+            return None
         odd: dict[str, Any] = {"nan": {"value": float("nan")}, "shape": {}, "words": {"value": "good"}}
         return Score(odd.get(how, {"value": 1.0}))
 
@@ -272,7 +272,7 @@ class Picture:
         image = np.repeat(rng.random((*shape, 1), np.float32), 3, axis=2)
         misbehave(self.how)
         if self.how == "kind":
-            return Texture(image, kind=object())  # type: ignore[arg-type]
+            return Texture(image, kind=object())
         if self.how == "shape":
             return Texture(image[:-1])
         return Texture(image, Lattice((16, 0), (0, 16)), family="gray")

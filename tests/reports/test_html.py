@@ -18,6 +18,7 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.reports.html import HtmlReport
 from nrbench.reports.page.gallery import (
     TextureDraw,
+    begin_figures,
     build_gallery,
     list_failings,
     trace_lattice,
@@ -239,7 +240,8 @@ def test_a_run_that_is_not_complete_counts_what_was_run(make_cell: Make, make_ru
 
 
 def _gallery(run: Run, tmp_path: Path) -> list[list[TextureDraw]]:
-    return build_gallery(run, compare_methods(run), PictureStore(tmp_path))
+    pictures = PictureStore(tmp_path)
+    return build_gallery(compare_methods(run), begin_figures(run, pictures), pictures)
 
 
 def test_every_cell_has_a_figure(every_ending: Run, tmp_path: Path) -> None:

@@ -177,7 +177,7 @@ def wide_run(makers: tuple[Make, Make]) -> Run:
 @pytest.mark.parametrize("width", ["column", "text", "page"])
 def test_tables_fit_what_they_are_made_for(wide_run: Run, tmp_path: Path, width: str) -> None:
     """No table is wider than its column or page, and none is higher than a page."""
-    paths = LatexTables(width=width).write(wide_run, tmp_path)  # type: ignore[arg-type]
+    paths = LatexTables(width=width).write(wide_run, tmp_path)
     body = "\n".join(rf"\input{{{path.stem}}}" for path in paths if path.suffix == ".tex")
     head = f"\\documentclass[{'a4paper' if width == 'text' else 'twocolumn'}]{{article}}\n\\usepackage[T1]{{fontenc}}"
     _, log = _compile(f"{head}\\usepackage{{booktabs}}\\begin{{document}}{body}\\end{{document}}", tmp_path)

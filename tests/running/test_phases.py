@@ -108,15 +108,27 @@ def make_cells(labels: list[str]) -> list[Cell]:
 
 
 def test_the_time_left_knows_each_methods_pace() -> None:
-    """The cells left count with the mean of their own method, those of an unknown method with the usual mean."""
-    cells = make_cells(["fast", "slow", "fast", "slow", "new"])
+    """Each method counts with its own mean; as long as one is unknown, nothing is estimated."""
+    cells = make_cells(["first", "fast", "slow", "fast", "slow", "fast"])
     pace = Pace(cells)
-    assert pace.step(cells[0], "ok", 1.0, 2).remaining == (1 + 3 * 1) / 2
-    step = pace.step(cells[1], "ok", 9.0, 2)
-    assert step.remaining == (1 + 9 + 5) / 2
-    assert step.remaining_text == "about 8 s left"
-    last = [pace.step(cell, status, None, 2) for cell, status in zip(cells[2:], ("ok", "error", "ok"), strict=True)][-1]
-    assert (last.done, last.cached, last.failed, last.remaining, last.remaining_text) == (5, 3, 1, 0, "")
+    steps = [pace.step(cell, "ok", seconds, 2) for cell, seconds in zip(cells[:4], (60.0, 1.0, 9.0, 3.0), strict=True)]
+    assert [step.remaining for step in steps] == [None, None, (9 + 2 * 1) / 2, (9 + 2) / 2]
+    assert steps[-1].remaining_text == "about 6 s left"
+    last = [pace.step(cell, status, None, 2) for cell, status in zip(cells[4:], ("error", "ok"), strict=True)][-1]
+    assert (last.done, last.cached, last.failed, last.remaining, last.remaining_text) == (6, 2, 1, 0, "")
+
+
+def test_the_time_left_knows_what_a_new_texture_costs() -> None:
+    """First cells of textures have a mean of their own, in which those that started a worker do not count."""
+    cells = [
+        dataclasses.replace(cell, texture=texture)
+        for texture in ("wall", "cloth", "mesh", "tiles")
+        for cell in make_cells(["first", "slow"])
+    ]
+    pace = Pace(cells)
+    walls = (60.0, 9.0, 3.0, 9.0, 5.0)
+    steps = [pace.step(cell, "ok", seconds, 1) for cell, seconds in zip(cells, walls, strict=False)]
+    assert [step.remaining for step in steps] == [None, None, 9 + 2 * (3 + 9), 2 * (3 + 9), 9 + (4 + 9)]
 
 
 def test_a_run_of_cached_cells_has_no_pace() -> None:

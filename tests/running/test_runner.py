@@ -223,7 +223,7 @@ def test_the_key_changes_with_what_decides_the_result_alone() -> None:
     assert len(set(base)) == len(base)
     assert keys(small(description="other words")) == base
     for change in ({"seed": 5}, {"size": "96x96"}, {"sample": "72x64"}):
-        assert not set(keys(changed(small(), **change))) & set(base)  # type: ignore[arg-type]
+        assert not set(keys(changed(small(), **change))) & set(base)
     assert keys(small(methods=["rsgf:block=18,border=4"]))[0] not in base
 
 

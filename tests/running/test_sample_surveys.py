@@ -9,13 +9,14 @@ import nrbench
 from nrbench.running import phases
 
 
-def execute(out: Path, methods: list[str]) -> list[nrbench.CellRecord]:
-    """Return the cells of methods on a wall that is given its lattice."""
+def execute(out: Path, methods: list[str], texture: str = "brick-mild") -> list[nrbench.CellRecord]:
+    """Return the cells of methods on a texture that is given its lattice."""
     options = nrbench.Options(jobs=0)
     done = nrbench.run(
-        "core",
+        "default" if texture == "hexagon-bent" else "core",
         methods=methods,
-        textures="brick-mild",
+        textures=texture,
+        replicates=1,
         lattice="given",
         size="64x64",
         metrics=["cost"],
@@ -38,3 +39,16 @@ def test_a_survey_is_made_once_and_its_cost_counts_for_each_method(
     second = execute(tmp_path / "run", ["rsgf:block=20"])[0]
     assert second.status == "ok" and second.seconds is not None and second.seconds > 100
     assert first.seconds is not None and first.seconds < 100
+
+
+def test_a_bent_sample_is_surveyed_once_by_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second method finds the bent sample straightened, and its output is that of a process that did it itself."""
+    (alone,) = execute(tmp_path / "alone", ["tile-set"], "hexagon-bent")
+    phases._bent_surveys.clear()
+    execute(tmp_path / "run", ["rsgf"], "hexagon-bent")
+    assert not list((tmp_path / "run" / "prepared").glob("*.json"))
+    monkeypatch.setattr(phases, "survey_sample", None)
+    (second,) = execute(tmp_path / "run", ["tile-set"], "hexagon-bent")
+    assert second.note == alone.note and "bent by" in second.note
+    assert (second.folder / "output.png").read_bytes() == (alone.folder / "output.png").read_bytes()
+    assert second.values["cost.seconds"] >= max(spent.seconds for _, spent in phases._bent_surveys.values())

@@ -138,7 +138,7 @@ def test_what_a_program_takes_is_the_methods_cost(started: dict[str, CellRecord]
     assert tool.status == "ok", tool.message
     assert tool.values["cost.cpu_seconds"] is not None, tool.reasons
     assert tool.values["cost.cpu_seconds"] >= 0.5
-    assert tool.values["cost.peak_mib"] >= 200  # type: ignore[operator]
+    assert tool.values["cost.peak_mib"] >= 200
 
 
 def test_both_ways_of_starting_agree(started: dict[str, CellRecord], tmp_path: Path) -> None:
@@ -292,6 +292,24 @@ def test_one_process_scores_many_cells(supervisors: list[Supervisor], tmp_path: 
     assert [record.values["cost.peak_mib"] for record in Run(tmp_path / "run").cells] == whole
 
 
+@pytest.mark.usefixtures("faulty")
+def test_one_process_runs_many_methods_of_nrbench(supervisors: list[Supervisor], tmp_path: Path) -> None:
+    """Methods of nrbench run one after another in one process; the peak of a large cell is not that of the next."""
+    folders = [prepare(tmp_path / name / "cell", "scatter") for name in ("small", "large", "again")]
+    cell = json.loads((folders[1] / "cell.json").read_text())
+    (folders[1] / "cell.json").write_text(json.dumps({**cell, "shape": [1024, 1024]}))
+    small, *others = [
+        supervisors[1].run(Request("synthesize_cell", str(folder), 20, 500, built_in=True)).result
+        for folder in (folders[0], folders[1], folders[2])
+    ]
+    kept = {child.pid for child in server_of(supervisors[1]).children()}
+    assert [each["status"] for each in (small, *others)] == ["ok"] * 3
+    assert others[0]["peak_mib"] > 20 > others[1]["peak_mib"]
+    assert small["output_hash"] == others[1]["output_hash"]
+    supervisors[1].run(Request("synthesize_cell", str(folders[0]), 20, 500, built_in=True))
+    assert len(kept & {child.pid for child in server_of(supervisors[1]).children()}) >= 2  # one runs, one waits
+
+
 def test_a_method_prepares_once_for_a_sample(supervisors: list[Supervisor], faulty: Path, tmp_path: Path) -> None:
     """What a method learned of a sample is found by all its cells, takes none of their time, and is made again if lost.
 
@@ -329,7 +347,7 @@ def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor],
     request = Request("score_cell", str(cell.folder), seconds=20, mib=500, metrics=("cost",), built_in=True)
     assert supervisor.run(request).scored == ("cost",)
     server = server_of(supervisor)
-    wait_until(lambda: len(server.children()) == 2)
+    wait_until(lambda: len(server.children()) >= 2)
     folder = prepare(tmp_path / "cell", "faulty", how="hide")
     with ThreadPoolExecutor(1) as pool:
         running = pool.submit(supervisor.run, Request("synthesize_cell", str(folder), 20, 500))

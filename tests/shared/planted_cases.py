@@ -21,7 +21,7 @@ MODELS: Mapping[str, Model] = {
 }
 TEXTURES = {name: model.render((128, 128), np.random.default_rng(0)) for name, model in MODELS.items()}
 TEXTURE = TEXTURES["brick"]
-S = TEXTURE.lattice.s  # type: ignore[union-attr]
+S = TEXTURE.lattice.s
 NEEDS_NO_LATTICE = ("none", "stretch", "blurred-band", "blur", "contrast", "seam", "color-mean")
 LARGEST = {
     **dict.fromkeys(("phase-step", "displaced-tile", "off-lattice", "doubled-tile", "slipped-course", "warp"), 0.5),

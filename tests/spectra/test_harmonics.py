@@ -212,7 +212,7 @@ def test_the_analytic_signal_is_inexact_near_its_border() -> None:
         misplaced[f_x] = np.abs(first[0] - f[0]).max() * SIDE
         assert (len(first) > 1) == (f_x < 1)
         for signal in ("real", "analytic"):
-            found = find_free_waves(planes, threshold=0.05 * 255, signal=signal)  # type: ignore[arg-type]
+            found = find_free_waves(planes, threshold=0.05 * 255, signal=signal)
             assert len(found.frequencies) == 1 and errors(found, f).max() < 1e-3
     assert misplaced[0.3] > 0.03 and misplaced[30.3] < 0.005
 

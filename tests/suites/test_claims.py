@@ -94,7 +94,7 @@ def test_the_scores_of_the_builtin_claims_exist() -> None:
     """Each claim of the suite ``claims`` reads a column that a metric declares."""
     for claim in load_suite("claims").claim:
         metric, _, column = claim.score.partition(".")
-        assert column in find("metrics", metric).cls.columns, claim.name  # type: ignore[union-attr]
+        assert column in find("metrics", metric).cls.columns, claim.name
 
 
 def test_claims_need_one_source_of_the_lattice() -> None:

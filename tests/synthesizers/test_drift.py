@@ -54,5 +54,5 @@ def test_on_a_fractional_lattice_every_window_is_in_place(method: Synthesizer) -
 def test_whole_pixel_vectors_would_drift() -> None:
     """The lattice rounded to whole pixels, as in the paper, leaves windows out of place by more than a tenth of s."""
     truth = texture().lattice
-    whole = Lattice(*(tuple(float(round(value)) for value in vector) for vector in truth.reduced().matrix))  # type: ignore[arg-type]
+    whole = Lattice(*(tuple(float(round(value)) for value in vector) for vector in truth.reduced().matrix))
     assert worst_misplacement(Rsgf(seam="blend", subpixel=False), whole) > 0.1

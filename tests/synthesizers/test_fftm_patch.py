@@ -1,4 +1,4 @@
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
     spectrum = np.fft.fft2(np.random.default_rng(seed).random((height, width, channels)), axes=(0, 1))
     waves = np.abs(np.fft.fftfreq(height)[:, None]) + np.abs(np.fft.fftfreq(width)) < 0.2
     tile = np.fft.ifft2(spectrum * waves[..., None], axes=(0, 1)).real
-    return cast(Image, ((tile - tile.min()) / np.ptp(tile)).astype(np.float32))
+    return ((tile - tile.min()) / np.ptp(tile)).astype(np.float32)
 
 
 def waves_of(tile: Image) -> TextureMask:

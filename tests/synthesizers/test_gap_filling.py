@@ -253,7 +253,7 @@ FRAME = np.ones((48, 48))
 FRAME[14:34, 14:34] = 0
 
 
-def texture(x: np.ndarray, y: np.ndarray) -> Image:  # type: ignore[type-arg]
+def texture(x: np.ndarray, y: np.ndarray) -> Image:
     """Return a texture of lines both ways, at any place."""
     waves = np.cos(2 * math.pi * x / 9.3) + np.cos(2 * math.pi * (y + 0.2 * x) / 8.1) + np.cos(0.9 * (x - y))
     return (0.5 + 0.15 * waves)[..., np.newaxis].astype(np.float32)
@@ -301,4 +301,4 @@ def test_nothing_deforms_where_nothing_differs_or_nothing_is_seen() -> None:
     """Equal pictures, flat pictures of other brightness, and a frame without weight give no displacement."""
     old = moved(np.zeros_like(BULGE))
     for new, weight in ((old, FRAME), (np.full_like(old, 0.1), FRAME), (old[::-1], 0 * FRAME)):
-        assert not fit_deformation(lambda _, new=new: new, old, weight, 3).any()  # type: ignore[misc]
+        assert not fit_deformation(lambda _, new=new: new, old, weight, 3).any()

@@ -107,7 +107,7 @@ def test_regular_samples_stay_regular(name: str) -> None:
     sample = quantize(made.image)
     truth = Texture(sample, made.lattice)
     for placement, preserved in (("entire", True), ("random", False)):
-        method = GraphCuts(placement=placement, passes=0)  # type: ignore[arg-type]
+        method = GraphCuts(placement=placement, passes=0)
         output = quantize(synthesize(method, sample, (160, 160)).image)
         verdict = Regularity().score(Observation(sample, output, truth)).values
         assert verdict["preserved"] is preserved

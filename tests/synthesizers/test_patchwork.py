@@ -376,7 +376,7 @@ def test_regions_at_unknown_pixels_fill_the_output(placement: Placement, shape: 
         laid.append(window)
         return lay_patch(window, place, **options)
 
-    patches.work.lay_patch = note  # type: ignore[method-assign]
+    patches.work.lay_patch = note
     regions = fill(patches)
     assert patches.work.known.all()
     for (y0, y1, x0, x1), (top, bottom, left, right) in zip(regions, laid, strict=True):

@@ -191,7 +191,7 @@ def test_a_flat_sample_gives_a_flat_output() -> None:
     """If all neighborhoods are equal, the search ends and the output is flat."""
     flat = np.full((64, 64, 1), 0.4, np.float32)
     for match, search in itertools.product(MATCHES, SEARCHES):
-        made = masked(FftmPixel(match=match, search=search), flat, (70, 70), mask_of(soft_tile(7, 9, 1)))  # type: ignore[arg-type]
+        made = masked(FftmPixel(match=match, search=search), flat, (70, 70), mask_of(soft_tile(7, 9, 1)))
         np.testing.assert_allclose(made.image, 0.4, atol=0.002)
 
 

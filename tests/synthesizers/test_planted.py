@@ -81,7 +81,7 @@ def test_the_difference_grows_with_the_size(kind: str, name: str) -> None:
 def test_a_course_slides_along_itself() -> None:
     """Between two joints, and nowhere else, bricks move along t1 by the size, half a brick at most."""
     _, field, covered, *_ = planted("slipped-course", 0.5, "plain")
-    s = TEXTURES["plain"].lattice.s  # type: ignore[union-attr]
+    s = TEXTURES["plain"].lattice.s
     assert np.unique(np.abs(field[covered]), axis=0).tolist() == [[round(s / 2), 0]]
     assert covered.all(1).sum() == covered.any(1).sum() == 12
     assert np.abs(planted("slipped-course", 1.0, "plain")[1]).max() == 15
@@ -103,7 +103,7 @@ def test_a_doubled_tile_leaves_its_original() -> None:
     image, field, covered, fresh, _ = planted("doubled-tile", 0.5)
     step = np.unique(field[covered], axis=0).astype(int)
     assert len(step) == 1
-    assert covered.sum() == pytest.approx(TEXTURE.lattice.area, rel=0.1)  # type: ignore[union-attr]
+    assert covered.sum() == pytest.approx(TEXTURE.lattice.area, rel=0.1)
     moved = np.roll(fresh, step[0, ::-1], (0, 1))
     np.testing.assert_array_equal(image, np.where(covered[..., np.newaxis], moved, fresh))
 
@@ -187,7 +187,7 @@ def test_torn_tiles_show_another_draw_beside_its_place(name: str) -> None:
     y, x = np.nonzero(covered)
     dx, dy = field[covered].astype(int).T
     np.testing.assert_array_equal(image[covered], again.seen[-1][y + margin - dy, x + margin - dx])
-    s = TEXTURES[name].lattice.s  # type: ignore[union-attr]
+    s = TEXTURES[name].lattice.s
     assert np.hypot(dx, dy) == pytest.approx(np.full(len(dx), s / 4), abs=0.75)
     assert 0.15 < covered.mean() < 0.35
 
@@ -229,8 +229,8 @@ def test_over_regular_repeats_one_tile(name: str) -> None:
     """At full weight every pixel is one of a single tile's; at half weight, half of it is."""
     image, field, _, fresh, _ = planted("over-regular", 1.0, name)
     colors = np.unique(image.reshape(-1, 3), axis=0)
-    assert len(colors) < 1.5 * TEXTURES[name].lattice.area  # type: ignore[union-attr]
-    rest = TEXTURES[name].lattice.wrap(field)  # type: ignore[union-attr]
+    assert len(colors) < 1.5 * TEXTURES[name].lattice.area
+    rest = TEXTURES[name].lattice.wrap(field)
     assert np.hypot(rest[..., 0], rest[..., 1]).max() < 0.8
     np.testing.assert_allclose(planted("over-regular", 0.5, name)[0], (image + fresh) / 2, atol=1e-6)
 
@@ -245,7 +245,7 @@ def test_verbatim_copies_lie_elsewhere_in_the_output(name: str, size: float, sha
     dx, dy = field[covered].astype(int).T
     np.testing.assert_array_equal(image[y, x], image[y - dy, x - dx])
     assert not covered[y - dy, x - dx].any()
-    rest = TEXTURES[name].lattice.wrap(field[covered])  # type: ignore[union-attr]
+    rest = TEXTURES[name].lattice.wrap(field[covered])
     assert np.hypot(rest[..., 0], rest[..., 1]).max() < 0.8
 
 
@@ -262,7 +262,7 @@ def test_one_tile_is_one_cell_inside(seed: int) -> None:
     moved = plant("displaced-tile", 0.3, seed).extras["displacement"].any(-1)
     covered = plant("missing-tile", 1.0, seed).extras["covered"] > 0
     for tile in (moved, covered):
-        assert tile.sum() == pytest.approx(TEXTURE.lattice.area, rel=0.1)  # type: ignore[union-attr]
+        assert tile.sum() == pytest.approx(TEXTURE.lattice.area, rel=0.1)
         assert not (tile[0].any() or tile[-1].any() or tile[:, 0].any() or tile[:, -1].any())
 
 

@@ -123,7 +123,7 @@ BRICK = np.array([(13.5, 6.0), (0.0, 6.0), (-13.5, 6.0), (-13.5, -6.0), (0.0, -6
 
 @pytest.mark.parametrize("zone", [0.0, 3.0, 7.0])
 @pytest.mark.parametrize("texel", [parallelogram(OBLIQUE), (BRICKS, BRICK)], ids=["parallelogram", "brick"])
-def test_weights_add_up_to_one_and_a_texel_covers_its_area(texel, zone: float) -> None:  # type: ignore[no-untyped-def]
+def test_weights_add_up_to_one_and_a_texel_covers_its_area(texel, zone: float) -> None:
     """At any point the weights of all texels sum to 1, and over the plane each texel weighs as much as a cell."""
     shape = TexelShape.of(*texel, zone)
     side = np.arange(120.0)
@@ -178,7 +178,7 @@ def test_the_lattice_grows_from_its_middle() -> None:
     assert distance == sorted(distance)
 
 
-def stock_of(image: np.ndarray, lattice: Lattice, zone: float = 4.0) -> TexelStock:  # type: ignore[type-arg]
+def stock_of(image: np.ndarray, lattice: Lattice, zone: float = 4.0) -> TexelStock:
     """Return the parallelograms of an image."""
     return TexelStock.of(TexelShape.of(*parallelogram(lattice), zone), TexelReader(image))
 

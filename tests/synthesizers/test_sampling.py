@@ -21,13 +21,13 @@ from nrbench.synthesizers.sample_reading.patches import Patches, round_places
 from nrbench.synthesizers.sample_reading.quintic_kernels import PAD, quintic_at
 
 
-def waves(x: np.ndarray, y: np.ndarray, period: float = 7.3) -> Image:  # type: ignore[type-arg]
+def waves(x: np.ndarray, y: np.ndarray, period: float = 7.3) -> Image:
     """Return a smooth function of the place."""
     turn = 2 * math.pi / period
     return (0.5 + 0.2 * np.cos(turn * x) + 0.2 * np.cos(turn * (x + y) + 1))[..., np.newaxis].astype(np.float32)
 
 
-def grid(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+def grid(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     """Return x and y of pixels."""
     x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     return x, y

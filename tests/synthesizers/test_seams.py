@@ -153,7 +153,7 @@ def graphcut_seam(old: Image, new: Image, fixed_old: Mask, fixed_new: Mask, squa
     return cut_overlap(costs, np.zeros(costs.shape, np.float32), fixed_old, fixed_new)
 
 
-def pictures(shape: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray, Mask, Mask]:  # type: ignore[type-arg]
+def pictures(shape: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray, Mask, Mask]:
     """Return two random pictures, and the overlap's two sides."""
     rng = np.random.default_rng(seed)
     old, new = rng.random((2, *shape, 3)).astype(np.float32)

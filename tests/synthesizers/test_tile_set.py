@@ -75,7 +75,7 @@ def test_the_minimum_cut_keeps_to_the_overlap() -> None:
         window = 30 + top, 31 + bottom, x + left, x + right + 1
         pixels = canvas.pixels(window)
         before, known = canvas.image[pixels].copy(), canvas.known[pixels].copy()
-        under = canvas.image[pixels], canvas.known[pixels], canvas.seams[:, *pixels]
+        under = canvas.image[pixels], canvas.source[pixels], canvas.known[pixels], canvas.seams[:, *pixels]
         laying.join(window, tiles.take(np.array([n])), under)
     assert canvas.known[pixels][mask].all()
     ring = known & (laying.tile.pixel_cells[..., 2] == 0)
@@ -178,7 +178,7 @@ def test_candidates_are_the_tiles_that_differ_by_no_more_than_the_threshold(monk
         np.testing.assert_array_equal(drawn[-1][0].pixel, cuts.pixel)
         within = np.flatnonzero(before <= max(threshold, before.min()) + 1e-9)
         np.testing.assert_array_equal(drawn[-1][1], within)
-        sizes["none" if before.min() > threshold else "all" if len(within) == len(cuts.row) else "some"] += 1
+        sizes["none" if before.min() > threshold else "all" if len(within) == len(cuts.place) else "some"] += 1
     assert sizes["none"] > 1 and sizes["some"] > 3
 
 
@@ -200,7 +200,7 @@ def test_the_random_choice_is_uniform_over_the_candidates(share: float) -> None:
             array[...] = old
         places[lay(laying, second, threshold)] += 1
     candidates = cuts.pixel[differences <= threshold] + right(laying)
-    assert len(candidates) > 3 and (len(candidates) < len(cuts.row)) == (share < 1)
+    assert len(candidates) > 3 and (len(candidates) < len(cuts.place)) == (share < 1)
     assert set(places) == {tuple(place) for place in candidates.tolist()}
     assert stats.chisquare(list(places.values())).pvalue > 1e-3
 
@@ -506,7 +506,7 @@ def test_a_set_is_what_no_lattice_vector_leads_out_of(lattice: Lattice) -> None:
     """Upright, lattice and rectangle tiles have two sets, cells four, and tiles of 2 x 2 cells one."""
     for tile, count in (("upright", 2), ("lattice", 2), ("rectangle", 2), ("cell", 4)):
         for cells in (1, 2, 3):
-            shape = tile_shape(lattice, tile, cells)  # type: ignore[arg-type]
+            shape = tile_shape(lattice, tile, cells)
             numbers = shape.set_offsets(lattice)
             assert len(numbers) == (1 if cells == 2 else count) and numbers[0] == (0, 0)
             between = np.array(list(np.ndindex(2, 2))) @ shape.steps
