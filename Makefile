@@ -4,7 +4,7 @@
 # And: make benchmark   set up, run every benchmark in a short form, print what each costs
 #      make soak        set up, kill, starve and copy runs for about an hour, print whether they came back whole
 #      make docs        set up, build the documentation as a site in build/docs; a warning is an error
-#      make dist        set up, build wheel and sdist in dist/
+#      make dist        set up, build sdist and wheels in dist/: a plain one, and one with compiled kernels for this Python
 #      make fuzz        set up, feed 10000 damaged inputs to each reader of files and arguments (INPUTS=n: n of them)
 PYTHON ?= python3
 VENV ?= .venv
@@ -50,9 +50,16 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 	@echo "the site: build/docs/index.html"
 
+# All x86-64 processors since about 2015 have the instructions of x86-64-v3. Others, other versions of Python or numba
+# and other systems compile the kernels when they need them.
 dist: $(VENV)/.installed-docs
-	rm -rf dist build/lib build/bdist*
+	rm -rf dist build/lib build/bdist* nrbench/machine_code
 	$(BIN)/python -m build --outdir dist .
+	NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES= NUMBA_CACHE_DIR=nrbench/machine_code \
+		$(BIN)/python -c "from nrbench.running.worker import warm; warm(int)"
+	$(BIN)/python -m build --wheel --outdir dist -C--build-option=--plat-name=manylinux_2_28_x86_64 \
+		-C--build-option=--python-tag=$$($(BIN)/python -c "import sys; print('cp%d%d' % sys.version_info[:2])") .
+	rm -rf nrbench/machine_code build/lib
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

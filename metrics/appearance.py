@@ -37,6 +37,7 @@ from .registration.lattice_net import (
     split_cells,
     sum_boxes,
 )
+from .registration.net_kernels import average_blocks
 from .seam_detection.seam_lines import Line, draw_line, find_worst_lines
 
 Looks = NDArray[np.float64]
@@ -203,7 +204,8 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
         (12,): the same of L*, a* and b*, and their three correlations.
     """
     plane = np.where(known[..., np.newaxis], planes, 0)
-    plane -= known[..., np.newaxis] * (plane.sum((0, 1), dtype=np.float64) / max(known.sum(), 1)).astype(np.float32)
+    means, share = average_blocks(planes, np.ascontiguousarray(known), *known.shape)
+    plane -= known[..., np.newaxis] * (means[0, 0] / max(share[0, 0], 1e-9)).astype(np.float32)
 
     def correlate(n1: int, n2: int) -> tuple[NDArray[np.float64], int]:
         height, width = known.shape

@@ -12,6 +12,7 @@ a record of several such values.
 
 from __future__ import annotations
 
+import atexit
 import builtins
 import contextlib
 import ctypes
@@ -28,7 +29,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
@@ -99,12 +100,15 @@ class Compilation:
         When the present one began, of :func:`time.monotonic`; None if there is none.
     told
         Whether the user knows, so that no notice is printed.
+    kernels
+        The kernels that were compiled, by the names of their modules.
     """
 
     ended: float = 0.0
     cpu: float = 0.0
     since: float | None = None
     told: bool = False
+    kernels: list[str] = field(default_factory=list)
 
     @property
     def seconds(self) -> float:
@@ -127,9 +131,16 @@ class Compilation:
             self.ended, self.since = self.seconds, None
             self.cpu += time.process_time() - cpu
 
+    def report(self) -> None:
+        """Print what was compiled, and how long it took, if it took long."""
+        if self.ended > _PATIENCE:
+            modules = ", ".join(sorted({name.removesuffix("_kernels") for name in self.kernels}))
+            print(f"nrbench: compiled {len(self.kernels)} kernels ({modules}) in {self.ended:.0f} s", file=sys.stderr)
+
 
 COMPILATION = Compilation()
 """The compilation of this process."""
+atexit.register(lambda: COMPILATION.report())
 
 
 def work_clock() -> float:
@@ -196,6 +207,7 @@ class Kernel(Generic[P, R]):
         """Compile the kernel, and keep its machine code in the user's cache."""
         with COMPILATION.timed():
             (compiled,) = self.dispatcher().overloads.values()
+        COMPILATION.kernels.append(self.function.__module__.rpartition(".")[2])
         code = MachineCode.of_compiled(compiled)
         with contextlib.suppress(OSError):  # without a cache, each process compiles it
             write_bytes(find_cache() / _code_name(self.function, _target()), code.to_bytes())
@@ -307,13 +319,15 @@ def _writable(usual: Path) -> Path:
         shared = sys.platform != "win32" and found.st_mode & 0o022
         if shared or found.st_uid != user or not stat.S_ISDIR(found.st_mode):
             folder = Path(tempfile.mkdtemp(prefix="nrbench-"))
+        place = (
+            f"so they are kept in {folder}; set XDG_CACHE_HOME to a folder that lasts, else they may be compiled again"
+        )
     except OSError:
-        return usual
+        folder, place = usual, "nor a temporary folder, so each process compiles them"
     os.environ.setdefault("MPLCONFIGDIR", str(folder))  # else matplotlib has two lines of its own about it
     warnings.warn(
-        f"compiled kernels: {usual if usual.name else 'the cache'} cannot be written ({why}), so they are kept in "
-        f"{folder}; set XDG_CACHE_HOME to a folder that lasts, else they may be compiled again, which takes up to some "
-        "minutes",
+        f"compiled kernels: {usual if usual.name else 'the cache'} cannot be written ({why}), {place}, which takes up "
+        "to some minutes",
         stacklevel=2,
     )
     return folder

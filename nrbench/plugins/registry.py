@@ -206,9 +206,15 @@ def files() -> list[str]:
 
 
 @cache
+def installed_points() -> Any:
+    """Return the entry points of all installed distributions, which take long to read."""
+    return entry_points()
+
+
+@cache
 def _installed(kind: str) -> list[Plugin]:
     """Return the plugins of a kind that entry points name; of the same name, those of nrbench come first."""
-    known = [(point, *_name_and_version(point.dist)) for point in entry_points(group=f"nrbench.{kind}")]
+    known = [(point, *_name_and_version(point.dist)) for point in installed_points().select(group=f"nrbench.{kind}")]
     grouped: dict[str, list[Plugin]] = {}
     for point, distribution, version in sorted(known, key=lambda each: each[1] != "nrbench"):
         group = grouped.setdefault(point.name, [])
@@ -251,10 +257,10 @@ def in_role(role: str) -> str:
         ``comparison``, which compares two runs; ``run-site``; ``tables``, which has the frames of a run; ``plot``,
         which has the plot of a run.
     """
-    declared = entry_points(group="nrbench.roles", name=role)
+    declared = installed_points().select(group="nrbench.roles", name=role)
     value = next(point.value for point in declared if _name_and_version(point.dist)[0] == "nrbench")
-    points = (point for kind in FORMS for point in entry_points(group=f"nrbench.{kind}"))
-    return next(point.name for point in points if point.value == value)
+    points = (point for kind in FORMS for point in installed_points().select(group=f"nrbench.{kind}"))
+    return str(next(point.name for point in points if point.value == value))
 
 
 def bent_finders() -> tuple[str, str]:

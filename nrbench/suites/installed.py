@@ -5,17 +5,19 @@ from __future__ import annotations
 import re
 import tomllib
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from importlib.util import find_spec
 from pathlib import Path
 
+from nrbench.plugins.registry import installed_points
+
 
 @cache
 def builtin() -> dict[str, Traversable]:
     """Return the installed suites by name."""
-    packages = [_suite_folder(point) for point in entry_points(group="nrbench.suites")]
+    packages = [_suite_folder(point) for point in installed_points().select(group="nrbench.suites")]
     found = {item.name.removesuffix(".toml"): item for package in packages if package for item in package.iterdir()}
     return {name: item for name, item in sorted(found.items()) if item.name.endswith(".toml")}
 

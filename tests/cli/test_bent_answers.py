@@ -48,14 +48,14 @@ def tilted() -> Case:
     return Texture(interpolate(drawn.image, map_points(TILT, points)), drawn.lattice), None
 
 
-def noise(side: int = 96) -> Case:
+def noise(side: int = 72) -> Case:
     """Return a picture without a lattice."""
     return Texture(np.random.default_rng(3).random((side, side, 1), np.float32), None, kind="stochastic"), None
 
 
 def grain() -> Case:
     """Return a picture of a model without a lattice."""
-    return nrbench.texture("noise", shape=(96, 96), seed=1), None
+    return nrbench.texture("noise", shape=(72, 72), seed=1), None
 
 
 MODELS = ("brick", "weave", "hexagon")

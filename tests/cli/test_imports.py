@@ -67,7 +67,7 @@ def test_synth_imports_no_tables_and_no_statistics(tmp_path: Path) -> None:
     write_image(tmp_path / "brick.png", texture.image)
     nrbench.synthesize("rsgf", texture.image, (128, 128), lattice=texture.lattice)  # compiles what has to be compiled
     command = "synth brick.png -m rsgf --size 128x128 --lattice 27.3,0,13.65,12.2 -o out.png"
-    assert imported(command, tmp_path) <= {"scipy.ndimage"}
+    assert imported(command, tmp_path) == set()
     assert (tmp_path / "out.png").is_file()
 
 

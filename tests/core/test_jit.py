@@ -119,9 +119,11 @@ def test_machine_code_that_others_may_write_is_not_run(homeless: Path) -> None:
 
 
 def test_a_kernel_works_where_nothing_can_be_written(homeless: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is compiled in each process then."""
+    """It is compiled in each process then, which says so once."""
     monkeypatch.setattr(jit.tempfile, "tempdir", str(homeless / "missing"))
-    assert jit.kernel(double)(3.0) == 6.0
+    with pytest.warns(UserWarning, match="nor a temporary folder, so each process compiles them") as said:
+        assert jit.kernel(double)(3.0) == jit.kernel(double)(3.0) == 6.0
+    assert len(said) == 1
 
 
 def test_time_of_compilation_is_named(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,6 +135,9 @@ def test_time_of_compilation_is_named(capsys: pytest.CaptureFixture[str], monkey
         with spent.timed(), spent.timed():
             now[0] += 1.5
     assert spent.seconds == 4.5 and capsys.readouterr().err.splitlines() == [f"nrbench: {jit.COMPILING}"]
+    spent.kernels += ["seam_kernels", "tile_kernels", "seam_kernels"]
+    spent.report()
+    assert capsys.readouterr().err == "nrbench: compiled 3 kernels (seam, tile) in 4 s\n"
     monkeypatch.undo()
     monkeypatch.setattr(jit, "COMPILATION", spent := jit.Compilation())
     monkeypatch.setattr(progress, "PATIENCE", 0.0)

@@ -135,6 +135,7 @@ def test_a_plugin_that_does_not_import_costs_only_its_own_cells(
     (tmp_path / "s.toml").write_text(BROKEN)
     monkeypatch.syspath_prepend(tmp_path / "site")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+    plugins.registry.installed_points.cache_clear()
     plugins.registry._installed.cache_clear()
     try:
         assert shell("run s.toml --jobs 1 --no-report --out run --json") == 1
@@ -150,6 +151,7 @@ def test_a_plugin_that_does_not_import_costs_only_its_own_cells(
         assert "no GPU" in listed["broken"]["error"] and listed["fine"]["about"] == "A page."
         assert plugins.lookup("synthesizers", "fine").release == "1.0"
     finally:
+        plugins.registry.installed_points.cache_clear()
         plugins.registry._installed.cache_clear()
 
 
