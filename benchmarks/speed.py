@@ -26,8 +26,9 @@ both. Subjects:
     ``nrbench lattice`` on square pictures of a brick wall, of ``--sides``: wall and CPU time of the whole command,
     with reading the file and drawing the overlay, peak memory, and the error of the vectors.
 ``overhead``
-    What a cell costs beyond its method: a run of ``--cells`` trivial cells, one at a time, scored by ``cost`` alone.
-    The start of the worker is left out. CPU time of all processes, and the part that encodes and decodes pictures.
+    What a cell costs beyond its method: runs of ``--cells`` cells of 64 px, one at a time, scored by ``cost`` alone, of
+    a method of nrbench and of a third-party one, which has a child process for each cell. The start of the worker is
+    left out. CPU time of all processes, and the part that encodes and decodes pictures.
 """
 
 from __future__ import annotations
@@ -247,21 +248,29 @@ def time_pictures(options: argparse.Namespace) -> None:
 
 def time_overhead(options: argparse.Namespace) -> None:
     """Print what a cell costs beyond its method and metrics."""
+    with tempfile.TemporaryDirectory() as place:
+        plugins.add_file(write_plugin(Path(place)))
+        for parameter in ("quilting:tolerance", "trivial:number"):
+            print(f"  {parameter.partition(':')[0]}:")
+            time_trivial_cells(options.cells, parameter)
+
+
+def time_trivial_cells(count: int, parameter: str) -> None:
+    """Print the same for one method, of which each cell has another value of a parameter."""
     marks: dict[int, float] = {}
 
     def follow(step: Step) -> None:
-        if step.done in (options.cells // 10, options.cells):
+        if step.done in (count // 10, count):
             marks[step.done] = cpu_of_all_processes()
 
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        plugins.add_file(write_plugin(folder))
-        suite = write_suite(folder, options.cells)
+        suite = write_suite(folder, count, parameter)
         cells = nrbench.run(suite, out=folder / "run", options=Options(jobs=1), progress=follow).cells
         pictures = picture_units(cells[0].folder)
     if any(cell.status != "ok" for cell in cells):
         raise SystemExit("overhead: a trivial cell failed")
-    method = statistics.fmean(float(cell.result["seconds"]) for cell in cells)
+    method = statistics.fmean(float(cell.result["cpu_seconds"]) for cell in cells)
     (early, before), (late, after) = sorted(marks.items())
     cost = (after - before) / (late - early) - method
     print(f"  {1000 * cost:.1f} ms = {cost / cpu_unit():.2f} w a cell over {late - early} cells, of which")

@@ -37,10 +37,13 @@ def write_plugin(folder: Path) -> Path:
     return path
 
 
-def write_suite(folder: Path, count: int) -> Path:
-    """Write a suite of about ``count`` cells of 64 x 64 px, scored by their cost alone."""
+def write_suite(folder: Path, count: int, parameter: str = "trivial:number") -> Path:
+    """Write a suite of about ``count`` cells of 64 x 64 px, scored by their cost alone.
+
+    Its methods differ in one parameter, whose values are whole numbers.
+    """
     replicates = max(1, round(count / TEXTURES / MOST_METHODS))
-    methods = ", ".join(f'"trivial:number={k}"' for k in range(max(1, count // TEXTURES // replicates)))
+    methods = ", ".join(f'"{parameter}={k}"' for k in range(max(1, count // TEXTURES // replicates)))
     rows = (f'{{ name = "wall{k}", dataset = "brick", parameters = {{ color = 0.{k} }} }}' for k in range(TEXTURES))
     head = 'name = "many"\nsample = "64x64"\nsize = "64x64"\nmetrics = ["cost"]\n'
     head += f"replicates = {replicates}\n"

@@ -182,8 +182,11 @@ def execute(
             unique = {cell.key: (cell, sample) for cell, sample in plan.cells}  # methods of two names share a cell
             cells = runner.with_detected_lattices(list(unique.values()))
             pace = Pace([cell for cell, _ in cells])
-            jobs = ((cell, runner.cell_job(cell, sample)) for cell, sample in _interleave(cells, pool.count_slots()))
+            running: Counter[str] = Counter()
+            ordered = _interleave(cells, pool.count_slots(), running)
+            jobs = ((cell, runner.cell_job(cell, sample)) for cell, sample in ordered)
             for cell, future in runner.run_jobs(jobs):  # the folder of a cell is made just before it starts
+                running[cell.texture] -= 1
                 result = future.result()
                 progress(pace.step(cell, result["status"], result.get("wall"), pool.count_slots()))
         if lock is not None:
@@ -310,11 +313,29 @@ def _has_its_output(where: CellFolder, result: Result) -> bool:
         return False
 
 
-def _interleave(cells: list[tuple[Cell, PlannedSample]], slots: int) -> list[tuple[Cell, PlannedSample]]:
-    """Return the cells so ordered that those of as many textures as there are slots take turns."""
+def _interleave(
+    cells: list[tuple[Cell, PlannedSample]], slots: int, running: Counter[str]
+) -> Iterator[tuple[Cell, PlannedSample]]:
+    """Yield the cells, those of as many textures at a time as there are slots.
+
+    Next is the texture of which the fewest cells wait or run. So each worker finds cells of its own texture, however
+    fast it is, and learns no other one, which takes seconds.
+
+    Parameters
+    ----------
+    cells, slots
+        The cells, and the number of those that can run at the same time.
+    running
+        How many cells of each texture wait or run: this function counts those that it yields, the caller those that
+        have ended.
+    """
     textures = [list(own) for _, own in itertools.groupby(cells, lambda each: each[0].texture)]
-    lanes = [itertools.chain(*textures[k :: max(1, slots)]) for k in range(max(1, slots))]
-    return [each for turn in itertools.zip_longest(*lanes) for each in turn if each is not None]
+    while textures:
+        lane = min(textures[: max(1, slots)], key=lambda own: running[own[0][0].texture])
+        running[lane[0][0].texture] += 1
+        yield lane.pop(0)
+        if not lane:
+            textures.remove(lane)
 
 
 def _detection_key(cell: Cell) -> str:

@@ -2,8 +2,9 @@
 
 import dataclasses
 import json
+from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from nrbench import plugins, run
 from nrbench.calling.method_calls import is_picture
 from nrbench.plugins.forms import Observation, Score
 from nrbench.running import phases
-from nrbench.running.runner import Options, Pace
+from nrbench.running.runner import Options, Pace, _interleave
 from nrbench.runs.store import CellFolder
 from nrbench.suites.cell import Cell, Recipe
+from nrbench.suites.plan import PlannedSample
 from nrbench.suites.suite import validated_suite
 
 
@@ -129,6 +131,18 @@ def test_the_time_left_knows_what_a_new_texture_costs() -> None:
     walls = (60.0, 9.0, 3.0, 9.0, 5.0)
     steps = [pace.step(cell, "ok", seconds, 1) for cell, seconds in zip(cells, walls, strict=False)]
     assert [step.remaining for step in steps] == [None, None, 9 + 2 * (3 + 9), 2 * (3 + 9), 9 + (4 + 9)]
+
+
+def test_a_fast_worker_finds_cells_of_its_own_texture() -> None:
+    """As many textures as workers are open; whichever ends cells faster gets more of its own, and then the next one."""
+    cells = [dataclasses.replace(cell, texture=name) for name in "abc" for cell in make_cells(["m"] * 6)]
+    running: Counter[str] = Counter()
+    order = _interleave([(cell, cast("PlannedSample", None)) for cell in cells], 2, running)
+    assert "".join(next(order)[0].texture for _ in range(4)) == "abab"
+    for expected in "bbbbcccccc":
+        running["b" if running["b"] > 1 else "c"] -= 1
+        assert next(order)[0].texture == expected
+    assert "".join(cell.texture for cell, _ in order) == "aaaa"
 
 
 def test_a_run_of_cached_cells_has_no_pace() -> None:
