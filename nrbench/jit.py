@@ -190,7 +190,15 @@ class Kernel(Generic[P, R]):
             if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
                 self._loaded = self.function
             else:
-                self._loaded = _check_types(self.function, (_read_code(self) or self._compile()).link())
+                try:
+                    self._loaded = _check_types(self.function, (_read_code(self) or self._compile()).link())
+                except (AttributeError, ImportError, StopIteration):  # a version of numba whose parts differ
+                    warnings.warn(
+                        "compiled kernels: this version of numba keeps machine code in another way, so each process "
+                        "compiles them, which takes up to some minutes; install numba 0.68",
+                        stacklevel=2,
+                    )
+                    self._loaded = self.dispatcher()
         return self._loaded
 
     def dispatcher(self) -> Any:
