@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
@@ -15,6 +14,7 @@ import numpy as np
 from nrbench.errors import BadInput, require
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Kind, Shape, Texture
+from nrbench.plugins.parameters import append_parameters
 
 from .departures import Departures
 from .materials import MATERIALS
@@ -115,11 +115,7 @@ class Model(ABC):
     def __init_subclass__(cls) -> None:
         """Complete a model's page: its own parameters, then those of all models."""
         super().__init_subclass__()
-        if cls.__doc__ and Model.__doc__:
-            shared = inspect.cleandoc(Model.__doc__).partition("Parameters\n----------\n")[2]
-            own = inspect.cleandoc(cls.__doc__)
-            heading = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
-            cls.__doc__ = f"{own}\n{heading}{shared}\n"
+        append_parameters(cls, Model)
 
     def __post_init__(self) -> None:
         for name in _STRENGTHS:

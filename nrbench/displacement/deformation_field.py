@@ -19,15 +19,6 @@ from nrbench.lattice.vertices import Vertex, lay_vertices, list_vertices
 
 from .growth import Knots
 
-__all__ = [
-    "LEAST_AMPLITUDE",
-    "Deformation",
-    "fit_homography",
-    "map_points",
-    "pixel_places",
-    "read_spline",
-]
-
 LEAST_AMPLITUDE: Final = 0.04
 """Amplitude, in s, below which displacements are taken for errors of measurement."""
 LEAST_GAIN: Final = 1.25
