@@ -14,7 +14,7 @@ import numpy as np
 from nrbench.errors import BadInput, require
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Kind, Shape, Texture
-from nrbench.plugins.parameters import append_parameters
+from nrbench.plugins.parameters import SharedParameters
 
 from .departures import Departures
 from .materials import MATERIALS
@@ -34,7 +34,7 @@ _DRAWS = 32
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model(ABC):
+class Model(SharedParameters, ABC):
     """A texture model: a pattern on a lattice, with departures that act on the pattern's own elements.
 
     A subclass defines its vectors and its pattern; this class draws textures of them. All models have the parameters
@@ -111,11 +111,6 @@ class Model(ABC):
     """Least values, px, of the parameters that are lengths, as far as they depend on no other parameter."""
     breadth: ClassVar[tuple[str, float]] = ("s", 0.5)
     """Typical breadth of an element: the name of a length, and the breadth as its multiple."""
-
-    def __init_subclass__(cls) -> None:
-        """Complete a model's page: its own parameters, then those of all models."""
-        super().__init_subclass__()
-        append_parameters(cls, Model)
 
     def __post_init__(self) -> None:
         for name in _STRENGTHS:

@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.masks import Mask
-from nrbench.imaging.mean_tile import Tile, Values, sample_tile
+from nrbench.imaging.mean_tile import Tile, Values, interpolate_planes, sample_tile
 from nrbench.imaging.source_maps import read_nearest
 from nrbench.lattice.geometry import Lattice, Points
 
@@ -157,9 +157,7 @@ class Knots:
 
     def locate(self, cells: Points) -> Points:
         """Return the places (x, y) px of cell coordinates ``(..., 2)``, by cubic splines through the knots."""
-        at = self.positions(cells)
-        planes = np.moveaxis(self._continued, -1, 0)
-        return np.stack([scipy.ndimage.map_coordinates(plane, at, order=3, mode="nearest") for plane in planes], -1)
+        return interpolate_planes(self._continued, self.positions(cells), 3, "nearest")
 
     @cached_property
     def _continued(self) -> Points:
