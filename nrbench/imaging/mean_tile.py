@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy
@@ -124,7 +124,11 @@ def interpolate(image: Values, xy: NDArray[np.float64]) -> Values:
 
 
 def interpolate_planes(
-    values: NDArray[Any], at: NDArray[np.float64], order: int, mode: str, prefilter: bool = True
+    values: NDArray[Any],
+    at: NDArray[np.float64],
+    order: Literal[3, 5],
+    mode: Literal["mirror", "nearest"],
+    prefilter: bool = True,
 ) -> NDArray[Any]:
     """Return the values ``(..., C)`` of an array ``(H, W, C)`` at places ``(2, ...)``, row first, by splines.
 
