@@ -50,16 +50,18 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 	@echo "the site: build/docs/index.html"
 
-# All x86-64 processors since about 2015 have the instructions of x86-64-v3. Others, other versions of Python or numba
-# and other systems compile the kernels when they need them.
+# The second wheel is for Linux on x86-64-v3, which most x86-64 processors since 2015 are, and for the Python and the numba
+# that build it. With others, nrbench compiles the kernels when it needs them.
 dist: $(VENV)/.installed-docs
 	rm -rf dist build/lib build/bdist* nrbench/machine_code
 	$(BIN)/python -m build --outdir dist .
+ifeq ($(shell uname -sm),Linux x86_64)
 	NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES= NUMBA_CACHE_DIR=nrbench/machine_code \
 		$(BIN)/python -c "from nrbench.running.worker import warm; warm(int)"
 	$(BIN)/python -m build --wheel --outdir dist -C--build-option=--plat-name=manylinux_2_28_x86_64 \
 		-C--build-option=--python-tag=$$($(BIN)/python -c "import sys; print('cp%d%d' % sys.version_info[:2])") .
 	rm -rf nrbench/machine_code build/lib
+endif
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

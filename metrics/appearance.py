@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -28,7 +28,6 @@ from .perception.visible import (
     measure_looks,
     measure_plateaus,
 )
-from .registration.coarse_plane import CoarsePlane
 from .registration.lattice_net import (
     LatticeNet,
     Mask,
@@ -56,6 +55,9 @@ _WITHOUT_LATTICE = 24.0
 """Side in px of the windows of a texture without a lattice."""
 _PARTS = 4
 """Number of strips along each axis of a sample, that show how much its means vary; threads run along one axis."""
+
+_BLOCK = 1 << 18
+"""Number of points whose products are summed at once."""
 
 _SEAM_DRAWS = 2
 _LEAST_SEAM_SIDE = 16
@@ -123,56 +125,65 @@ class _Kind(NamedTuple):
         return float(self.scale.measure(departures, self.inverse, own).max(initial=0.0)) / self.largest
 
 
-class _Maps(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Maps:
     """The local features of one picture: looks, detail, levels of oriented detail, and plateaus."""
 
-    looks: NDArray[np.float32]
-    detail: NDArray[np.float32]
-    levels: NDArray[np.float32]
-    plateaus: NDArray[np.float32]
+    lab: Lab
 
-    @classmethod
-    def of(cls, lab: Lab) -> _Maps:
-        """Measure a picture."""
-        return cls(measure_looks(lab), measure_detail(lab), measure_levels(lab), measure_plateaus(lab))
+    @cached_property
+    def looks(self) -> NDArray[np.float32]:
+        return measure_looks(self.lab)
+
+    @cached_property
+    def detail(self) -> NDArray[np.float32]:
+        return measure_detail(self.lab)
+
+    @cached_property
+    def levels(self) -> NDArray[np.float32]:
+        return measure_levels(self.lab)
+
+    @cached_property
+    def plateaus(self) -> NDArray[np.float32]:
+        return measure_plateaus(self.lab)
 
     def measure_parts(self, net: LatticeNet, rows: int = 1, columns: int = 1) -> dict[str, Looks]:
         """Return the features of ``rows`` x ``columns`` parts of the picture, of each kind in :func:`_scales`."""
-        thin, samples = net.points[::2, ::2], net.samples // 2
-        planes = np.concatenate([sample_planes(self.levels, thin / 2), sample_planes(self.looks[..., :3], thin)], -1)
-        parts = [row & column for row in net.cut_strips(1, rows) for column in net.cut_strips(0, columns)]
+        return {"whole": _cut_means(self.looks, rows, columns), **self.measure_kinds(net, rows, columns)}
+
+    def measure_kinds(self, net: LatticeNet, rows: int, columns: int, kept: bool = True) -> dict[str, Looks]:
+        """Return the same but for the looks of the whole; the local features are ``kept`` for other parts."""
+        thin, samples = replace(net), net.samples // 2
+        vars(thin)["samples"] = samples
         border = min(_BORDER, min(net.shape) // 8)
-        inside = net.contains(net.points, border)
-        known = [(inside & part)[::2, ::2] for part in parts]
-        surface, contrast = (
-            np.array(a) for a in zip(*(_measure_spread(planes, part, samples) for part in known), strict=True)
-        )
-        detail = sample_planes(self.detail, thin / 2)
-        return {
-            "whole": _cut_means(self.looks, rows, columns),
-            "detail": np.array([_mean_of_places(detail, part, samples) for part in known]),
-            "surface": surface,
-            "contrast": contrast,
-            "tones": np.log(_cut_means(self.plateaus, rows, columns) + limits.PLATEAUS) / 2,
-        }
+        inside = np.concatenate([part.contains(part.points, border) for part in thin.parts()])
+        strips = thin.cut_strips(1, rows), thin.cut_strips(0, columns)
+        known = [inside & row & column for row in strips[0] for column in strips[1]]
+        planes = thin.sample(self.detail, 0.5)
+        found = {"detail": np.array([_mean_of_places(planes, part, samples) for part in known])}
+        if not kept:
+            vars(self).pop("detail")
+        planes = np.empty((*inside.shape, 15), np.float32)
+        thin.sample(self.levels, 0.5, planes[..., :12])
+        if not kept:
+            vars(self).pop("levels")
+        thin.sample(self.lab[..., :3], 1.0, planes[..., 12:])
+        spreads = [_measure_spread(planes.copy() if kept else planes, part, samples) for part in known]
+        found["surface"], found["contrast"] = (np.array(each) for each in zip(*spreads, strict=True))
+        return found | {"tones": np.log(_cut_means(self.plateaus, rows, columns) + limits.PLATEAUS) / 2}
 
 
-def _measure_light(planes: NDArray[np.float32], net: LatticeNet) -> Looks:
+def _measure_light(lab: Lab, net: LatticeNet) -> Looks:
     """Return by how much L* is lighter than its mean cell in 3 x 3 parts of a picture, ``(9, 1)``.
 
     Each place of the cell is weighed by the inverse of its variance: joints and gaps, which have no tints, show the
     light best.
-
-    Parameters
-    ----------
-    planes
-        Looks, in the order of the net.
     """
-    plane, known = planes[..., :1], net.inside[..., np.newaxis]
+    plane, known = net.sample(lab[..., :1]), net.inside[..., np.newaxis]
     rest = np.where(known, plane - net.tile(fold_cells(plane, net.inside, net.samples)), 0)
     weight = known / net.tile(fold_cells(rest**2, net.inside, net.samples) + np.float32(limits.JND**2))
-    parts = [row & column for row in net.cut_strips(1, 3) for column in net.cut_strips(0, 3)]
-    rest = weight * rest
+    rest, strips = rest * weight, (net.cut_strips(1, 3), net.cut_strips(0, 3))
+    parts = (row & column for row in strips[0] for column in strips[1])
     return np.array([rest[part].sum(0) / np.maximum(weight[part].sum(0), 1e-9) for part in parts])
 
 
@@ -192,7 +203,7 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
     Parameters
     ----------
     planes
-        Twelve levels, L*, a* and b* in the order of a net.
+        Twelve levels, L*, a* and b* in the order of a net; they are changed.
     known, samples
         Known points, and samples of a cell.
 
@@ -203,15 +214,18 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
     contrast
         (12,): the same of L*, a* and b*, and their three correlations.
     """
-    plane = np.where(known[..., np.newaxis], planes, 0)
+    planes[~known] = 0
     means, share = average_blocks(planes, np.ascontiguousarray(known), *known.shape)
-    plane -= known[..., np.newaxis] * (means[0, 0] / max(share[0, 0], 1e-9)).astype(np.float32)
+    mean = (means[0, 0] / max(share[0, 0], 1e-9)).astype(np.float32)
+    np.subtract(planes, mean, planes, where=known[..., np.newaxis])
 
     def correlate(n1: int, n2: int) -> tuple[NDArray[np.float64], int]:
         height, width = known.shape
         one = np.s_[n1:, max(n2, 0) : width + min(n2, 0)]
         other = np.s_[: height - n1, max(-n2, 0) : width - max(n2, 0)]
-        products = np.tensordot(plane[one], plane[other], ((0, 1), (0, 1))).astype(np.float64)
+        rows, (a, b) = max(_BLOCK // width, 1), (planes[one], planes[other])
+        blocks = [np.s_[k : k + rows] for k in range(0, max(len(a), 1), rows)]
+        products = np.sum([np.tensordot(a[k], b[k], ((0, 1), (0, 1))).astype(np.float64) for k in blocks], 0)
         return (products + products.T) / 2, int((known[one] & known[other]).sum())
 
     n1, n2 = (int(n) for n in samples)
@@ -261,12 +275,15 @@ class LooksModel:
 
     def depart(self, lab: Lab) -> dict[str, Looks]:
         """Return how far the features of a picture lie from their means, of each kind."""
-        maps = _Maps.of(lab)
+        maps = _Maps(lab)
         net = LatticeNet((lab.shape[0], lab.shape[1]), self.net.vectors, self.net.origin)
-        planes = sample_planes(maps.looks, net.points)
-        wholes = maps.measure_parts(net)
-        found = {name: _window_means(planes, net, size) - self.means["whole"] for name, size in _SIZES.items()}
-        found |= {"quarters": _cut_means(maps.looks, 2, 2) - wholes["whole"], "light": _measure_light(planes, net)}
+        halves = [part.half_cells(sample_planes(maps.looks, part.points), part.inside) for part in net.parts()]
+        means, share = (np.concatenate(each) for each in zip(*halves, strict=True))
+        found = {name: _window_means(means, share, size) - self.means["whole"] for name, size in _SIZES.items()}
+        quarters, whole = _cut_means(maps.looks, 2, 2), _cut_means(maps.looks, 1, 1)
+        vars(maps).pop("looks")  # large
+        wholes = {"whole": whole, **maps.measure_kinds(net, 1, 1, kept=False)}
+        found |= {"quarters": quarters - whole, "light": _measure_light(lab, net)}
         return found | {name: whole - self.means[name] for name, whole in wholes.items()}
 
     def measure(self, lab: Lab, own: Mapping[str, Looks]) -> dict[str, float]:
@@ -292,13 +309,10 @@ def _lack(windows: Looks, least: Looks) -> float:
     return float((least - windows[:, _OCTAVES]).max(initial=0.0))
 
 
-def _window_means(
-    planes: NDArray[np.float32], net: LatticeNet, size: int, known: NDArray[np.bool_] | None = None
-) -> Looks:
-    """Return the mean features of windows of ``size`` x ``size`` cells at every half cell."""
-    means, share = net.half_cells(planes, net.inside if known is None else known)
+def _window_means(means: NDArray[np.float64], share: NDArray[np.float64], size: int) -> Looks:
+    """Return the mean features of windows of ``size`` x ``size`` cells at every half cell, from those of half cells."""
     if min(share.shape) < 2 * size:
-        return np.zeros((0, planes.shape[-1]))
+        return np.zeros((0, means.shape[-1]))
     total, weight = sum_boxes(means, 2 * size), sum_boxes(share, 2 * size)
     whole = weight > limits.WHOLE_WINDOW * (2 * size) ** 2
     return np.asarray(total[whole] / weight[whole][:, np.newaxis])
@@ -367,7 +381,7 @@ def _find_quietest(plane: NDArray[np.float32], net: LatticeNet) -> Looks:
 def _wholes_of_draws(maps: Sequence[_Maps], net: LatticeNet, means: Mapping[str, Looks], side: int) -> dict[str, _Kind]:
     """Return the kinds of quarters and wholes: each draw against the others, cut into ``side`` x ``side``."""
     quarters = [_cut_means(each.looks, 2, 2) - _cut_means(each.looks, 1, 1) for each in maps]
-    light = [_measure_light(sample_planes(each.looks, net.points), net) for each in maps]
+    light = [_measure_light(each.lab, net) for each in maps]
     step = _Scale(np.array([limits.JND / 2]), np.ones(1))
     kinds = {
         "quarters": _learn_kind(_looks_scale(), quarters, limits.LEAST_WHOLE, limits.OF_MEANS),
@@ -425,11 +439,11 @@ def _group_windows(
     Threads run through all strips along them. Strips along both axes hold each thread out once.
     """
     if not from_sample:
-        return [[_window_means(plane, net, size) for plane in planes]]
+        return [[_window_means(*net.half_cells(plane, net.inside), size) for plane in planes]]
     found = []
     for axis in (0, 1):
         strips = [net.inside & strip for strip in net.cut_strips(axis, STRIPS)]
-        groups = [_window_means(planes[0], net, size, strip) for strip in strips]
+        groups = [_window_means(*net.half_cells(planes[0], strip), size) for strip in strips]
         found.append([group for group in groups if len(group)])
     return found
 
@@ -442,13 +456,13 @@ def _looks_of_draws(again: Again, lattice: Lattice | None, shape: Shape, sample_
 @lru_cache(maxsize=2)
 def _measure_draws(again: Again, shape: Shape) -> list[_Maps]:
     """Return the features of fresh draws; replicates of a texture, whose lattices differ by origin, share them."""
-    return [_Maps.of(lab) for lab in perceive_draws(again, shape)[1]]
+    return [_Maps(lab) for lab in perceive_draws(again, shape)[1]]
 
 
 @lru_cache(maxsize=2)
 def _looks_of_sample(sample: SeenSample, lattice: Lattice | None) -> LooksModel:
     net = replace(_make_net(lattice, sample.shape), known=sample.known)
-    return _learn_looks([_Maps.of(sample.lab)], net, sample.shape, True)
+    return _learn_looks([_Maps(sample.lab)], net, sample.shape, True)
 
 
 @lru_cache(maxsize=2)
@@ -584,7 +598,7 @@ def _find_new_colors(observation: Observation) -> dict[str, float | None]:
     """
     examination = examine(observation)
     try:
-        plane = CoarsePlane(*examination.traced.residual, examination.traced.net.samples)
+        plane = examination.traced.coarse
         ratio = measure_new_colors(examination.reference, plane)
     except CannotTell:
         return {}

@@ -21,7 +21,7 @@ from .judgment.joint_tests import Evidence, JointTest, Steps, UnlikeTones, learn
 from .judgment.texture_reference import STRIPS, CannotTell, TextureReference
 from .judgment.tile_population import gather_tiles
 from .perception import limits
-from .perception.visible import tint_places
+from .perception.visible import draw_in_bands, tint_places
 from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.followed import FollowedPicture
 from .registration.lattice_net import LatticeNet, Mask, Values, fold_cells, split_cells
@@ -327,7 +327,7 @@ def _score(observation: Observation) -> Score:
     except CannotTell as reason:
         return Score.missing(Integrity.columns, str(reason))
     model = learn_elements(reference)
-    plane = CoarsePlane(*followed.residual, followed.net.samples)
+    plane = followed.coarse
     varies = gather_tiles(reference).varies
     tests = [test for test, used in ((model.joint, varies), (model.tear, True)) if used and test.able]
     evidence = [test.test.weigh(plane) for test in tests]
@@ -379,6 +379,10 @@ _NO_POWER = "not measured: no test tells joined elements from whole ones"
 def draw_broken(output: Image, followed: FollowedPicture, broken: Mask) -> Image:
     """Return the output in faint gray, with the broken cells tinted."""
     phase: Points = followed.expected[followed.in_place].mean(0) if followed.in_place.any() else np.zeros(2)
-    cells = np.floor(followed.net.locate_pixels(output.shape[:2]) - phase[:, np.newaxis, np.newaxis]).astype(np.intp)
-    i, j = (cell.clip(0, number - 1) for cell, number in zip(cells, broken.shape, strict=True))
-    return tint_places(output, broken[i, j, np.newaxis], _COLOR)
+
+    def draw(band: Image, top: int) -> Image:
+        cells = np.floor(followed.net.locate_pixels(band.shape[:2], top) - phase[:, np.newaxis, np.newaxis])
+        i, j = (cell.clip(0, number - 1) for cell, number in zip(cells.astype(np.intp), broken.shape, strict=True))
+        return tint_places(band, broken[i, j, np.newaxis], _COLOR)
+
+    return draw_in_bands(output, draw)

@@ -53,8 +53,9 @@ class Quality:
 
     def score(self, observation: Observation) -> Score:
         """Return the quality and the four perils; the record ``worst`` names the smallest."""
-        scores = {name: metric().score(observation) for name, metric in PERILS.items()}
-        perils: dict[str, Value] = {name: score.values["score"] for name, score in scores.items()}
+        # Appearance first, before the residual of a large picture is held.
+        scores = {name: PERILS[name]().score(observation) for name in sorted(PERILS)}
+        perils: dict[str, Value] = {name: scores[name].values["score"] for name in PERILS}
         reasons = {name: scores[name].reasons["score"] for name, value in perils.items() if value is None}
         if perils["regularity"] is None:
             return Score.missing(self.columns, reasons["regularity"])

@@ -17,7 +17,6 @@ from .judgment.texture_reference import CannotTell, TextureReference
 from .judgment.tile_population import LEAST_PAIRS, LEAST_TILES, SAME, Population, Tiles, gather_tiles, square_distances
 from .perception import limits
 from .perception.visible import SeenSample
-from .registration.coarse_plane import CoarsePlane
 
 
 def _ratio(meaning: str) -> Column:
@@ -81,7 +80,7 @@ def _score(observation: Observation) -> Score:
         followed, reference = examination.followed, examination.reference
         if limits.SLOPE * examination.misplaced >= 1:
             raise CannotTell("not scored: half of the tiles are out of place")
-        tiles = Tiles(CoarsePlane(*followed.residual, followed.net.samples))
+        tiles = Tiles(followed.coarse)
         population = gather_tiles(reference)
         if min(len(tiles.features), len(population.features)) < LEAST_TILES:
             return _score_few(tiles, population)
@@ -198,7 +197,7 @@ def _cut_sample(reference: TextureReference, sample: SeenSample) -> Tiles | None
         followed = reference.follow(sample.lab)
     except CannotTell:
         return None
-    return Tiles(CoarsePlane(*followed.residual, followed.net.samples))
+    return Tiles(followed.coarse)
 
 
 def _rate_survival(examination: Examination) -> float | None:

@@ -19,7 +19,7 @@ from nrbench.plugins.forms import Column, Observation, Score, Value
 from .judgment.examination import Examination, examine
 from .judgment.texture_reference import CannotTell
 from .perception import limits
-from .perception.visible import tint_places
+from .perception.visible import draw_in_bands, tint_places
 from .registration.followed import FollowedPicture
 from .registration.lattice_net import Mask
 from .registration.lattice_nodes import LatticeNodes
@@ -233,11 +233,14 @@ def _own_lattice(followed: FollowedPicture) -> Lattice:
 
 def draw_misplaced(output: Image, found: Sequence[tuple[LatticeNodes, NDArray[np.float64]]]) -> Image:
     """Return the output in faint gray, with the cells around the nodes that are out of place in :data:`COLORS`."""
-    height, width = output.shape[:2]
-    amount = np.zeros((height, width, 1))
-    for nodes, bad in found:
-        places = np.rint(2 * nodes.net.locate_pixels((height, width)) - nodes.size).astype(np.intp)
-        i, j = (place.clip(0, number - 1) for place, number in zip(places, bad.shape, strict=True))
-        amount = np.maximum(amount, np.where(nodes.valid, bad, 0)[i, j, np.newaxis])
-    tint = np.where(amount < 0.5, COLORS[0], COLORS[1])
-    return tint_places(output, amount > 0.05, tint)
+
+    def draw(band: Image, top: int) -> Image:
+        height, width = band.shape[:2]
+        amount = np.zeros((height, width, 1))
+        for nodes, bad in found:
+            places = np.rint(2 * nodes.net.locate_pixels((height, width), top) - nodes.size).astype(np.intp)
+            i, j = (place.clip(0, number - 1) for place, number in zip(places, bad.shape, strict=True))
+            amount = np.maximum(amount, np.where(nodes.valid, bad, 0)[i, j, np.newaxis])
+        return tint_places(band, amount > 0.05, np.where(amount < 0.5, COLORS[0], COLORS[1]))
+
+    return draw_in_bands(output, draw)

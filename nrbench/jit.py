@@ -16,6 +16,7 @@ import atexit
 import builtins
 import contextlib
 import ctypes
+import gc
 import hashlib
 import importlib
 import importlib.util
@@ -125,9 +126,13 @@ class Compilation:
             self.told = True
             print(f"nrbench: {COMPILING}", file=sys.stderr, flush=True)
         self.since, cpu = time.monotonic(), time.process_time()
+        collects = gc.isenabled()
+        gc.disable()  # an eighth of the time of numba, which keeps what it makes
         try:
             yield
         finally:
+            if collects:
+                gc.enable()
             self.ended, self.since = self.seconds, None
             self.cpu += time.process_time() - cpu
 
@@ -185,7 +190,15 @@ class Kernel(Generic[P, R]):
             if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
                 self._loaded = self.function
             else:
-                self._loaded = _check_types(self.function, (_read_code(self) or self._compile()).link())
+                try:
+                    self._loaded = _check_types(self.function, (_read_code(self) or self._compile()).link())
+                except (AttributeError, ImportError, StopIteration):  # a version of numba whose parts differ
+                    warnings.warn(
+                        "compiled kernels: this version of numba keeps machine code in another way, so each process "
+                        "compiles them, which takes up to some minutes; install numba 0.68",
+                        stacklevel=2,
+                    )
+                    self._loaded = self.dispatcher()
         return self._loaded
 
     def dispatcher(self) -> Any:

@@ -29,6 +29,8 @@ _WIDTH, _STEP = 4, 2
 _MOST_WINDOWS = 400
 """Largest number of windows at one place of the cell with which others are compared."""
 _LEAST_WINDOWS = 3
+_AT_ONCE = 64
+"""Rows of windows that are cut at once; the root of the number of windows that are compared at once."""
 
 
 class JointTest(Protocol):
@@ -177,7 +179,9 @@ class NovelParts:
         for windows, (p, q) in zip(self.windows, np.ndindex(_PER_CELL, _PER_CELL), strict=True):
             here = known[:, :, p, q]
             if here.any() and len(windows) >= _LEAST_WINDOWS:
-                levels = _find_levels(cells[:, :, p, q][here], windows, 0)
+                own = cells[:, :, p, q][here]
+                parts = (own[k : k + _AT_ONCE**2] for k in range(0, len(own), _AT_ONCE**2))
+                levels = np.concatenate([_find_levels(part, windows, 0) for part in parts])
                 evidence[:, :, p, q][here] = (levels - self.mean[p, q]) / self.deviation[p, q]
         return _largest_in_cells(evidence.swapaxes(1, 2).reshape(-1, known.shape[1] * _PER_CELL), (_PER_CELL,) * 2)
 
@@ -192,7 +196,9 @@ def _cut_windows(plane: CoarsePlane) -> tuple[Values, Mask]:
     views = sliding_window_view(plane.values, side, (0, 1))[::_STEP, ::_STEP]
     windows = np.zeros((rows // _STEP, columns // _STEP, 3 * _WIDTH**2), np.float32)
     known = np.zeros(windows.shape[:2], bool)
-    windows[1:, 1:] = (views - views.mean((3, 4), keepdims=True)).reshape(*views.shape[:2], -1)
+    for k in range(0, len(views), _AT_ONCE):
+        part = views[k : k + _AT_ONCE]
+        windows[1 + k : 1 + k + _AT_ONCE, 1:] = (part - part.mean((3, 4), keepdims=True)).reshape(*part.shape[:2], -1)
     known[1:, 1:] = sliding_window_view(plane.complete, side)[::_STEP, ::_STEP].all((2, 3))
     return split_cells(windows, (_PER_CELL, _PER_CELL)), split_cells(known, (_PER_CELL, _PER_CELL))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -21,6 +22,7 @@ Lab = NDArray[np.float32]
 
 
 _DIM = 0.5
+_BAND = 1 << 19
 
 
 def perceive(image: Image) -> Lab:
@@ -67,6 +69,12 @@ def _perceive_pixels(pixels: bytes, shape: tuple[int, ...], mask: bytes) -> Seen
     return SeenSample(perceive(np.frombuffer(pixels, np.float32).reshape(shape)), known)
 
 
+def draw_in_bands(output: Image, draw: Callable[[Image, int], Image]) -> Image:
+    """Return what a function draws on bands of an image, of about half a million pixels, from their first rows on."""
+    step = max(_BAND // output.shape[1], 1)
+    return np.concatenate([draw(output[top : top + step], top) for top in range(0, output.shape[0], step)])
+
+
 def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> Image:
     """Return an image in faint gray, with the marked places, ``(H, W, 1)``, in a color, (3,) or ``(H, W, 3)``."""
     faint, at = np.repeat((1 - _DIM + _DIM * gray(image))[..., np.newaxis], 3, 2), marked[..., 0]
@@ -108,15 +116,18 @@ def measure_looks(lab: Lab) -> NDArray[np.float32]:
     amplitude that is not seen. Its mean over a window weighs dark joints and flat elements alike, so that strong edges
     do not hide a change of the grain between them.
     """
-    raw = lab[..., 3]
+    raw, before, looks = lab[..., 3], lab[..., 0], np.empty((*lab.shape[:2], 9), np.float32)
+    looks[..., :3] = lab[..., :3]
     grain = np.zeros_like(raw)
     grain[1:-1, 1:-1] = np.diff(np.diff(raw, 2, 0), 2, 1) / 6
-    octaves = [smooth_plane(raw, sigma) for sigma in (1.2, 2.4, 5.0)]
-    bands = [lab[..., 0] - octaves[0], octaves[0] - octaves[1], octaves[1] - octaves[2]]
-    planes = [lab[..., 0], lab[..., 1], lab[..., 2], _level(smooth_plane(grain * grain, 1.5), limits.GRAIN_OFFSET)]
-    planes += [_level(smooth_plane(band * band, sigma)) for band, sigma in zip(bands, (2, 2, 3), strict=True)]
-    planes += [_level(smooth_plane((lab[..., k] - smooth_plane(lab[..., k], 6)) ** 2, 4), limits.JND) for k in (1, 2)]
-    return np.asarray(np.stack(planes, -1), np.float32)
+    looks[..., 3] = _level(smooth_plane(grain * grain, 1.5), limits.GRAIN_OFFSET)
+    for k, (sigma, reach) in enumerate(((1.2, 2), (2.4, 2), (5.0, 3)), 4):
+        octave = smooth_plane(raw, sigma)
+        looks[..., k] = _level(smooth_plane((before - octave) ** 2, reach))
+        before = octave
+    for k in (1, 2):
+        looks[..., 6 + k] = _level(smooth_plane((lab[..., k] - smooth_plane(lab[..., k], 6)) ** 2, 4), limits.JND)
+    return looks
 
 
 def measure_detail(lab: Lab) -> NDArray[np.float32]:
@@ -130,23 +141,22 @@ def measure_detail(lab: Lab) -> NDArray[np.float32]:
     pixels lie on either.
     """
 
-    def measure(octave: NDArray[np.float32]) -> tuple[NDArray[np.float32], list[NDArray[Any]]]:
-        low = smooth_plane(octave, 1.2)
-        band = octave - low
+    def measure(octave: NDArray[np.float32], low: NDArray[np.float32]) -> Iterator[NDArray[Any]]:
         down, right = (np.asarray(slope, np.float32) for slope in np.gradient(octave))
-        near, energy = smooth_plane(band * band, 1), smooth_plane(band * band, 2)
+        yield _level(right**2) - _level(down**2)
+        yield _level((right + down) ** 2 / 2) - _level((right - down) ** 2 / 2)
+        del down, right  # large
+        band = octave - low
+        near = smooth_plane(band * band, 1)
+        yield _level(smooth_plane(near, 3)) - _level(near)
         bright = smooth_plane(np.maximum(band, 0) ** 2, 2)
-        planes = [_level(right**2) - _level(down**2), _level((right + down) ** 2 / 2) - _level((right - down) ** 2 / 2)]
-        planes += [
-            _level(smooth_plane(near, 3)) - _level(near),
-            _level(bright) - _level(np.maximum(energy - bright, 0)),
-        ]
-        return low, planes
+        yield _level(bright) - _level(np.maximum(smooth_plane(band * band, 2) - bright, 0))
 
     height, width = lab.shape[0] // 2, lab.shape[1] // 2
-    low, fine = measure(lab[..., 0])
-    fine = [_halve(plane) for plane in fine]
-    even, odd = (measure(low[start::2, start::2])[1] for start in (0, 1))
+    low = smooth_plane(lab[..., 0], 1.2)
+    fine = [_halve(plane) for plane in measure(lab[..., 0], low)]
+    halves = ((half, smooth_plane(half, 1.2)) for half in (low[::2, ::2], low[1::2, 1::2]))
+    even, odd = (measure(*each) for each in halves)
     coarse = [(a[:height, :width] + b[:height, :width]) / 2 for a, b in zip(even, odd, strict=True)]
     return np.stack([*fine, *coarse], -1)
 

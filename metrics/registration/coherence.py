@@ -41,6 +41,8 @@ _ROWS = 128
 """Number of points that are matched at once."""
 _BINS = 16
 """Number of displacements along each vector at which votes are counted, before interpolation."""
+_MOST_VOTES = 1 << 22
+"""Number of places for votes that are held at a time."""
 _ROUGHLY = 0.2
 """Largest departure in s of a node in its place before the limit is set."""
 
@@ -121,13 +123,30 @@ class MatchedPicture(LatticeNodes):
         row, column = np.moveaxis(np.clip(np.floor(half).astype(np.intp), 0, shape - 1), -1, 0)
         i, j = np.moveaxis(np.rint(self.moved * _BINS).astype(np.intp) % _BINS, -1, 0)
         block, blocks = row * shape[1] + column, int(shape.prod())
-        votes = np.bincount((block * _BINS + i) * _BINS + j, self.weight, blocks * _BINS**2).astype(float)
-        sums = sum_boxes(votes.reshape(*shape, _BINS**2), 2 * self.size)
-        sums += sum_boxes(np.pad(sums, ((1, 1), (1, 1), (0, 0)), mode="edge"), 3) / 9
-        sigma = 2 / 3 * limits.GOOD_MATCH * net.s / np.linalg.norm(net.vectors, axis=1) * _BINS
-        spread = ndimage.gaussian_filter(sums.reshape(*sums.shape[:2], _BINS, _BINS), (0, 0, *sigma), mode="wrap")
+        place, rows = (block * _BINS + i) * _BINS + j, int(shape[0]) - 2 * self.size + 1
+        step = max(_MOST_VOTES // int(shape[1] * _BINS**2), 1)
+        bands = [(first, min(first + step, rows)) for first in range(0, rows, step)]
+        found = np.concatenate([find_least(-self._count_votes(row, place, *band)) for band in bands])
         count = sum_boxes(np.bincount(block, minlength=blocks).reshape(shape).astype(float), 2 * self.size)
-        return find_least(-spread), count > 0.9 * self.size**2 * net.area / self.grid.step**2
+        return found, count > 0.9 * self.size**2 * net.area / self.grid.step**2
+
+    def _count_votes(
+        self, row: NDArray[np.intp], place: NDArray[np.intp], first: int, last: int
+    ) -> NDArray[np.float64]:
+        """Return the votes of the nodes from one row to another, of the points in rows of half cells."""
+        net, width = self.net, 2 * int(self.net.cells[1])
+        low, high = max(first - 1, 0), min(last + 1, 2 * int(net.cells[0]) - 2 * self.size + 1)
+        above, below = low, high + 2 * self.size - 1
+        near = (row >= above) & (row < below)
+        shape = (below - above, width, _BINS**2)
+        start, number = above * width * _BINS**2, (below - above) * width * _BINS**2
+        votes = np.bincount(place[near] - start, self.weight[near], number).astype(float)
+        sums = sum_boxes(votes.reshape(shape), 2 * self.size)
+        sums += sum_boxes(np.pad(sums, ((1, 1), (1, 1), (0, 0)), mode="edge"), 3) / 9
+        sums = sums[first - low : last - low]
+        sigma = 2 / 3 * limits.GOOD_MATCH * net.s / np.linalg.norm(net.vectors, axis=1) * _BINS
+        spread = sums.reshape(*sums.shape[:2], _BINS, _BINS)
+        return np.asarray(ndimage.gaussian_filter(spread, (0, 0, *sigma), mode="wrap"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,10 @@ references alone, so that an error of the methods' code is not repeated where th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -18,6 +19,7 @@ from scipy import ndimage
 
 from ..perception import limits
 from ..perception.visible import Lab
+from .coarse_plane import CoarsePlane
 from .lattice_net import LatticeNet, Mask, Values, find_inside, fold_cells, sample_planes, split_cells
 from .lattice_nodes import Field, LatticeNodes, Strips, find_least, node_shape
 from .net_kernels import measure_misfits
@@ -88,60 +90,102 @@ class FollowedPicture(LatticeNodes):
         """The picture on the points of the net, where it is not straightened."""
         return np.asarray(sample_planes(self.lab[..., :3], self.net.points) + self.offset, np.float32)
 
-    @cached_property
-    def _fit(self) -> tuple[Field, Values, Mask]:
-        """Displacements, misfits at all displacements ``(R, C, n1, n2)``, and the nodes inside the picture."""
-        windows, cover = _average_windows(self.plane, self.net, self.size)
-        if self.strips is None:
-            costs = _compare(windows, self.models[0], self.size)
-        else:
-            number, costs = self.strips.number(self.centers), np.empty((*cover.shape, *self.net.samples), np.float32)
-            for k, model in enumerate(self.models):
-                costs[number == k] = _compare(windows[number == k], model, self.size)
-        return find_least(costs), costs, cover > 0.97
+    def _cut(self, beyond: int) -> Iterator[tuple[int, FollowedPicture]]:
+        """Yield the first cell of each band of the net, and the picture on the band and on ``beyond`` cells more."""
+        bands = self.net.bands(beyond)
+        if len(bands) == 1:
+            yield 0, self
+            return
+        lab = np.ascontiguousarray(self.lab[..., :3])
+        for first, last in bands:
+            yield first, replace(self, net=self.net.cut(first, last + beyond), lab=lab)
 
     @cached_property
+    def _fit(self) -> tuple[Field, Values, Mask]:
+        """Displacements, contrasts, and the nodes inside the picture."""
+        found = zip(*(part._fit_windows() for _, part in self._cut(self.size)), strict=True)
+        displacement, contrast, valid = (_join_bands(parts) for parts in found)
+        return displacement, contrast, valid
+
+    def _fit_windows(self) -> tuple[Field, Values, Mask]:
+        costs, cover = self._compare_windows()
+        return find_least(costs), np.ptp(costs, axis=(2, 3)), cover > 0.97
+
+    def _compare_windows(self) -> tuple[Values, Values]:
+        """Return the misfits at all displacements, ``(R, C, n1, n2)``, and which share of each window is inside."""
+        windows, cover = _average_windows(self.plane, self.net, self.size)
+        if self.strips is None:
+            return _compare(windows, self.models[0], self.size), cover
+        number, costs = self.strips.number(self.centers), np.empty((*cover.shape, *self.net.samples), np.float32)
+        for k, model in enumerate(self.models):
+            costs[number == k] = _compare(windows[number == k], model, self.size)
+        return costs, cover
+
+    @property
     def contrast(self) -> Values:
         """How much worse each node's window fits at the worst displacement than at the best; 0 in a flat window."""
-        return np.asarray(np.ptp(self._fit[1], axis=(2, 3)))
+        return self._fit[1]
 
     @cached_property
     def misfit(self) -> Values:
         """Misfit of the single cell in the middle of each node's window, at the expected displacement."""
-        weights = np.stack([_weigh_points(model, 1) for model in self.models])
-        number = np.zeros(self.valid.shape, np.intp) if self.strips is None else self.strips.number(self.centers)
         moves = np.rint(self.expected * self.net.samples).astype(np.intp)
-        means, first = np.stack([model.mean for model in self.models]), self.size - 1
-        return measure_misfits(self.plane, means.astype(np.float32), weights, number, moves, first)
+        return _join_bands([part._measure_misfits(moves[2 * first :]) for first, part in self._cut(self.size)])
+
+    def _measure_misfits(self, moves: NDArray[np.intp]) -> Values:
+        weights = np.stack([_weigh_points(model, 1) for model in self.models])
+        shape = node_shape(self.net, self.size)
+        number = np.zeros(shape, np.intp) if self.strips is None else self.strips.number(self.centers)
+        means = np.stack([model.mean for model in self.models]).astype(np.float32)
+        return measure_misfits(self.plane, means, weights, number, moves[: shape[0]], self.size - 1)
 
     @cached_property
     def straightened(self) -> tuple[Values, Mask]:
         """The picture with each point at its expected place, and the points that are known and in place."""
-        sides = self.plane.shape[:2]
         rows, columns = (
-            _spread_matrix(side, n, self.size, nodes)
-            for side, n, nodes in zip(sides, self.net.samples, self.valid.shape, strict=True)
+            np.clip(np.arange(cells * n) / n * 2 - self.size, 0, nodes - 1)
+            for cells, n, nodes in zip(self.net.cells, self.net.samples, self.valid.shape, strict=True)
         )
-        planes = np.concatenate([self.expected, self.in_place[..., np.newaxis]], -1)
-        spread = np.stack([rows @ plane @ columns.T for plane in np.moveaxis(planes, -1, 0)], -1)
-        moved, known = spread[..., :2] @ self.net.vectors, spread[..., 2] > 0.5
-        points = self.net.points + moved
-        return sample_planes(self.lab[..., :3], points), known & self.net.contains(points)
+        nodes = np.concatenate([self.expected, self.in_place[..., np.newaxis]], -1)
+        plane, known = np.empty((len(rows), len(columns), 3), np.float32), np.empty((len(rows), len(columns)), np.bool_)
+        for first, part in self._cut(0):
+            band = slice(first * int(self.net.samples[0]), (first + int(part.net.cells[0])) * int(self.net.samples[0]))
+            spread = _spread_nodes(_spread_nodes(nodes, rows[band], 0), columns, 1)
+            points = part.net.points + spread[..., :2] @ self.net.vectors
+            plane[band] = sample_planes(part.lab[..., :3], points)
+            known[band] = (spread[..., 2] > 0.5) & part.net.contains(points)
+        return plane, known
 
     @cached_property
     def residual(self) -> tuple[Values, Mask]:
         """The straightened picture less the model's mean cell, and its known points."""
         plane, known = self.straightened
-        means = [self.net.tile(model.mean) for model in self.models]
-        if self.strips is None:
-            return plane - means[0], known
-        return plane - np.choose(self.strips.number(self.net.points)[..., np.newaxis], means), known
+        if self.strips is not None:
+            means = [self.net.tile(model.mean) for model in self.models]
+            return plane - np.choose(self.strips.number(self.net.points)[..., np.newaxis], means), known
+        if len(self.net.bands()) == 1:
+            return plane - self.net.tile(self.models[0].mean), known
+        vars(self).pop("straightened")  # a large picture is held once
+        cells = split_cells(plane, self.net.samples)
+        cells -= self.models[0].mean
+        return plane, known
+
+    @cached_property
+    def coarse(self) -> CoarsePlane:
+        """The residual on few places of each cell."""
+        return CoarsePlane(*self.residual, self.net.samples)
 
 
-def _spread_matrix(side: int, samples: int, size: int, nodes: int) -> NDArray[np.float64]:
-    """Return the weights of nodes in each sample along a vector, ``(side, nodes)``: linear, and constant beyond."""
-    at = np.clip(np.arange(side) / samples * 2 - size, 0, nodes - 1)
-    return np.asarray(np.maximum(1 - np.abs(at[:, np.newaxis] - np.arange(nodes)), 0))
+def _join_bands(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return the nodes of all bands: the last row of one is the first of the next."""
+    return np.concatenate([*(part[:-1] for part in parts[:-1]), parts[-1]])
+
+
+def _spread_nodes(values: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Return nodes ``(R, C, k)`` interpolated linearly at numbers of nodes along an axis."""
+    low = np.floor(at).astype(np.intp)
+    high, part = np.minimum(low + 1, values.shape[axis] - 1), (at - low).reshape((-1, 1, 1) if axis == 0 else (-1, 1))
+    return np.asarray(values.take(low, axis) * (1 - part) + values.take(high, axis) * part)
 
 
 def _average_windows(plane: Values, net: LatticeNet, size: int) -> tuple[Values, Values]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -19,6 +20,8 @@ from .net_kernels import average_blocks, interpolate_pixels
 
 Values = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+_BAND = 1 << 19
+"""Number of points of which a larger net is divided into bands."""
 
 
 @dataclass(frozen=True)
@@ -85,10 +88,10 @@ class LatticeNet:
         """Return the cell coordinates of points (x, y) px, from the first point of the net."""
         return np.asarray((points - self.origin) @ np.linalg.inv(self.vectors) - self.first)
 
-    def locate_pixels(self, shape: Shape) -> NDArray[np.float64]:
-        """Return the cell coordinates of all pixels of a picture, ``(2, H, W)``, from the first point of the net."""
+    def locate_pixels(self, shape: Shape, top: int) -> NDArray[np.float64]:
+        """Return the cell coordinates of pixels from row ``top`` on, ``(2, H, W)``, from the first point of the net."""
         (a, b), (c, d) = np.linalg.inv(self.vectors)
-        (u, v), (y, x) = self.to_cell(np.zeros(2)), np.ogrid[: shape[0], : shape[1]]
+        (u, v), (y, x) = self.to_cell(np.zeros(2)), np.ogrid[top : top + shape[0], : shape[1]]
         return np.stack([u + x * a + y * c, v + x * b + y * d])
 
     @cached_property
@@ -103,7 +106,7 @@ class LatticeNet:
     @cached_property
     def inside(self) -> Mask:
         """``(N1 n1, N2 n2)``: the points inside the picture that count."""
-        return self.contains(self.points)
+        return np.concatenate([part.contains(part.points) for part in self.parts()])
 
     def contains(self, points: Points, border: int = 0) -> Mask:
         """Return which points lie inside the picture, ``border`` px from its sides or more, and count."""
@@ -112,8 +115,10 @@ class LatticeNet:
 
     def cut_strips(self, axis: int, count: int) -> list[Mask]:
         """Return the points of each of ``count`` strips of the picture, side by side along x (axis 0) or y (axis 1)."""
-        edges, place = np.linspace(0, self.shape[1 - axis], count + 1), self.points[..., axis]
-        return [(place >= low) & (place < high) for low, high in pairwise(edges)]
+        edges = np.linspace(0, self.shape[1 - axis], count + 1)
+        places = (part.points[..., axis] for part in self.parts())
+        found = [[(place >= low) & (place < high) for low, high in pairwise(edges)] for place in places]
+        return [np.concatenate(own) for own in zip(*found, strict=True)]
 
     def tile(self, cell: Values) -> Values:
         """Repeat a cell ``(n1, n2, ...)`` over the whole net."""
@@ -124,6 +129,37 @@ class LatticeNet:
         net = replace(self, vectors=self.vectors @ (np.eye(2) + drift))
         vars(net)["samples"] = self.samples
         return net
+
+    def bands(self, beyond: int = 0) -> list[tuple[int, int]]:
+        """Return the first and the last cell, less ``beyond``, of bands of the net along the first vector.
+
+        A net of up to half a million points has one band, so that little is held of a large picture at a time.
+        """
+        last, points = max(int(self.cells[0]) - beyond, 1), int(self.cells.prod() * self.samples.prod())
+        step = last if points <= _BAND else max(_BAND * int(self.cells[0]) // points, 1)
+        return [(first, min(first + step, last)) for first in range(0, last, step)]
+
+    def cut(self, first: int, last: int) -> LatticeNet:
+        """Return the part of the net from one cell to another along the first vector."""
+        if last - first == self.cells[0]:
+            return self
+        net, (low, high) = replace(self), self._range
+        ends = np.array([low[0] + first, low[1]]), np.array([low[0] + last, high[1]])
+        vars(net).update(samples=self.samples, _range=ends)
+        return net
+
+    def parts(self) -> Iterator[LatticeNet]:
+        """Yield the nets of all bands."""
+        return (self.cut(*band) for band in self.bands())
+
+    def sample(self, planes: Values, scale: float = 1.0, into: Values | None = None) -> Values:
+        """Return the values of planes ``(H, W, C)`` at all points, times a scale; ``into`` is filled with them."""
+        planes, first = np.ascontiguousarray(planes), 0
+        found = np.empty((*self.cells * self.samples, planes.shape[-1]), np.float32) if into is None else into
+        for part in self.parts():
+            last = first + int(part.cells[0] * self.samples[0])
+            found[first:last], first = sample_planes(planes, part.points * scale), last
+        return found
 
     def spread(self, cells: NDArray[Any]) -> NDArray[Any]:
         """Return the values of cells, ``(N1, N2)``, at all of their points."""

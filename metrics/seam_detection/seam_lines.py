@@ -96,10 +96,11 @@ def _lengths(shape: Shape, fan: int) -> Plane:
 
 def _energy(image: Image) -> Plane:
     """Return the squared difference to the next pixel along x and along y, summed over channels."""
-    across, down = np.diff(image, axis=1), np.diff(image, axis=0)
     energy = np.zeros(image.shape[:2], np.float32)
-    energy[:, 1:] += np.einsum("ijk,ijk->ij", across, across)
-    energy[1:] += np.einsum("ijk,ijk->ij", down, down)
+    for axis, inside in ((1, np.s_[:, 1:]), (0, np.s_[1:])):
+        step = np.diff(image, axis=axis)
+        energy[inside] += np.einsum("ijk,ijk->ij", step, step)
+        del step  # large
     return energy
 
 

@@ -535,8 +535,8 @@ class Scores:
     pictures: Mapping[str, Image]
 
 
-MOST_SCORED = 2 * 2048 * 2048
-"""Pixels of the largest output that :func:`score` takes. It needs about 5 GiB."""
+MOST_SCORED = 4096 * 4096
+"""Pixels of the largest output that :func:`score` takes. It needs about 2 GiB."""
 
 
 def score(

@@ -113,7 +113,7 @@ class Frdft:
     false_alarms: float = 0.01
     tile: Literal["all", "lowest"] = "all"
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {"threshold": 2.0, "waves": 400, "reject": "none", "tile": "lowest"}
     }

@@ -303,8 +303,8 @@ def _within(window: Window, around: Window) -> tuple[slice, slice]:
 class SeamHeat:
     """The costs of an output's seams, summed over blocks, and the number of tries to reduce them.
 
-    With blocks the search for the worst window is cheap: it takes O(H W / q^2) for blocks of q px, and only the blocks
-    that a new patch changes are summed again.
+    With blocks the search for the worst window is cheap: it compares H W / q^2 sums for blocks of q px, and only the
+    blocks that a new patch changes, and the windows over them, are summed again.
 
     Parameters
     ----------
@@ -328,6 +328,7 @@ class SeamHeat:
         self.block = max(1, min(size) // BLOCKS_PER_SIDE)
         self.costs = self._sum_blocks(self._blocks(0, work.shape[0], 0), self._blocks(0, work.shape[1], 1))
         self.tries = np.zeros(self.costs.shape, np.int64)
+        self._rated = self._sum_windows(self.costs)
 
     def _sum_blocks(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the cost of the seams in each block; ``rows`` and ``columns`` are ascending numbers of blocks."""
@@ -339,8 +340,7 @@ class SeamHeat:
 
     def find_worst(self) -> Window:
         """Return the window whose seams cost most. The cost of a block is halved for each earlier try."""
-        sums = self._sum_windows(self.costs * 0.5 ** np.minimum(self.tries, 50))
-        return self._window_at(int(sums.argmax()), sums.shape[1])
+        return self._window_at(int(self._rated.argmax()), self._rated.shape[1])
 
     def draw_window(self, rng: np.random.Generator) -> Window:
         """Return a random window."""
@@ -360,10 +360,15 @@ class SeamHeat:
 
     def _sum_windows(self, heat: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the sum over the blocks of each window, from a value for each block."""
-        height, width = (min(-(-side // self.block), most) for side, most in zip(self.size, heat.shape, strict=True))
         if self.work.wrap:
-            heat = np.pad(heat, ((0, height - 1), (0, width - 1)), "wrap")
-        return box_sums(heat, (height, width))
+            heat = np.pad(heat, [(0, count - 1) for count in self._counts], "wrap")
+        return box_sums(heat, self._counts)
+
+    @property
+    def _counts(self) -> tuple[int, int]:
+        """The rows and columns of blocks of a window."""
+        down, across = (min(-(-side // self.block), n) for side, n in zip(self.size, self.costs.shape, strict=True))
+        return down, across
 
     def _window_at(self, index: int, columns: int) -> Window:
         """Return the window of an index into the sums over windows."""
@@ -378,6 +383,25 @@ class SeamHeat:
         rows, columns = self._blocks(y0 - 1 - reach, y1 + reach, 0), self._blocks(x0 - 1 - reach, x1 + reach, 1)
         self.costs[np.ix_(rows, columns)] = self._sum_blocks(rows, columns)
         self.tries[np.ix_(self._blocks(*window[:2], 0), self._blocks(*window[2:], 1))] += 1
+        down, below = self._windows_over(y0 - 1 - reach, rows, 0)
+        across, beside = self._windows_over(x0 - 1 - reach, columns, 1)
+        under = np.ix_(below, beside)
+        heat = self.costs[under] * 0.5 ** np.minimum(self.tries[under], 50)
+        self._rated[np.ix_(down, across)] = box_sums(heat, self._counts)
+
+    def _windows_over(
+        self, start: int, blocks: NDArray[np.int64], axis: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the first blocks of all windows over some blocks along an axis, and all blocks of these windows.
+
+        ``start`` is the first pixel of the blocks. Past the edge of an output that wraps they go on at the other edge.
+        """
+        side, more, number = self.work.shape[axis], self._counts[axis] - 1, self._rated.shape[axis]
+        first = (start % side if self.work.wrap else max(start, 0)) // self.block - more
+        firsts = np.arange(first, first + len(blocks) + more)
+        firsts = firsts[:number] if self.work.wrap else firsts[(firsts >= 0) & (firsts < number)]
+        under = np.arange(firsts[0], firsts[-1] + more + 1)
+        return firsts % number, under % self.costs.shape[axis]
 
     def _blocks(self, start: int, stop: int, axis: int) -> NDArray[np.int64]:
         """Return the numbers of the blocks that contain the pixels ``start`` to ``stop`` - 1 along an axis."""

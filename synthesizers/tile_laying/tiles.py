@@ -579,8 +579,9 @@ class TileStock:
         for number in self.tile.set_offsets(self.lattice):
             tiles = self.find_places(self.middles(*number))
             tiles = tiles.take(np.unique(np.linspace(0, len(tiles.place) - 1, MAX_COMPARED).astype(np.int64)))
-            for n in range(len(tiles.place)):
-                others = np.delete(self.compare(self.cut(tiles.take(np.array([n])))[0], usual, tiles)[1], n)
-                quantiles += [float(np.quantile(others, quantile))] if len(others) else []
+            numbers = range(len(tiles.place) if len(tiles.place) > 1 else 0)
+            cuts = (self.cut(tiles.take(np.array([n])))[0] for n in numbers)
+            others = [np.delete(self.compare(cut, usual, tiles)[1], n) for n, cut in zip(numbers, cuts, strict=True)]
+            quantiles += np.quantile(others, quantile, 1).tolist() if others else []
         threshold = float(np.quantile(quantiles, accepting)) if quantiles else np.inf
         return threshold / (int((usual & self.tile.mask).sum()) if measure == "mean" else 1)

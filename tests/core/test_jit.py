@@ -36,6 +36,15 @@ def sum_of_squares(x: float, y: float) -> float:
     return added(squared(x), squared(y))
 
 
+def sum_of_powers(values: Float64x2) -> float:
+    """Return a sum whose last bits depend on the order of its terms."""
+    total = 0.0
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            total += values[row, column] ** 3 / (1 + column)
+    return total
+
+
 @pytest.fixture
 def undeclared(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Keep the kernels declared in a test from the others, and their machine code in a folder of the test."""
@@ -232,6 +241,19 @@ def test_machine_code_of_a_wheel_is_used(tmp_path: Path, monkeypatch: pytest.Mon
         monkeypatch.setattr(jit, "_runs_shipped", lambda runs=runs: runs)
         declared = jit.kernel(double)
         assert declared(3.0) == 6.0 and (declared._dispatcher is None) == runs
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_machine_code_gives_what_numba_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled and read again, machine code gives numba's sums to the last bit. Numba is used where it has changed."""
+    values = np.random.default_rng(0).random((37, 41))
+    made = [jit.kernel(sum_of_powers) for _ in range(3)]
+    exact = made[0].dispatcher()(values)
+    assert made[0](values) == exact
+    assert made[1](values) == exact and made[1]._dispatcher is None
+    monkeypatch.delattr(jit.MachineCode, "link")
+    with pytest.warns(UserWarning, match="this version of numba"):
+        assert made[2](values) == exact
 
 
 def test_annotations_are_the_types_of_a_kernel() -> None:

@@ -53,7 +53,7 @@ def test_detail_does_not_depend_on_where_a_checkerboard_is_cut() -> None:
         y, x = np.indices(net.shape)
         field = (np.floor((x + shift) / 13.7) + np.floor((y - shift) / 13.7)) % 2
         picture = np.float32(0.2 + 0.6 * field)[..., np.newaxis]
-        details.append(_Maps.of(perceive(picture)).measure_parts(net)["detail"])
+        details.append(_Maps(perceive(picture)).measure_parts(net)["detail"])
     assert abs(details[0] - details[1]).max() < 0.6
 
 

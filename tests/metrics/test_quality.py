@@ -10,7 +10,11 @@ from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.noise import Noise
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
+from nrbench.metrics import appearance
+from nrbench.metrics.judgment import joint_tests
+from nrbench.metrics.perception import visible
 from nrbench.metrics.quality import PERILS, Quality
+from nrbench.metrics.registration import coherence, lattice_net
 from nrbench.plugins.forms import Observation, Score, Shape, Synthesizer, Task, Texture
 from nrbench.synthesizers.random_phase import RandomPhase
 from nrbench.synthesizers.scatter import Scatter
@@ -217,3 +221,24 @@ def test_what_the_method_used_does_not_matter(model: bool) -> None:
     )
     for metric in (Quality, *PERILS.values()):
         assert scored(metric, told).values == scored(metric, plain).values
+
+
+def test_bands_change_no_score(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A large picture is judged in bands: its scores and its marked pictures are those of the whole."""
+    observation = case("brick").observe(case("brick").fresh(), model=False)
+    whole = [metric().score(replace(observation)) for metric in PERILS.values()]
+    for module, name, value in (
+        (lattice_net, "_BAND", 5000),
+        (coherence, "_MOST_VOTES", 50_000),
+        (appearance, "_BLOCK", 1000),
+        (visible, "_BAND", 5000),
+        (joint_tests, "_AT_ONCE", 5),
+    ):
+        monkeypatch.setattr(module, name, value)
+    for before, metric in zip(whole, PERILS.values(), strict=True):
+        after = metric().score(replace(observation))
+        assert after.reasons == before.reasons
+        known = {name: value for name, value in before.values.items() if value is not None}
+        assert {name: after.values[name] for name in known} == pytest.approx(known, rel=1e-5, abs=1e-6)
+        for name, picture in before.pictures.items():
+            np.testing.assert_array_equal(after.pictures[name], picture)

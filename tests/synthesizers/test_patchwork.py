@@ -239,6 +239,7 @@ def test_what_a_try_changes_is_summed_again(wrap: bool) -> None:
         work.seams[:, rows, columns] = rng.integers(0, 99, (2, 12, 14))
         heat.update((top, top + 12, left, left + 14))
         np.testing.assert_array_equal(heat.costs, SeamHeat(work, (12, 14)).costs)
+        np.testing.assert_array_equal(heat._rated, heat._sum_windows(heat.costs * 0.5**heat.tries))
 
 
 @settings(max_examples=60)
