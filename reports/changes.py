@@ -85,7 +85,6 @@ class Changes:
     columns: tuple[str, ...] = ()
 
     version: ClassVar[str] = "1"
-    folder: ClassVar[str] = "report"
 
     def write(self, run: Run, directory: Path) -> list[Path]:
         """Write the files and return their paths; none without a baseline."""

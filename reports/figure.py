@@ -65,7 +65,6 @@ class PictureGrid:
     insets: bool = True
 
     version: ClassVar[str] = "1"
-    folder: ClassVar[str] = "report"
 
     def __post_init__(self) -> None:
         if not 2 <= self.width <= 12:

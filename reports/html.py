@@ -83,7 +83,6 @@ class HtmlReport(ComparisonOptions):
     labels: tuple[Path, ...] = ()
 
     version: ClassVar[str] = "1"
-    folder: ClassVar[str] = "report"
 
     def begin(self, run: Run, directory: Path) -> Callable[[], list[Path]]:
         """Begin to make the pictures in threads; return the function that writes the page with them."""

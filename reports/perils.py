@@ -46,7 +46,6 @@ class PerilsPlane(ComparisonOptions):
     width: float = 5.5
 
     version: ClassVar[str] = "3"
-    folder: ClassVar[str] = "report"
 
     def __post_init__(self) -> None:
         if not 3 <= self.width <= 12:

@@ -54,7 +54,6 @@ class AnnPixel(SearchParameters):
     neighborhood: int = 8
 
     wraps: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "pixels without a lattice"
     maps: ClassVar[str] = "source"

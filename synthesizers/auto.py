@@ -68,8 +68,6 @@ class Auto:
     geometry: Geometry = "waves"
 
     wraps: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
-    uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "choice by the sample"

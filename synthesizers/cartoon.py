@@ -49,7 +49,6 @@ class Cartoon:
     grain: Literal["short", "white"] = "short"
 
     reference: ClassVar[bool] = True
-    uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "gncc"
     version: ClassVar[str] = "2"
 

@@ -48,7 +48,6 @@ class Command:
 
     run: str
 
-    reference: ClassVar[bool] = False
     starts_programs: ClassVar[bool] = True
     version: ClassVar[str] = "1"
 

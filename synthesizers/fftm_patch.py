@@ -103,8 +103,6 @@ class FftmPatch(MaskParameters):
     refinements: int = 0
     normalized: bool = True
 
-    reference: ClassVar[bool] = False
-    uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches and pixels under a mask"
     maps: ClassVar[str] = "source"

@@ -96,8 +96,6 @@ class FftmPixel(MaskParameters, SearchParameters):
     match: Match = "full"
     distance: Literal["squares", "norms"] = "norms"
 
-    reference: ClassVar[bool] = False
-    uses_lattice: ClassVar[bool] = True
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches and pixels under a mask"
     maps: ClassVar[str] = "source"

@@ -77,7 +77,6 @@ class Gpdm:
     coarsest: int = 28
     noise: float = 1.5
 
-    reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     wraps: ClassVar[bool] = True
     family: ClassVar[str] = "all patches at once"

@@ -76,7 +76,6 @@ class Gpnn:
     noise: float = 0.75
 
     wraps: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "all patches at once"
     maps: ClassVar[str] = "joint"

@@ -102,7 +102,6 @@ class GraphCuts:
     feather: float = 1.0
 
     wraps: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches without a lattice"
     maps: ClassVar[str] = "source"

@@ -96,7 +96,6 @@ class PatchBased:
     search: Search = "exhaustive"
 
     wraps: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches without a lattice"
     maps: ClassVar[str] = "source"

@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 
 from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import MIN_SIDE, Image
-from nrbench.imaging.mean_tile import fold
+from nrbench.imaging.mean_tile import fold, interpolate_planes
 from nrbench.lattice.geometry import Lattice, Points, Vector
 from nrbench.plugins.forms import Again, Refused, Shape, Synthesis, Task, Texture
 from nrbench.plugins.parameters import nearest
@@ -447,11 +447,8 @@ def _resample(site: Site, field: Points, margin: int) -> PlantedImage:
     if not field.any():
         return PlantedImage(read_displaced(draw, margin, site.zeros()), field)
     y, x = np.indices(site.shape) + margin
-    places = [y - field[..., 1], x - field[..., 0]]
-    channels = [
-        scipy.ndimage.map_coordinates(plane, places, order=3, mode="mirror") for plane in np.moveaxis(draw, -1, 0)
-    ]
-    return PlantedImage(np.clip(np.stack(channels, -1), 0, 1).astype(np.float32), field)
+    moved = interpolate_planes(draw, np.stack([y - field[..., 1], x - field[..., 0]]), 3, "mirror")
+    return PlantedImage(np.clip(moved, 0, 1).astype(np.float32), field)
 
 
 def read_displaced(draw: Image, margin: int, field: Field) -> Image:

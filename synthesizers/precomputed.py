@@ -35,7 +35,6 @@ class Precomputed:
 
     directory: str
 
-    reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     version: ClassVar[str] = "1"
 

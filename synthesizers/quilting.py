@@ -68,7 +68,6 @@ class Quilting:
     tolerance: float = 0.1
 
     wraps: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "patches without a lattice"
     maps: ClassVar[str] = "source"

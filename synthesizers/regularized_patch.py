@@ -109,8 +109,6 @@ class RegularizedPatch:
     geometry: Geometry = "waves"
 
     wraps: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
-    uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     family: ClassVar[str] = "tiles and patches on the lattice"
     maps: ClassVar[str] = "source"

@@ -128,8 +128,6 @@ class RepresentativeTile:
     geometry: Geometry = "straight"
 
     wraps: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
-    uses_lattice: ClassVar[bool] = True
     family: ClassVar[str] = "tiles and patches on the lattice"
     maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"

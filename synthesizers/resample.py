@@ -104,8 +104,6 @@ class Resample:
     variation: float = 1.0
     geometry: Geometry = "waves"
 
-    reference: ClassVar[bool] = False
-    uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "consensus"
     wraps: ClassVar[bool] = True
     maps: ClassVar[str] = "source"

@@ -136,7 +136,6 @@ class Rsgf:
 
     wraps: ClassVar[bool] = True
     fills: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
     needs_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "tiles and patches on the lattice"
     maps: ClassVar[str] = "source"

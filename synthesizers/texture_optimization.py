@@ -69,7 +69,6 @@ class TextureOptimization:
     exponent: float = 0.8
 
     wraps: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
     uses_lattice: ClassVar[bool] = False
     family: ClassVar[str] = "all patches at once"
     maps: ClassVar[str] = "joint"

@@ -177,8 +177,6 @@ class TileSet:
     geometry: Geometry = "waves"
 
     wraps: ClassVar[bool] = True
-    reference: ClassVar[bool] = False
-    uses_lattice: ClassVar[bool] = True
     family: ClassVar[str] = "tiles and patches on the lattice"
     maps: ClassVar[str] = "source"
     version: ClassVar[str] = "5"

@@ -7,13 +7,12 @@ color, and multiplies everything by an uneven light of mean 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Shape
@@ -69,26 +68,19 @@ class Material:
         """
         read, shape = numbers.reader(pattern), (image.shape[0], image.shape[1])
 
-        def paint(color: Color, field: Field | NDArray[np.floating[Any]]) -> None:
-            for plane, strength in zip(np.moveaxis(image, -1, 0), color, strict=True):
-                plane += (strength * field).astype(np.float32)
+        def paint(part: str, draw: Callable[[int, Shape], Field], factor: Callable[[], Field] | None = None) -> None:
+            if any(color := getattr(self, part)):
+                field = read(lambda size: draw(role_seed(numbers.seed, f"material.{part}"), size))
+                _add_field(image, field if factor is None else field * factor(), color)
 
-        if any(self.grain):
-            paint(self.grain, read(lambda size: _smooth(role_seed(numbers.seed, "material.grain"), size, 0.4)))
-        if any(self.soft):
-            paint(self.soft, read(lambda size: _smooth(role_seed(numbers.seed, "material.soft"), size, 1.4)))
-        if any(self.streaks):
-            streaks = read(lambda size: _streaks(role_seed(numbers.seed, "material.streaks"), size, rotation))
-            paint(self.streaks, streaks * _element_signs(pattern, numbers))
-        if any(self.speckles):
-            paint(self.speckles, read(lambda size: _spots(role_seed(numbers.seed, "material.speckles"), size, _RARE)))
-        if any(self.relief):
-            paint(self.relief, read(lambda size: _relief(role_seed(numbers.seed, "material.relief"), size)))
-        if any(self.worn):
-            chips = read(lambda size: _spots(role_seed(numbers.seed, "material.worn"), size, _COMMON))
-            paint(self.worn, chips * _edges(pattern))
+        paint("grain", partial(_smooth, width=0.4))
+        paint("soft", partial(_smooth, width=1.4))
+        paint("streaks", partial(_streaks, rotation=rotation), partial(_element_signs, pattern, numbers))
+        paint("speckles", partial(_spots, level=_RARE))
+        paint("relief", _relief)
+        paint("worn", partial(_spots, level=_COMMON), partial(_edges, pattern))
         if any(self.stains):
-            paint(self.stains, waves(role_seed(seed, "material.stains"), shape, 2.5 * s))
+            _add_field(image, waves(role_seed(seed, "material.stains"), shape, 2.5 * s), self.stains)
         if self.light:
             image *= (1 + self.light * waves(role_seed(seed, "material.light"), shape, 10 * s))[..., np.newaxis]
 
@@ -135,19 +127,19 @@ MATERIALS: Mapping[str, Material] = {
 """The named materials; ``"plain"`` has none of these parts."""
 
 
+def _add_field(image: Image, field: Field, color: Color) -> None:
+    for plane, strength in zip(np.moveaxis(image, -1, 0), color, strict=True):
+        plane += (strength * field).astype(np.float32)
+
+
 def _smooth(seed: int, shape: Shape, width: float) -> Field:
-    """Return grain of mean 0 and variance 1, smoothed by a Gaussian of about ``width`` px more."""
-    return _blur(seed, shape, (width, width))
-
-
-def _blur(seed: int, shape: Shape, widths: tuple[float, float]) -> Field:
-    """Return grain smoothed by Gaussians of ``widths`` (y, x) px, of variance 1; windows of one seed agree."""
-    reach = [math.ceil(4 * width) for width in widths]
-    large = (shape[0] + 2 * reach[0], shape[1] + 2 * reach[1])
-    field = scipy.ndimage.gaussian_filter(grain(seed, large).astype(np.float64), widths)
+    """Return grain of variance 1, smoothed by a Gaussian of ``width`` px more; windows of one seed agree."""
+    reach = math.ceil(4 * width)
+    large = shape[0] + 2 * reach, shape[1] + 2 * reach
+    field = scipy.ndimage.gaussian_filter(grain(seed, large).astype(np.float64), width)
     # Gaussians of variances a and b, one after the other, smooth as one of variance a + b does.
-    kept = math.prod(math.sqrt(0.49 / (0.49 + width**2)) for width in widths)
-    return np.asarray(field[reach[0] : reach[0] + shape[0], reach[1] : reach[1] + shape[1]] / math.sqrt(kept))
+    kept = math.sqrt(0.49 / (0.49 + width**2))
+    return np.asarray(field[reach : reach + shape[0], reach : reach + shape[1]] / kept)
 
 
 def _streaks(seed: int, shape: Shape, rotation: float) -> Field:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
@@ -15,6 +14,7 @@ import numpy as np
 from nrbench.errors import BadInput, require
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Kind, Shape, Texture
+from nrbench.plugins.parameters import SharedParameters
 
 from .departures import Departures
 from .materials import MATERIALS
@@ -34,7 +34,7 @@ _DRAWS = 32
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model(ABC):
+class Model(SharedParameters, ABC):
     """A texture model: a pattern on a lattice, with departures that act on the pattern's own elements.
 
     A subclass defines its vectors and its pattern; this class draws textures of them. All models have the parameters
@@ -111,15 +111,6 @@ class Model(ABC):
     """Least values, px, of the parameters that are lengths, as far as they depend on no other parameter."""
     breadth: ClassVar[tuple[str, float]] = ("s", 0.5)
     """Typical breadth of an element: the name of a length, and the breadth as its multiple."""
-
-    def __init_subclass__(cls) -> None:
-        """Complete a model's page: its own parameters, then those of all models."""
-        super().__init_subclass__()
-        if cls.__doc__ and Model.__doc__:
-            shared = inspect.cleandoc(Model.__doc__).partition("Parameters\n----------\n")[2]
-            own = inspect.cleandoc(cls.__doc__)
-            heading = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
-            cls.__doc__ = f"{own}\n{heading}{shared}\n"
 
     def __post_init__(self) -> None:
         for name in _STRENGTHS:

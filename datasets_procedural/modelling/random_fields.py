@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import sum_channels
+from nrbench.imaging.convert import smooth_inside
 from nrbench.plugins.forms import Shape
 
 from .pattern import Field
@@ -127,26 +127,11 @@ def grain(seed: int, shape: Shape) -> NDArray[np.float32]:
     y = np.arange(-reach, shape[0] + reach)[:, np.newaxis]
     x = np.arange(-reach, shape[1] + reach)
     words = hash_bits(seed, y, x).view(np.uint16).reshape(y.size, x.size, 4)
-    white = sum_channels(words.astype(np.float32)) / 65535 - 2
+    white = words @ np.ones(4, np.float32) / 65535 - 2
     kernel = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * _GRAIN**2))
     kernel /= np.sqrt((kernel**2).sum())
     smooth = smooth_inside(smooth_inside(white, kernel).T, kernel).T
     return np.ascontiguousarray(smooth) * np.float32(math.sqrt(3))
-
-
-def smooth_inside(field: NDArray[Any], kernel: NDArray[np.float64]) -> NDArray[Any]:
-    """Return a field smoothed along its first axis by a symmetric kernel, without the rows that the kernel overhangs.
-
-    The sums are those of :func:`scipy.ndimage.correlate1d`, to the bit. To import that module takes longer than to draw
-    a sample.
-    """
-    reach = kernel.size // 2
-    rows = len(field) - 2 * reach
-    total = field[reach : reach + rows] * kernel[reach]
-    for far in range(reach, 0, -1):
-        pair = field[reach - far : reach - far + rows].astype(np.float64) + field[reach + far : reach + far + rows]
-        total += pair * kernel[reach - far]
-    return np.asarray(total.astype(field.dtype))
 
 
 def waves(seed: int, shape: Shape, period: float, count: int = WAVES) -> Field:

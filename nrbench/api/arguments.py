@@ -200,11 +200,6 @@ def layers_in(image: Imagelike) -> Image:
     return read_layers(Path(image)) if isinstance(image, str | os.PathLike) else as_layers(_pixels_of(image, "image"))
 
 
-def list_maps(maps: Any) -> Sequence[Any]:
-    """Return the maps of a sample; one map counts as a list of one."""
-    return maps if isinstance(maps, list | tuple) else [maps]
-
-
 def map_in(image: Any) -> Any:
     """Return the values of another map of a sample: an array as it is, those of a picture file as they are stored."""
     import numpy as np
@@ -292,7 +287,7 @@ def names_of(given: Sequence[str] | str) -> list[str]:
 
 
 def list_of(given: Any) -> list[Any]:
-    """Return a sequence as a list; a text, a lattice or a single plugin counts as one entry."""
+    """Return a sequence as a list; a text, an array, a lattice or a single plugin counts as one entry."""
     return list(given) if isinstance(given, Sequence) and not isinstance(given, str) else [given]
 
 

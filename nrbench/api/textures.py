@@ -28,7 +28,6 @@ from nrbench.api.arguments import (
     image_in,
     lattice_in,
     layers_in,
-    list_maps,
     list_of,
     map_in,
     masked_in,
@@ -376,8 +375,8 @@ def synthesize(
     make = partial(_make_output, plugin, shape_in(shape), lattice, seed, progress, along, flatten_light)
     if keep_alpha:
         require(mask is None and not flatten_light, "--keep-alpha: works neither with --mask nor with --flatten-light")
-        return _make_transparent(make, image, list_maps(maps))
-    return make(image, mask, list_maps(maps))
+        return _make_transparent(make, image, list_of(maps))
+    return make(image, mask, list_of(maps))
 
 
 def _make_transparent(make: Callable[..., Synthesis], image: Imagelike, maps: Maps) -> Synthesis:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from nrbench.errors import require
 from nrbench.imaging.convert import MIN_SIDE, Image, box_sums, depth_of, quantize, shrink
 from nrbench.imaging.masks import Mask
+from nrbench.imaging.source_maps import read_nearest
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import NoLatticeFound, Shape, SourceMap, Synthesis, Synthesizer, Task
 from nrbench.plugins.registry import NamedDetector
@@ -134,10 +135,9 @@ def checked_synthesis(synthesis: Any, sample: Image, shape: Shape, known: Mask |
     if source is not None:
         check_source(source, image, sample)
         if known is not None:
-            places = np.rint(source[np.isfinite(source).all(-1)][:, :2]).astype(int)
-            x, y = np.clip(places, 0, np.array(known.shape[::-1]) - 1).T
-            if not known[y, x].all():
-                raise InvalidOutput(f"copied {int((~known[y, x]).sum())} pixels that the mask leaves out")
+            counted = read_nearest(known, source[np.isfinite(source).all(-1)])
+            if not counted.all():
+                raise InvalidOutput(f"copied {int((~counted).sum())} pixels that the mask leaves out")
     blended = None if synthesis.blended is None else _numbers(synthesis.blended, "array of blended sources")
     if blended is not None and (blended.ndim != 4 or blended.shape[:2] + blended.shape[3:] != (*shape, 3)):
         raise InvalidOutput(

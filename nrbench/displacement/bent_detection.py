@@ -25,8 +25,6 @@ from .deformation_field import LEAST_AMPLITUDE, Deformation
 from .following import find_knots, follow_on, follow_roughly, merit, probe
 from .growth import Knots
 
-__all__ = ["Followed", "find_bent_lattice", "find_deformation", "recognize"]
-
 LARGEST_FOLLOWED: Final = 1024
 """px; larger side of an image up to which commands look for a bent lattice by themselves: it takes long."""
 

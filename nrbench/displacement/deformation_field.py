@@ -13,20 +13,11 @@ from numpy.typing import NDArray
 
 from nrbench.imaging.convert import MIN_SIDE, Image, largest_box
 from nrbench.imaging.masks import Mask, known_at
-from nrbench.imaging.mean_tile import explained_share
+from nrbench.imaging.mean_tile import explained_share, interpolate_planes
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.vertices import Vertex, lay_vertices, list_vertices
 
 from .growth import Knots
-
-__all__ = [
-    "LEAST_AMPLITUDE",
-    "Deformation",
-    "fit_homography",
-    "map_points",
-    "pixel_places",
-    "read_spline",
-]
 
 LEAST_AMPLITUDE: Final = 0.04
 """Amplitude, in s, below which displacements are taken for errors of measurement."""
@@ -357,8 +348,7 @@ class Deformation:
 def read_spline(image: Image, points: Points) -> Image:
     """Return the values of an image at points (x, y), ``(..., 2)``, by splines of order 5, in [0, 1]: ``(..., C)``."""
     at = np.moveaxis(points, -1, 0)[::-1]
-    planes = [scipy.ndimage.map_coordinates(plane, at, order=5, mode="mirror") for plane in np.moveaxis(image, -1, 0)]
-    return np.asarray(np.clip(np.stack(planes, -1), 0, 1), np.float32)
+    return np.asarray(np.clip(interpolate_planes(image, at, 5, "mirror"), 0, 1), np.float32)
 
 
 def pixel_places(height: int, width: int, top: int = 0, left: int = 0) -> Points:

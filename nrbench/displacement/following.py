@@ -10,14 +10,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.imaging.convert import Image, shrink
+from nrbench.imaging.convert import Image, shrink, smooth_inside
 from nrbench.imaging.mean_tile import Values, explained_share, fold, interpolate
 from nrbench.lattice.geometry import Lattice, Points
 
 from .growth import Knots, Start, grow_from, grow_on
 from .renumbering import renumber, similarity
-
-__all__ = ["find_knots", "follow_on", "follow_roughly", "merit", "probe", "rate_knots"]
 
 _FINEST: Final = 14.0
 """px; an image is shrunk as far as its s stays above this. Time then does not grow with s."""
@@ -202,16 +200,12 @@ def _smooth(values: Values, sigma: float) -> Values:
     Importing that function takes longer than all else that a sample with a given lattice needs.
     """
     reach = int(4 * sigma + 0.5)
-    weights = np.exp(-0.5 / sigma**2 * np.arange(-reach, 1) ** 2)
-    weights /= 2 * weights.sum() - 1
+    weights = np.exp(-0.5 / sigma**2 * np.arange(-reach, reach + 1) ** 2)
+    weights /= weights.sum()
     for axis in (0, 1):
         edges = [(reach, reach) if each == axis else (0, 0) for each in range(3)]
-        padded = np.moveaxis(np.pad(values.astype(np.float64), edges, "symmetric"), axis, 0)
-        size = values.shape[axis]
-        total = padded[reach : reach + size] * weights[reach]
-        for k in range(reach):
-            total += (padded[k : k + size] + padded[2 * reach - k :][:size]) * weights[k]
-        values = np.moveaxis(total, 0, axis).astype(values.dtype)
+        padded = np.moveaxis(np.pad(values, edges, "symmetric"), axis, 0)
+        values = np.moveaxis(smooth_inside(padded, weights), 0, axis)
     return values
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
+from nrbench.imaging.mean_tile import interpolate_planes
 from nrbench.lattice.geometry import Points
 
 TAPS: Final = 4
@@ -85,11 +85,7 @@ class FreeForm:
     def at(self, points: Points) -> Points:
         """Return the displacements at points ``(..., 2)`` px, as ``(..., 2)``. Outside the domain they are constant."""
         inside = np.clip((points - self.start) / self.spacing, 0, np.array(self.controls.shape[1::-1]) - 3) + 1
-        at = np.moveaxis(inside, -1, 0)[::-1]
-        planes = np.moveaxis(self.controls, -1, 0)
-        return np.stack(
-            [scipy.ndimage.map_coordinates(plane, at, None, 3, "nearest", prefilter=False) for plane in planes], -1
-        )
+        return interpolate_planes(self.controls, np.moveaxis(inside, -1, 0)[::-1], 3, "nearest", prefilter=False)
 
 
 def approximate(points: Points, values: Points, spacing: float, shape: tuple[int, int]) -> Controls:

@@ -12,12 +12,11 @@ import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.masks import Mask
-from nrbench.imaging.mean_tile import Tile, Values, sample_tile
+from nrbench.imaging.mean_tile import Tile, Values, interpolate_planes, sample_tile
+from nrbench.imaging.source_maps import read_nearest
 from nrbench.lattice.geometry import Lattice, Points
 
 from . import growth_kernels
-
-__all__ = ["PARTS", "Knots", "Start", "cell_covariance", "grow_from", "grow_on"]
 
 PARTS: Final = 2
 """Parts into which each step of about s is divided by knots, if they are fine."""
@@ -103,10 +102,9 @@ class Knots:
         """
         side = max(round(_WIDTH * math.sqrt(abs(float(np.linalg.det(self._fit()[:2]))))), 1)
         share = scipy.ndimage.uniform_filter(known.astype(np.float32), side)
-        columns, rows = np.moveaxis(
-            np.clip(np.rint(self.places), 0, np.array(known.shape[::-1]) - 1).astype(int), -1, 0
+        return replace(
+            self, correlation=np.where(read_nearest(share, self.places) > _LEAST_KNOWN, self.correlation, 0.0)
         )
-        return replace(self, correlation=np.where(share[rows, columns] > _LEAST_KNOWN, self.correlation, 0.0))
 
     @property
     def quality(self) -> float:
@@ -159,9 +157,7 @@ class Knots:
 
     def locate(self, cells: Points) -> Points:
         """Return the places (x, y) px of cell coordinates ``(..., 2)``, by cubic splines through the knots."""
-        at = self.positions(cells)
-        planes = np.moveaxis(self._continued, -1, 0)
-        return np.stack([scipy.ndimage.map_coordinates(plane, at, order=3, mode="nearest") for plane in planes], -1)
+        return interpolate_planes(self._continued, self.positions(cells), 3, "nearest")
 
     @cached_property
     def _continued(self) -> Points:

@@ -19,8 +19,6 @@ from nrbench.lattice.geometry import Points
 
 from .growth import Knots
 
-__all__ = ["renumber", "similarity"]
-
 _FAULTLESS: Final = 0.95
 """Correlation, over the median, of knots that do not lie in a fault."""
 _TORN = 0.12

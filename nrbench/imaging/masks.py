@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nrbench.errors import require
 from nrbench.imaging.convert import MIN_SIDE, OPAQUE, Image, as_image, is_opaque
+from nrbench.imaging.source_maps import read_nearest
 from nrbench.lattice.geometry import Lattice
 
 Mask = NDArray[np.bool_]
@@ -89,8 +90,7 @@ def known_at(known: Mask, points: NDArray[np.floating[Any]]) -> Mask:
     import scipy.ndimage  # most commands need none of this
 
     sure = scipy.ndimage.binary_erosion(known, np.ones((5, 5), bool), border_value=1)
-    x, y = np.moveaxis(np.clip(np.rint(points), 0, np.array(known.shape[::-1]) - 1).astype(int), -1, 0)
-    return np.asarray(sure[y, x])
+    return read_nearest(sure, points)
 
 
 def fill_periodically(image: Image, known: Mask, lattice: Lattice) -> Image:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from nrbench.imaging.mean_tile_kernels import accumulate_pixels, interpolate_image, interpolate_tile
@@ -119,3 +121,19 @@ def interpolate(image: Values, xy: NDArray[np.float64]) -> Values:
     inside = np.clip(xy.reshape(-1, 2), 0, np.array(image.shape[1::-1]) - 1)
     values = interpolate_image(np.require(image, np.float32, ("C", "W")), np.ascontiguousarray(inside, np.float64))
     return values.reshape(*xy.shape[:-1], image.shape[2])
+
+
+def interpolate_planes(
+    values: NDArray[Any],
+    at: NDArray[np.float64],
+    order: Literal[3, 5],
+    mode: Literal["mirror", "nearest"],
+    prefilter: bool = True,
+) -> NDArray[Any]:
+    """Return the values ``(..., C)`` of an array ``(H, W, C)`` at places ``(2, ...)``, row first, by splines.
+
+    ``order``, ``mode`` and ``prefilter`` are those of :func:`scipy.ndimage.map_coordinates`.
+    """
+    planes = np.moveaxis(values, -1, 0)
+    read = [scipy.ndimage.map_coordinates(each, at, None, order, mode, prefilter=prefilter) for each in planes]
+    return np.stack(read, -1)

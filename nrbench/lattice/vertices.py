@@ -11,11 +11,6 @@ from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Lattice, Points
 
-__all__ = [
-    *("LEAST_VERTICES", "TOLERANCE", "Vertex", "VertexMatch", "displace_vertices", "fit_lattice", "lay_vertices"),
-    *("list_vertices", "match_vertices"),
-]
-
 TOLERANCE: Final = 0.2
 """Largest distance, in s, of a found vertex from the true one: a lattice of another phase then hits one of eight."""
 LEAST_VERTICES: Final = 4

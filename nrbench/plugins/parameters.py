@@ -293,13 +293,15 @@ def fields_by_call(cls: type[Any]) -> list[dataclasses.Field[Any]]:
     return sorted(dataclasses.fields(cls), key=lambda field: field.kw_only is True)
 
 
-def append_parameters(cls: type[Any], base: type[Any]) -> None:
-    """Append the parameters that a base class documents to the docstring of a class that inherits them.
+class SharedParameters:
+    """The base of a class whose parameters several plugins inherit. The page of each plugin describes them, too."""
 
-    Call it in the base's ``__init_subclass__``: the docstring of a plugin is its page, which describes all parameters.
-    """
-    if cls.__doc__ and base.__doc__:
-        shared = inspect.cleandoc(base.__doc__).partition("Parameters\n----------\n")[2]
-        own, heading, references = inspect.cleandoc(cls.__doc__).partition("\n\nReferences\n")
-        begin = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
-        cls.__doc__ = f"{own}\n{begin}{shared}{heading}{references}\n"
+    def __init_subclass__(cls) -> None:
+        """Append the parameters that base classes document to the docstring of a class that inherits them."""
+        super().__init_subclass__()
+        for base in reversed(cls.__mro__[1:]):
+            if SharedParameters in base.__bases__ and cls.__doc__ and base.__doc__:
+                shared = inspect.cleandoc(base.__doc__).partition("Parameters\n----------\n")[2]
+                own, heading, references = inspect.cleandoc(cls.__doc__).partition("\n\nReferences\n")
+                begin = "" if "\nParameters\n" in own else "\nParameters\n----------\n"
+                cls.__doc__ = f"{own}\n{begin}{shared}{heading}{references}\n"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from nrbench import plugins
 from nrbench.errors import BadInput
-from nrbench.plugins.parameters import append_parameters, match_pattern, nearest
+from nrbench.plugins.parameters import SharedParameters, match_pattern, nearest
 from nrbench.runs.records import CellRecord, Run
 
 from .estimates import (
@@ -348,7 +348,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ComparisonOptions:
+class ComparisonOptions(SharedParameters):
     """How the methods of a run are compared. The reports that show the comparison share these parameters.
 
     Parameters
@@ -364,11 +364,6 @@ class ComparisonOptions:
     tests: bool = True
     baseline: str = ""
     population: bool = False
-
-    def __init_subclass__(cls) -> None:
-        """Append the parameters to the docstring of a report."""
-        super().__init_subclass__()
-        append_parameters(cls, ComparisonOptions)
 
     def comparison(self, run: Run) -> Comparison:
         """Return the comparison of a run, as :func:`compare_methods`."""

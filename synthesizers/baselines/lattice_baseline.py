@@ -22,7 +22,6 @@ class LatticeBaseline:
     """A baseline that knows the lattice, and whose output pixels each show one point of the sample."""
 
     reference: ClassVar[bool] = True
-    uses_lattice: ClassVar[bool] = True
     finder: ClassVar[str] = "gncc"
     right_on: ClassVar[frozenset[Kind]] = frozenset({"0"})
 

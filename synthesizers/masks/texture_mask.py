@@ -17,7 +17,7 @@ from nrbench.errors import require
 from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Geometry, Refused, Shape, Synthesis, Task
-from nrbench.plugins.parameters import append_parameters
+from nrbench.plugins.parameters import SharedParameters
 from nrbench.spectra.harmonics import (
     Channels,
     Harmonic,
@@ -48,7 +48,7 @@ MASK_OF_THE_PAPER: Final[Mapping[str, Any]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class MaskParameters:
+class MaskParameters(SharedParameters):
     """The parameters of a mask. All methods that are guided by a mask inherit from this class.
 
     The descriptions below are appended to the page of each method.
@@ -91,11 +91,6 @@ class MaskParameters:
     signal: Signal = "real"
     channels: Channels = "joint"
     geometry: Geometry = "waves"
-
-    def __init_subclass__(cls) -> None:
-        """Append these parameters to the method's page."""
-        super().__init_subclass__()
-        append_parameters(cls, MaskParameters)
 
     def __post_init__(self) -> None:
         require(self.harmonics in get_args(Harmonic), f"harmonics {self.harmonics!r}; choose free or tied")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nrbench.errors import require, require_ranges
 from nrbench.imaging.convert import Image, to_bytes
 from nrbench.plugins.forms import Refused, SourceMap, Task
-from nrbench.plugins.parameters import append_parameters
+from nrbench.plugins.parameters import SharedParameters
 
 from .neighbor_search import Integers, KdTree, Projection
 from .pixel_growing_kernels import CanvasArrays, NeighborhoodArrays, SampleArrays, grow_box
@@ -33,7 +33,7 @@ LEAF = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchParameters:
+class SearchParameters(SharedParameters):
     """The parameters of the search for sources. All pixel-based methods inherit from this class.
 
     The descriptions below are appended to the page of each method.
@@ -55,11 +55,6 @@ class SearchParameters:
     search: Search = "ann"
     coherence: float = 2.5
     dimensions: int = 16
-
-    def __init_subclass__(cls) -> None:
-        """Append these parameters to the method's page."""
-        super().__init_subclass__()
-        append_parameters(cls, SearchParameters)
 
     def __post_init__(self) -> None:
         require_ranges(self, coherence=(0, np.inf), dimensions=(0, np.inf))

@@ -2,11 +2,9 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
-import scipy
 
 from nrbench.datasets_procedural.modelling.pattern import (
     Field,
@@ -26,7 +24,6 @@ from nrbench.datasets_procedural.modelling.random_fields import (
     grain,
     ink_shares,
     palette,
-    smooth_inside,
     waves,
 )
 from nrbench.datasets_procedural.weave import Weave
@@ -113,16 +110,6 @@ def test_drafts_of_weaves() -> None:
     assert (above["twill"] == np.roll(np.roll(above["twill"], 1, 0), -1, 1)).all()
     assert (above["basket"][::2] == above["basket"][1::2]).all()
     assert (above["herringbone"][:, 1:4] == above["herringbone"][:, 7:4:-1]).all()
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_fields_are_smoothed_as_scipy_does(dtype: type[np.floating[Any]]) -> None:
-    """Where the kernel does not overhang, the smoothed field is that of scipy, to the bit."""
-    field = np.random.default_rng(0).standard_normal((90, 41)).astype(dtype)
-    kernel = np.array([0.01, 0.3, 0.9, 0.3, 0.01])
-    smooth = smooth_inside(field, kernel)
-    assert smooth.dtype == dtype
-    np.testing.assert_array_equal(smooth, scipy.ndimage.correlate1d(field, kernel, 0)[2:-2])
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 6])

@@ -1,14 +1,17 @@
 """Conversion at the border: what users hold becomes one form, and what cannot be used is refused by name."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+import scipy
 
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import (
     as_image,
     match_ndim,
     quantize,
-    sum_channels,
+    smooth_inside,
     to_bytes,
 )
 
@@ -60,11 +63,10 @@ def test_rounding_is_what_the_png_holds() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("channels", [1, 3, 4])
-def test_channels_are_summed_as_numpy_does(channels: int, dtype: type) -> None:
-    """Sums over channels are numpy's to the last bit; the image stays."""
-    image = np.random.default_rng(1).random((5, 7, channels)).astype(dtype)
-    before = image.copy()
-    np.testing.assert_array_equal(sum_channels(image), image.sum(-1))
-    np.testing.assert_array_equal(image, before)
-    assert sum_channels(image).dtype == dtype
+def test_fields_are_smoothed_as_scipy_does(dtype: type[np.floating[Any]]) -> None:
+    """Where the kernel does not overhang, the smoothed field is that of scipy, to the bit."""
+    field = np.random.default_rng(0).standard_normal((90, 41)).astype(dtype)
+    kernel = np.array([0.01, 0.3, 0.9, 0.3, 0.01])
+    smooth = smooth_inside(field, kernel)
+    assert smooth.dtype == dtype
+    np.testing.assert_array_equal(smooth, scipy.ndimage.correlate1d(field, kernel, 0)[2:-2])
