@@ -101,7 +101,7 @@ def _find_weights(sigma: float) -> NDArray[np.float64]:
 
 def _level(energy: NDArray[Any], unseen: float = limits.BAND_OFFSET, out: NDArray[Any] | None = None) -> NDArray[Any]:
     """Return 20 ln of the amplitude of an energy, plus the amplitude that is not seen."""
-    level = np.add(energy, np.float32(unseen**2), out=out)
+    level: NDArray[Any] = np.add(energy, np.float32(unseen**2), out=out)
     np.log(level, out=level)
     level *= 10
     return level
