@@ -71,8 +71,10 @@ def _perceive_pixels(pixels: bytes, shape: tuple[int, ...], mask: bytes) -> Seen
 
 def draw_in_bands(output: Image, draw: Callable[[Image, int], Image]) -> Image:
     """Return what a function draws on bands of an image, of about half a million pixels, from their first rows on."""
-    step = max(_BAND // output.shape[1], 1)
-    return np.concatenate([draw(output[top : top + step], top) for top in range(0, output.shape[0], step)])
+    step, drawn = max(_BAND // output.shape[1], 1), np.empty_like(output)
+    for top in range(0, output.shape[0], step):
+        drawn[top : top + step] = draw(output[top : top + step], top)
+    return drawn
 
 
 def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> Image:
@@ -97,9 +99,12 @@ def _find_weights(sigma: float) -> NDArray[np.float64]:
     return np.asarray(weights / (2 * weights.sum() - 1))
 
 
-def _level(energy: NDArray[Any], unseen: float = limits.BAND_OFFSET) -> NDArray[Any]:
+def _level(energy: NDArray[Any], unseen: float = limits.BAND_OFFSET, out: NDArray[Any] | None = None) -> NDArray[Any]:
     """Return 20 ln of the amplitude of an energy, plus the amplitude that is not seen."""
-    return np.asarray(10 * np.log(energy + np.float32(unseen**2)))
+    level: NDArray[Any] = np.add(energy, np.float32(unseen**2), out=out)
+    np.log(level, out=level)
+    level *= 10
+    return level
 
 
 def _halve(plane: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -120,13 +125,18 @@ def measure_looks(lab: Lab) -> NDArray[np.float32]:
     looks[..., :3] = lab[..., :3]
     grain = np.zeros_like(raw)
     grain[1:-1, 1:-1] = np.diff(np.diff(raw, 2, 0), 2, 1) / 6
-    looks[..., 3] = _level(smooth_plane(grain * grain, 1.5), limits.GRAIN_OFFSET)
+    _level(smooth_plane(grain * grain, 1.5), limits.GRAIN_OFFSET, looks[..., 3])
+    del grain  # large, as are the planes that follow
     for k, (sigma, reach) in enumerate(((1.2, 2), (2.4, 2), (5.0, 3)), 4):
         octave = smooth_plane(raw, sigma)
-        looks[..., k] = _level(smooth_plane((before - octave) ** 2, reach))
+        before = before - octave
+        before *= before
+        _level(smooth_plane(before, reach), out=looks[..., k])
         before = octave
     for k in (1, 2):
-        looks[..., 6 + k] = _level(smooth_plane((lab[..., k] - smooth_plane(lab[..., k], 6)) ** 2, 4), limits.JND)
+        tint = lab[..., k] - smooth_plane(lab[..., k], 6)
+        tint *= tint
+        _level(smooth_plane(tint, 4), limits.JND, looks[..., 6 + k])
     return looks
 
 

@@ -133,7 +133,7 @@ def main(arguments: list[str] | None = None) -> None:
             warnings.showwarning = _print_warning
             code = nrbench.main(args=words, prog_name="nrbench", standalone_mode=False)
     except (KeyboardInterrupt, click.Abort):
-        code = _print_error("interrupted; run the same command again to resume", 130)
+        code = _print_error("interrupted" + "; run the same command again to resume" * ("run" in words), 130)
     except click.exceptions.NoArgsIsHelpError as help_text:
         print(help_text.format_message())
         code = 0
