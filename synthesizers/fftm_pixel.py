@@ -97,9 +97,6 @@ class FftmPixel(MaskParameters, SearchParameters):
     match: Match = "full"
     distance: Literal["squares", "norms"] = "norms"
 
-    needs_lattice: ClassVar[bool] = False
-    family: ClassVar[str] = "patches and pixels under a mask"
-    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
