@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Pattern, interlace
 
 _STAKE = (0.42, 0.32, 0.24)
@@ -42,9 +42,7 @@ class Basket(Model):
     draft: Literal["single", "double"] = "single"
 
     breadth = ("strand", 1)
-
-    def _check_parameters(self) -> None:
-        check_sizes(self, gap=1, stake=self.gap + 2, strand=self.gap + 2)
+    least_sizes = {"gap": 1, "stake": lambda own: own.gap + 2, "strand": lambda own: own.gap + 2}
 
     @property
     def vectors(self) -> Vectors:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.model import SquareModel, check_sizes
+from .modelling.model import SquareModel
 from .modelling.pattern import Field, Layer, Pattern, bevel, box, cells, coverage, mix
 
 _GLAZE = (0.55, 0.55, 0.52)
@@ -30,8 +30,7 @@ class Ceramic(SquareModel):
     period: float = 29.3
     joint: float = 2.0
 
-    def _check_parameters(self) -> None:
-        check_sizes(self, joint=1, period=6 * self.joint)
+    least_sizes = {"joint": 1, "period": lambda own: 6 * own.joint}
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return tiles on grout; the origin is the middle of a tile."""

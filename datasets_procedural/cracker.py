@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.model import SquareModel, check_sizes
+from .modelling.model import SquareModel
 from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, disc, mix, split_period
 
 _BISCUIT = (0.62, 0.52, 0.36)
@@ -29,8 +29,7 @@ class Cracker(SquareModel):
     period: float = 33.7
     gap: float = 2.4
 
-    def _check_parameters(self) -> None:
-        check_sizes(self, gap=1, period=16 + self.gap)
+    least_sizes = {"gap": 1, "period": lambda own: 16 + own.gap}
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return crackers on a tray; the origin is the middle of one."""

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import (
     Field,
     Index,
@@ -49,8 +49,7 @@ class Hexagon(Model):
     joint: float = 2.4
     style: Literal["tiles", "net"] = "tiles"
 
-    def _check_parameters(self) -> None:
-        check_sizes(self, joint=1, period=self.joint + 2)
+    least_sizes = {"joint": 1, "period": lambda own: own.joint + 2}
 
     @property
     def vectors(self) -> Vectors:

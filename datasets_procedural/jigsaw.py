@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Layer, Pattern, coverage, disc, rim, split_period
 
 _CARD = (0.52, 0.50, 0.39)
@@ -35,8 +35,7 @@ class Jigsaw(Model):
     gap: float = 1.6
     tabs: Literal["alternate", "same"] = "alternate"
 
-    def _check_parameters(self) -> None:
-        check_sizes(self, gap=1, width=8 * self.gap, height=8 * self.gap)
+    least_sizes = {"gap": 1, "width": lambda own: 8 * own.gap, "height": lambda own: 8 * own.gap}
 
     @property
     def vectors(self) -> Vectors:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Layer, Pattern, capsule, coverage, round_profile, split_period, stripe
 
 _ROPE = (0.60, 0.52, 0.38)
@@ -33,9 +33,7 @@ class Mat(Model):
     rope: float = 8.3
 
     breadth = ("rope", 1)
-
-    def _check_parameters(self) -> None:
-        check_sizes(self, rope=3, width=2 * self.rope, height=self.rope)
+    least_sizes = {"rope": 3, "width": lambda own: 2 * own.rope, "height": lambda own: own.rope}
 
     @property
     def vectors(self) -> Vectors:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, lozenge, rim
 
 _STONE = (0.54, 0.50, 0.46)
@@ -40,9 +40,7 @@ class Pavement(Model):
     style: Literal["herringbone", "basket", "octagon"] = "octagon"
 
     breadth = ("width", 1)
-
-    def _check_parameters(self) -> None:
-        check_sizes(self, joint=1, width=2 * self.joint + 2)
+    least_sizes = {"joint": 1, "width": lambda own: 2 * own.joint + 2}
 
     @property
     def vectors(self) -> Vectors:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Pattern, interlace, mix
 
 _CRUST = (0.62, 0.49, 0.31)
@@ -30,8 +30,7 @@ class Pie(Model):
     period: float = 20.3
     strip: float = 12.1
 
-    def _check_parameters(self) -> None:
-        check_sizes(self, strip=4, period=self.strip + 1)
+    least_sizes = {"strip": 4, "period": lambda own: own.strip + 1}
 
     @property
     def vectors(self) -> Vectors:

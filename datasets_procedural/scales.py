@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Index, Layer, Pattern, coverage, disc, rim
 
 _SCALE = (0.39, 0.52, 0.54)
@@ -28,8 +28,7 @@ class Scales(Model):
     width: float = 26.9
     gap: float = 1.8
 
-    def _check_parameters(self) -> None:
-        check_sizes(self, gap=1, width=6 * self.gap)
+    least_sizes = {"gap": 1, "width": lambda own: 6 * own.gap}
 
     @property
     def vectors(self) -> Vectors:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Pattern, interlace
 
 _WARP = (0.34, 0.37, 0.45)
@@ -46,8 +46,7 @@ class Weave(Model):
     gap: float = 1.5
     draft: Literal["plain", "twill", "basket", "herringbone"] = "plain"
 
-    def _check_parameters(self) -> None:
-        check_sizes(self, gap=1, warp=self.gap + 2, weft=self.gap + 2)
+    least_sizes = {"gap": 1, "warp": lambda own: own.gap + 2, "weft": lambda own: own.gap + 2}
 
     @property
     def vectors(self) -> Vectors:

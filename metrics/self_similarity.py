@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from nrbench.imaging.convert import Image
-from nrbench.imaging.correlation import half_autocorrelation
+from nrbench.imaging.correlation import find_vertex, half_autocorrelation
 from nrbench.plugins.forms import Column, Observation, Score, Value
 
 REACH = 0.6
@@ -138,8 +138,7 @@ def _find_minima(contrast: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDAr
     low = np.zeros(contrast.shape, np.bool_)
     low[:, 1:-1] = (here <= before) & (here < after)
     lags = np.broadcast_to(np.arange(contrast.shape[1], dtype=np.float64), contrast.shape).copy()
-    bend = np.where(low[:, 1:-1], before - 2 * here + after, 1)
-    lags[:, 1:-1] += np.where(low[:, 1:-1], (before - after) / (2 * bend), 0)
+    lags[:, 1:-1] += np.where(low[:, 1:-1], find_vertex(-before, -here, -after), 0)
     return low, lags
 
 

@@ -70,9 +70,9 @@ def _mean_copy_length(source: SourceMap) -> float:
 def _count_uses(source: SourceMap, shape: tuple[int, ...]) -> NDArray[np.int64]:
     """Return the number of output pixels that each sample pixel was copied to, ``(H, W)``."""
     known = source[_known(source)]
-    x, y = np.rint(known[:, :2]).astype(np.intp).T
-    x, y = np.clip(x, 0, shape[1] - 1), np.clip(y, 0, shape[0] - 1)
-    return np.asarray(np.bincount(y * shape[1] + x, minlength=shape[0] * shape[1]).reshape(shape))
+    places = np.rint(known[:, 1::-1]).astype(np.intp).T
+    index = np.ravel_multi_index(tuple(places), shape, mode="clip")
+    return np.asarray(np.bincount(index, minlength=math.prod(shape)).reshape(shape))
 
 
 def _entropy(counts: NDArray[np.int64]) -> float:

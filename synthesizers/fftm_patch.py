@@ -103,9 +103,6 @@ class FftmPatch(MaskParameters):
     refinements: int = 0
     normalized: bool = True
 
-    needs_lattice: ClassVar[bool] = False
-    family: ClassVar[str] = "patches and pixels under a mask"
-    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {

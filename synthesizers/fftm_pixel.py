@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -96,9 +97,6 @@ class FftmPixel(MaskParameters, SearchParameters):
     match: Match = "full"
     distance: Literal["squares", "norms"] = "norms"
 
-    needs_lattice: ClassVar[bool] = False
-    family: ClassVar[str] = "patches and pixels under a mask"
-    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {
@@ -117,10 +115,7 @@ class FftmPixel(MaskParameters, SearchParameters):
         SearchParameters.__post_init__(self)
         require_ranges(self, neighborhood=(2, 6), weight=(0, 100))
         unused = self.match == "cluster" and self.weight != FftmPixel.weight
-        require(
-            not unused,
-            f"weight {self.weight} has no effect with match 'cluster'; choose match 'full'",
-        )
+        require(not unused, f"weight {self.weight} has no effect with match 'cluster'; choose match 'full'")
 
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:
         """Return the synthesis guided by a given mask of the sample. Exceptions are those of :meth:`synthesize`."""
@@ -138,13 +133,10 @@ class FftmPixel(MaskParameters, SearchParameters):
             groups = clusters.label_output(growth.layers, task.shape, growth.corner)
         masked = self.match == "full"
         norms = masked and self.distance == "norms"
-        index = NeighborhoodIndex(layers, candidates, Neighborhood.first_pass(size, masked), self, self.weight, norms)
-        growth.grow(index, range(height), range(width), groups)
+        index = partial(NeighborhoodIndex, layers, candidates, rules=self, weight=self.weight, norms=norms)
+        growth.grow(index(Neighborhood.first_pass(size, masked)), range(height), range(width), groups)
         if self.tileable:
-            index = NeighborhoodIndex(
-                layers, candidates, Neighborhood.second_pass(size, masked), self, self.weight, norms
-            )
-            growth.grow_edges(index, size, groups)
+            growth.grow_edges(index(Neighborhood.second_pass(size, masked)), size, groups)
         image, source = growth.result()
         task.progress(1.0)
         return Synthesis(image, mask.lattice, source, {"mask": bordered[top : top + height, left : left + width]})

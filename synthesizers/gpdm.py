@@ -124,7 +124,7 @@ class Gpdm:
                 grain = task.rng.standard_normal((*shape, sample.shape[2]), np.float32)
                 image = sample.mean((0, 1)) + np.float32(self.noise * SCALE) * grain
             planes, distance = self._match_patches(to_planes(image), to_planes(sample), task.rng, task.tileable)
-            image = np.clip(from_planes(planes), 0, 1)
+            image = np.ascontiguousarray(np.moveaxis(np.clip(planes, 0, 1), 0, -1))
             distances.append(distance)
             task.progress((number + 1) / len(resolutions))
         output = image[border : border + task.shape[0], border : border + task.shape[1]]
@@ -157,11 +157,6 @@ def _decay(average: NDArray[np.float32], new: NDArray[np.float32], rate: float) 
 def to_planes(image: Image) -> Planes:
     """Return the planes of an image."""
     return np.ascontiguousarray(np.moveaxis(image, -1, 0), np.float32)
-
-
-def from_planes(planes: Planes) -> Image:
-    """Return the image of planes."""
-    return np.ascontiguousarray(np.moveaxis(planes, 0, -1))
 
 
 def draw_filters(count: int, channels: int, size: int, rng: np.random.Generator) -> Filters:

@@ -16,8 +16,6 @@ from .canvas.canvas import Window
 from .gap_filling.holes import leaves_out
 from .patchwork.patchwork import LEAST_OVERLAP, Patchwork, Placement, SeamHeat, WholePatches, to_gray_levels
 
-Refine = Literal["worst", "random", "minima", "extremes"]
-
 LEAST_REGION = 3
 """px: least side of a region that a patch covers."""
 MARGIN = 8
@@ -96,7 +94,7 @@ class GraphCuts:
     placement: Placement = "entire"
     randomness: float = 0.01
     region: float = 0.5
-    refine: Refine = "worst"
+    refine: Literal["worst", "random", "minima", "extremes"] = "worst"
     passes: int = 1
     normalized: bool = True
     feather: float = 1.0

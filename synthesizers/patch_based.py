@@ -30,8 +30,6 @@ from .patch_laying.raster_order import (
 )
 from .pixel_growing.neighbor_search import FARTHEST, LANES, KdTree, TreePoints
 
-Search = Literal["exhaustive", "kdtree"]
-
 NEIGHBORS = 40
 """Number of patches that the k-d tree finds."""
 SEARCH_ERROR = 1.0
@@ -93,7 +91,7 @@ class PatchBased:
     patch: int = 0
     zone: int = 8
     epsilon: float = 0.01
-    search: Search = "exhaustive"
+    search: Literal["exhaustive", "kdtree"] = "exhaustive"
 
     wraps: ClassVar[bool] = True
     uses_lattice: ClassVar[bool] = False

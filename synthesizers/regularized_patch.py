@@ -305,28 +305,15 @@ class TexelStock:
         """Return the number of points of the zone that a texel shares with the one at a step."""
         return len(self._zones[min(step, _opposite(step))][0])
 
-    def differences(self, step: Step, there: int) -> NDArray[np.float64]:
-        """Return how each texel differs from one beside it, in the zone that they share, ``(n,)``.
-
-        Squared differences are summed over the points of the zone and averaged over channels. All texels lie on the
-        lattice, so that these numbers hold wherever the two meet.
-
-        Parameters
-        ----------
-        step
-            From each texel to the one beside it.
-        there
-            The number of the texel beside it.
-
-        Notes
-        -----
-        The first call for a step and a texel takes O(n zone). At most :data:`_KEPT` numbers are kept for later calls;
-        n x n tables would take hundreds of MiB where the sample holds thousands of texels.
-        """
-        return self._differences(step, there)
-
     @cached_property
-    def _differences(self) -> Callable[[Step, int], NDArray[np.float64]]:
+    def differences(self) -> Callable[[Step, int], NDArray[np.float64]]:
+        """How each texel differs from one beside it, in their zone: a function of the step to it and its number.
+
+        It returns ``(n,)``: squared differences are summed over the points of the zone and averaged over channels. All
+        texels lie on the lattice, so that these numbers hold wherever the two meet. The first call for a step and a
+        texel takes O(n zone). At most :data:`_KEPT` numbers are kept for later calls; n x n tables would take hundreds
+        of MiB where the sample holds thousands of texels.
+        """
         return lru_cache(max(1, _KEPT // max(len(self.middles), 1)))(self._compute_differences)
 
     def _compute_differences(self, step: Step, there: int) -> NDArray[np.float64]:

@@ -40,8 +40,6 @@ class Shuffle(LatticeBaseline):
     ``gncc``.
     """
 
-    wraps: ClassVar[bool] = True
-    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
 
     def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:

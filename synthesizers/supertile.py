@@ -33,8 +33,6 @@ class Supertile(LatticeBaseline):
     ``gncc``. The note gives the number of tiles in the crop.
     """
 
-    wraps: ClassVar[bool] = True
-    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "1"
 
     def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:

@@ -42,8 +42,6 @@ class Tiling(LatticeBaseline):
 
     tile: Literal["typical", "random"] = "typical"
 
-    wraps: ClassVar[bool] = True
-    maps: ClassVar[str] = "source"
     version: ClassVar[str] = "2"
 
     def find_tiles(self, task: Task, lattice: Lattice) -> tuple[Callable[[Points], Points], str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
@@ -107,8 +107,8 @@ class Model(SharedParameters, ABC):
 
     procedural: ClassVar[bool] = True
     version: ClassVar[str] = "1"
-    least_sizes: ClassVar[Mapping[str, float]] = {}
-    """Least values, px, of the parameters that are lengths, as far as they depend on no other parameter."""
+    least_sizes: ClassVar[Mapping[str, float | Callable[[Any], float]]] = {}
+    """Least values, px, of the parameters that are lengths; a function of the model where another parameter decides."""
     breadth: ClassVar[tuple[str, float]] = ("s", 0.5)
     """Typical breadth of an element: the name of a length, and the breadth as its multiple."""
 
@@ -124,7 +124,7 @@ class Model(SharedParameters, ABC):
 
     def _check_parameters(self) -> None:
         """Raise :class:`BadInput` if a model's own parameters are out of range."""
-        check_sizes(self, **self.least_sizes)
+        check_sizes(self, **{name: low(self) if callable(low) else low for name, low in self.least_sizes.items()})
 
     @property
     @abstractmethod

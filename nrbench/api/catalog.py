@@ -193,14 +193,10 @@ def _page(kind: str, plugin: Any) -> dict[str, Any]:
     if kind == "synthesizers":
         page["patches"] = dict(zip(PATCH_TERMS, describe_patches(cls, page["parameters"]), strict=False))
     if kind == "metrics":
-        page["columns"] = {key: _declared(column) for key, column in cls.columns.items()}
+        page["columns"] = {key: dataclasses.asdict(column) for key, column in cls.columns.items()}
+        for column in page["columns"].values():
+            column["range"] = [end if math.isfinite(end) else None for end in column["range"]]  # JSON has no infinity
     return page
-
-
-def _declared(column: Any) -> dict[str, Any]:
-    """Return the declaration of a column for JSON; an infinite end of its range is null."""
-    ends = [end if math.isfinite(end) else None for end in column.range]
-    return {**dataclasses.asdict(column), "range": ends}
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:

@@ -705,8 +705,7 @@ def _score_or_failure(observation: Observation, metric: str) -> Score:
     try:
         return score_observation(observation, metric)
     except Exception as error:
-        columns = plugins.build("metrics", metric).columns
-        return Score(dict.fromkeys(columns), dict.fromkeys(columns, failure_reason(error)))
+        return Score.missing(plugins.build("metrics", metric).columns, failure_reason(error))
 
 
 def render_textures(

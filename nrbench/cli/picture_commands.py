@@ -12,7 +12,7 @@ import click
 
 from nrbench.api import textures
 from nrbench.api.arguments import METHOD, as_lattice, lattice_in, names_of
-from nrbench.cli.lattice_question import LatticeQuestion
+from nrbench.cli.lattice_question import All, LatticeQuestion
 from nrbench.cli.progress import live_progress, waiting
 from nrbench.cli.verbs import check_output, choose_one, verb
 from nrbench.errors import BadInput, require
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from nrbench.plugins.forms import Synthesis
 
 OutputPicture = Annotated[Path, Flag("-o --output", "OUT.png|.tif|.webp|DIR", kind=Path)]
-All = Annotated[bool, Flag("--all", kind=bool)]
 SeamPicture = Annotated[Path | None, Flag("-o", "SEAM.png", kind=Path)]
 SomeMethod = Annotated[str | None, Flag("-m", METHOD)]
 SomeSize = Annotated[str | None, Flag("--size", "WxH")]

@@ -22,6 +22,8 @@ class LatticeBaseline:
     """A baseline that knows the lattice, and whose output pixels each show one point of the sample."""
 
     reference: ClassVar[bool] = True
+    wraps: ClassVar[bool] = True
+    maps: ClassVar[str] = "source"
     finder: ClassVar[str] = "gncc"
     right_on: ClassVar[frozenset[Kind]] = frozenset({"0"})
 

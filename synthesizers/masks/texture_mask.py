@@ -84,6 +84,9 @@ class MaskParameters(SharedParameters):
     """
 
     wraps: ClassVar[bool] = True
+    needs_lattice: ClassVar[bool] = False
+    family: ClassVar[str] = "patches and pixels under a mask"
+    maps: ClassVar[str] = "source"
 
     tileable: bool = False
     threshold: float = 0.0

@@ -17,7 +17,6 @@ from nrbench.plugins.parameters import SharedParameters
 from .neighbor_search import Integers, KdTree, Projection
 from .pixel_growing_kernels import CanvasArrays, NeighborhoodArrays, SampleArrays, grow_box
 
-Search = Literal["ann", "exhaustive", "k-coherence"]
 Layers = NDArray[np.uint8]
 """``uint8 (L, H, W, C)``: the texture, and (L = 2) its mask."""
 
@@ -52,7 +51,7 @@ class SearchParameters(SharedParameters):
         Number of principal components that are compared. 0, or at least the number of values: all values are compared.
     """
 
-    search: Search = "ann"
+    search: Literal["ann", "exhaustive", "k-coherence"] = "ann"
     coherence: float = 2.5
     dimensions: int = 16
 

@@ -22,8 +22,6 @@ from .element_colors import Table
 from .element_map import WHOLE, ElementMap, Lag, Numbers
 from .element_outlines import OUTLINE_REACH, ElementOutlines
 
-Colors = tuple[Table, Table]
-
 _CORE = 0.97
 """Share from which a place belongs to its element; elsewhere copies meet along a seam."""
 _MEETING = 0.05
@@ -150,7 +148,7 @@ class ElementCopies:
         self,
         shape: Shape,
         rng: np.random.Generator,
-        colors: Colors | None = None,
+        colors: tuple[Table, Table] | None = None,
         torus: CellTorus | None = None,
         exact: Sequence[bool] = (),
     ) -> Numbers:
