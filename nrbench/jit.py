@@ -27,6 +27,7 @@ import pkgutil
 import stat
 import sys
 import tempfile
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -83,6 +84,9 @@ COMPILING = "compiling kernels (once per machine, up to some minutes)"
 SHIPPED_TARGET = "x86-64-v3 "
 """The processor that the machine code of a binary wheel is compiled for."""
 _SHIPPED = Path(__file__).parent / "machine_code"
+_LOADING = threading.RLock()
+_ENVIRONMENTS: list[Any] = []
+"""The environments of all machine code that was linked. The code points at them as long as the process lasts."""
 _PATIENCE = 2.0
 """Seconds of compilation after which the notice is given."""
 
@@ -140,7 +144,8 @@ class Compilation:
         """Print what was compiled, and how long it took, if it took long."""
         if self.ended > _PATIENCE:
             modules = ", ".join(sorted({name.removesuffix("_kernels") for name in self.kernels}))
-            print(f"nrbench: compiled {len(self.kernels)} kernels ({modules}) in {self.ended:.0f} s", file=sys.stderr)
+            count = f"{len(self.kernels)} kernel{'s' * (len(self.kernels) != 1)}"
+            print(f"nrbench: compiled {count} ({modules}) in {self.ended:.0f} s", file=sys.stderr)
 
 
 COMPILATION = Compilation()
@@ -180,12 +185,17 @@ class Kernel(Generic[P, R]):
         Raises
         ------
         TypeError
-            If an argument has another type than the kernel is compiled for.
+            If an array has another type than the kernel is compiled for, or is read-only and the kernel returns
+            nothing but what it writes.
         """
         return (self._loaded or self.load())(*args, **kwargs)
 
     def load(self) -> Callable[P, R]:
         """Return the compiled function. The first call reads its machine code or compiles it."""
+        with _LOADING:
+            return self._load()
+
+    def _load(self) -> Callable[P, R]:
         if self._loaded is None:
             if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
                 self._loaded = self.function
@@ -305,6 +315,8 @@ def find_cache() -> Path:
     """Return the folder of all machine code: that of the user, or a temporary one, with a warning."""
     own = os.environ.get("NUMBA_CACHE_DIR")
     if own:
+        with contextlib.suppress(OSError):
+            Path(own).mkdir(parents=True, exist_ok=True)
         return Path(own)
     try:
         usual = platformdirs.user_cache_path("nrbench", appauthor=False)
@@ -383,14 +395,18 @@ class MachineCode:
 
     @classmethod
     def from_bytes(cls, content: bytes) -> MachineCode:
-        """Return what :meth:`to_bytes` has written."""
+        """Return what :meth:`to_bytes` has written; a ValueError says that it is damaged."""
         head, _, code = content.partition(b"\n")
-        wrapper, environment, constants, needed = json.loads(head)
+        wrapper, environment, constants, needed, digest = json.loads(head)
+        if digest != hashlib.blake2b(code).hexdigest():
+            raise ValueError("damaged machine code")
         return cls(code, wrapper, environment, tuple(constants), tuple(needed))
 
     def to_bytes(self) -> bytes:
-        """Return a line of JSON and the object file."""
-        return json.dumps((self.wrapper, self.environment, self.constants, self.needed)).encode() + b"\n" + self.content
+        """Return a line of JSON, with a hash of the object file, and the object file."""
+        digest = hashlib.blake2b(self.content).hexdigest()
+        head = (self.wrapper, self.environment, self.constants, self.needed, digest)
+        return json.dumps(head).encode() + b"\n" + self.content
 
     def is_complete(self) -> bool:
         """Return whether this process has all C functions that the code calls; LLVM ends a process that lacks one."""
@@ -406,6 +422,7 @@ class MachineCode:
         environment.consts.extend(
             pkgutil.resolve_name(each) if ":" in each else np.dtype(each) for each in self.constants
         )
+        _ENVIRONMENTS.append(environment)
         pointer = engine.get_global_value_address(self.environment)
         ctypes.c_void_p.from_address(pointer).value = id(environment)
         address = engine.get_function_address(self.wrapper)
@@ -469,7 +486,10 @@ def _read_code(declared: Kernel[..., Any]) -> MachineCode | None:
     file = _find_code(declared)
     if file is None:
         return None
-    code = MachineCode.from_bytes(file.read_bytes())
+    try:
+        code = MachineCode.from_bytes(file.read_bytes())
+    except (OSError, ValueError):  # it is damaged
+        return None
     return code if code.is_complete() else None
 
 
@@ -520,9 +540,10 @@ def _check_types(function: Callable[P, R], compiled: Callable[P, R]) -> Callable
     """Return the compiled function with a check of its arrays, because machine code would misread others."""
     hints = get_type_hints(function, include_extras=True)
     layouts = [_find_layout(hint) for name, hint in hints.items() if name != "return"]
+    writes = hints["return"] is type(None)
 
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not _fits(args, layouts):
+        if not _fits(args, layouts, writes):
             raise TypeError(f"{function.__qualname__}: the arguments do not have the types of its annotations")
         return compiled(*args, **kwargs)
 
@@ -541,15 +562,17 @@ def _find_layout(hint: Any) -> Any:
     return np.dtype(name.replace("boolean", "bool")), axes.count(":") - axes.count("::"), "::1" in axes
 
 
-def _fits(values: Iterable[Any], layouts: Iterable[Any]) -> bool:
-    """Return whether all arrays have their layouts."""
+def _fits(values: Iterable[Any], layouts: Iterable[Any], writes: bool) -> bool:
+    """Return whether all arrays have their layouts, and can be written if the kernel ``writes``."""
     for value, layout in zip(values, layouts, strict=True):
         if type(layout) is list:
-            if not _fits(value, layout):
+            if not _fits(value, layout, writes):
                 return False
         elif layout is not None:
             dtype, dimensions, contiguous = layout
             if value.dtype != dtype or value.ndim != dimensions or (contiguous and not value.flags.c_contiguous):
+                return False
+            if writes and not value.flags.writeable:
                 return False
     return True
 

@@ -48,7 +48,6 @@ class Command:
 
     run: str
 
-    starts_programs: ClassVar[bool] = True
     version: ClassVar[str] = "1"
 
     @property

@@ -243,7 +243,7 @@ class GrowingSheet:
         self._ended.add(step.method)
         self.rated = rate_outputs([one for one in Run(self.root).cells if one.method in self._ended])
         made = [pair for pair in self.rated if pair[0].status == "ok"]
-        if step.status == "ok":
+        if made and (step.status == "ok" or step.done == step.total):
             write_image(self.path, draw_sheet(made, step.done, step.total))
             if len(made) == 1 and step.done < step.total:
                 self.tell(f"{self.path}: shows the first output, and grows with each further one")

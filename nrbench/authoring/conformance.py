@@ -25,6 +25,7 @@ from nrbench.calling.method_calls import InvalidOutput
 from nrbench.errors import BadInput, describe_error
 from nrbench.plugins.forms import Refused
 from nrbench.plugins.parameters import leave_user_folder, nearest
+from nrbench.jit import load_kernels
 from nrbench.running.guard import LIMITS, Limits, explain_exit
 from nrbench.running.phases import FAULTS
 from nrbench.running.runner import Options, execute
@@ -106,6 +107,7 @@ def check_plugin(
     """
     plugins.build(kind, name, parameters or {})
     clauses = _choose(kind, only)
+    load_kernels()  # children print nothing, and this process says what it compiles
     with temporary_folder() as place:
         run = str(make_example_run(place / "run")) if kind == "reports" else ""
         subject = Subject(kind, name, dict(parameters or {}), run, tuple(map(str, plugins.files())))

@@ -92,7 +92,8 @@ def waiting(what: str) -> Iterator[Callable[[float], None]]:
         fraction = min(1.0, max(fraction, float(done)))
 
     def tick() -> None:
-        begin, end, pause = ("\r\x1b[2K", "", 0.5) if sys.stderr.isatty() else ("", "\n", PAUSE)
+        terminal, said = sys.stderr.isatty(), ""
+        begin, end, pause = ("\r\x1b[2K", "", 0.5) if terminal else ("", "\n", PAUSE)
         if ended.wait(PATIENCE):
             return
         while True:
@@ -100,11 +101,13 @@ def waiting(what: str) -> Iterator[Callable[[float], None]]:
             passed = time.monotonic() - start - compiled
             state = f"{what}: {passed:.0f} s"
             if COMPILATION.since is not None:
-                state = f"{COMPILING}: {compiled:.0f} s"
+                state = f"{COMPILING}: {compiled:.0f} s" if terminal else COMPILING
             elif fraction >= SHARE:
                 left = max(1, round(passed / fraction * (1 - fraction)))
                 state = f"{what}: {100 * fraction:.0f} %, about {left} s left"
-            print(f"{begin}{state}", end=end, file=sys.stderr, flush=True)
+            if state != said:
+                print(f"{begin}{state}", end=end, file=sys.stderr, flush=True)
+            said = state
             if ended.wait(pause):
                 break
         print(begin, end="", file=sys.stderr, flush=True)  # removes the last line from a terminal

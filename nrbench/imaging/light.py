@@ -84,7 +84,7 @@ def _fit_polynomial(values: NDArray[Any]) -> NDArray[np.float64]:
     used = np.add.outer(np.arange(3), np.arange(3)).ravel() < 3
     products = np.kron(y.T @ y, x.T @ x)[used][:, used]
     factors = np.zeros(9)
-    factors[used] = np.linalg.solve(products, (y.T @ values @ x).ravel()[used])
+    factors[used] = np.linalg.lstsq(products, (y.T @ values @ x).ravel()[used], rcond=None)[0]
     return np.asarray(y @ factors.reshape(3, 3) @ x.T)
 
 

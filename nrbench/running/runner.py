@@ -251,7 +251,7 @@ class _Runner:
         method = plugins.lookup("synthesizers", cell.method)
         finders = (*bent_finders(), *(cell.finder or ())[:1])
         own = built_in and method.built_in and all(plugins.lookup("detectors", str(each)).built_in for each in finders)
-        own = own and not getattr(method.cls, "starts_programs", False)
+        own = own and cell.method != "command"  # which starts programs of others
         return dataclasses.replace(
             self._job("cell", where, cell.texture, built_in), own_method=own, here=method.in_session
         )

@@ -42,6 +42,13 @@ def test_light_is_divided_out(name: str) -> None:
         assert np.std(found - light) < most * np.std(light)
 
 
+def test_a_strip_of_less_than_a_cell_has_a_light() -> None:
+    """Where a side has two places for a light of three terms, the light is flat along it; nothing fails."""
+    strip = lit(drawn("brick", color=0.1).image, LIGHTS["slope"])[:24]
+    light = estimate_light(strip, nrbench.Lattice((40, 0), (0, 40)))
+    assert np.corrcoef(light.mean(0), LIGHTS["slope"][0])[0, 1] > 0.9
+
+
 def test_tints_of_elements_stay() -> None:
     """Bricks that differ much in even light keep nine tenths of their variance, and no light is named."""
     texture = drawn("brick", color=1.0, intensity=0.5, noise=0.25)

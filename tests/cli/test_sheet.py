@@ -147,6 +147,16 @@ def test_a_sheet_grows_and_survives_an_interrupt(wall: nrbench.Texture, capsys: 
     assert capsys.readouterr().err.count("own.png") == 1
 
 
+def test_a_finished_sheet_is_that_of_all_methods(wall: nrbench.Texture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the last method refuses the sample, the sheet no longer says that it waits for one."""
+    counts = []
+    draw = photo_sheet.draw_sheet
+    monkeypatch.setattr(photo_sheet, "draw_sheet", lambda *args: counts.append(args[1:]) or draw(*args))
+    names = ["scatter", "quilting:block=3000"]
+    nrbench.sheet(wall, "own.png", methods=names, size=(64, 64), options=nrbench.Options(jobs=0))
+    assert counts[-1] == (2, 2)
+
+
 def test_methods_on_the_lattice_run_first(wall: nrbench.Texture) -> None:
     """All methods of a sheet that use a lattice stand before those that use none."""
     methods = photo_suite(Path("wall.png"), "96x96", "64x64").methods

@@ -1,5 +1,6 @@
 import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -254,6 +255,44 @@ def test_machine_code_gives_what_numba_gives(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.delattr(jit.MachineCode, "link")
     with pytest.warns(UserWarning, match="this version of numba"):
         assert made[2](values) == exact
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_damaged_machine_code_is_compiled_again(tmp_path: Path) -> None:
+    """Code that a full disk or a crash has cut or changed is never run, and is replaced."""
+    assert jit.kernel(double)(3.0) == 6.0
+    file = next(tmp_path.rglob("*.bin"))
+    whole = file.read_bytes()
+    for damaged in (b"", whole[: len(whole) // 2], whole[:-10], bytes(len(whole)), whole[:-99] + bytes(99)):
+        file.write_bytes(damaged)
+        assert jit.kernel(double)(3.0) == 6.0
+        assert jit.MachineCode.from_bytes(file.read_bytes()).content
+
+
+@pytest.mark.usefixtures("undeclared")
+def test_threads_load_a_kernel_once() -> None:
+    """Threads that call a kernel for the first time at once all get its answer, from one linked function."""
+    shared = jit.kernel(double)
+    with ThreadPoolExecutor(8) as pool:
+        loaded = set(pool.map(lambda _: shared.load(), range(16)))
+        assert set(pool.map(shared, [3.0] * 16)) == {6.0}
+    assert len(loaded) == 1
+
+
+@kernel
+def fill(values: Float64x1, value: float) -> None:
+    """Set all values."""
+    values[:] = value
+
+
+def test_a_kernel_does_not_write_read_only_arrays() -> None:
+    """Machine code would write them, also where they are a file or the bytes of an object."""
+    values = np.zeros(3)
+    fill(values, 2.0)
+    values.flags.writeable = False
+    with pytest.raises(TypeError, match="fill: the arguments"):
+        fill(values, 1.0)
+    assert values.tolist() == [2.0, 2.0, 2.0]
 
 
 def test_annotations_are_the_types_of_a_kernel() -> None:
