@@ -23,9 +23,9 @@ from nrbench import plugins
 from nrbench.authoring.plugin_checks import CHECKS, EXAMPLES, Subject, demand_of, earlier_clause
 from nrbench.calling.method_calls import InvalidOutput
 from nrbench.errors import BadInput, describe_error
+from nrbench.jit import load_kernels
 from nrbench.plugins.forms import Refused
 from nrbench.plugins.parameters import leave_user_folder, nearest
-from nrbench.jit import load_kernels
 from nrbench.running.guard import LIMITS, Limits, explain_exit
 from nrbench.running.phases import FAULTS
 from nrbench.running.runner import Options, execute
