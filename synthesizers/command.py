@@ -48,6 +48,8 @@ class Command:
 
     run: str
 
+    isolation: ClassVar[str] = "cell"
+    """Each cell has a process of its own, because it starts programs of others."""
     version: ClassVar[str] = "1"
 
     @property

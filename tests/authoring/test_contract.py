@@ -32,4 +32,4 @@ def test_what_methods_declare_is_listed() -> None:
     }
     assert declared <= listed("attribute")
     has = {name for name in listed("attribute") for cls in classes if hasattr(cls, name)}
-    assert listed("attribute") - has == {"isolation", "name", "uses"}
+    assert listed("attribute") - has == {"name", "uses"}
