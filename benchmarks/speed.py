@@ -233,7 +233,7 @@ def time_pictures(options: argparse.Namespace) -> None:
     """Print the cost of ``nrbench lattice``. The wall is one draw, repeated; its lattice fits into the draw."""
     wall = nrbench.texture("brick", (2000, 2000), 1, width=25.0, height=12.5, color=0.3, noise=0.05)
     assert wall.lattice is not None
-    print(f"  {'side':>6} {'wall s':>7} {'CPU s':>7} {'u':>7} {'GiB':>6}  lattice, error in px")
+    print(f"  {'side':>6} {'wall s':>7} {'CPU s':>7} {'w':>7} {'GiB':>6}  lattice, error in px")
     for side in options.sides:
         times = -(-side // 2000)
         with tempfile.TemporaryDirectory() as place:

@@ -71,7 +71,7 @@ def _perceive_pixels(pixels: bytes, shape: tuple[int, ...], mask: bytes) -> Seen
 
 def draw_in_bands(output: Image, draw: Callable[[Image, int], Image]) -> Image:
     """Return what a function draws on bands of an image, of about half a million pixels, from their first rows on."""
-    step, drawn = max(_BAND // output.shape[1], 1), np.empty_like(output)
+    step, drawn = max(_BAND // output.shape[1], 1), np.empty((*output.shape[:2], 3), np.float32)
     for top in range(0, output.shape[0], step):
         drawn[top : top + step] = draw(output[top : top + step], top)
     return drawn

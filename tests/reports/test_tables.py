@@ -192,7 +192,7 @@ def test_the_article_of_the_docs_compiles(wide_run: Run, tmp_path: Path) -> None
     command = next(line for line in page.splitlines() if line.startswith("nrbench report"))
     for name, parameters in map(parse_spec, re.findall(r"--format (\S+)", command)):
         report = plugins.build("reports", name, parameters)
-        report.write(wide_run, root / report.folder)
+        report.write(wide_run, root / getattr(report, "folder", "report"))
     article = page.partition("```latex\n")[2].partition("```")[0]
     code, log = _compile(article, tmp_path)
     assert code == 0 and "Overfull" not in log, log[-2000:]
