@@ -251,8 +251,9 @@ class _Runner:
         method = plugins.lookup("synthesizers", cell.method)
         finders = (*bent_finders(), *(cell.finder or ())[:1])
         own = built_in and method.built_in and all(plugins.lookup("detectors", str(each)).built_in for each in finders)
-        here = method.in_session
-        return dataclasses.replace(self._job("cell", where, cell.texture, built_in), own_method=own and here, here=here)
+        return dataclasses.replace(
+            self._job("cell", where, cell.texture, built_in), own_method=own and method.shared, here=method.in_session
+        )
 
     def _job(self, phase: str, where: CellFolder, group: str = "", built_in: bool = False) -> Request:
         options = self.options

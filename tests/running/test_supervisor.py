@@ -23,7 +23,7 @@ from suites import wall_suite, write_sleepers
 
 from nrbench import plugins, run, synthesize
 from nrbench.pictures.files import read_image
-from nrbench.running import guard, runner
+from nrbench.running import executors, guard, runner
 from nrbench.running.phases import Request
 from nrbench.running.runner import Options, Step
 from nrbench.running.supervisor import Supervisor
@@ -139,6 +139,20 @@ def test_what_a_program_takes_is_the_methods_cost(started: dict[str, CellRecord]
     assert tool.values["cost.cpu_seconds"] is not None, tool.reasons
     assert tool.values["cost.cpu_seconds"] >= 0.5
     assert tool.values["cost.peak_mib"] >= 200
+
+
+def test_methods_of_nrbench_share_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that start no programs of others do; each cell of others has its own."""
+    seen, job = [], executors.run_job
+
+    def run_job(request: Request, run: Any) -> Any:
+        seen.append(request.own_method)
+        return job(request, run)
+
+    monkeypatch.setattr(executors, "run_job", run_job)
+    suite = wall_suite(["scatter", "command:run=cp {sample} {output}"], "cost")
+    run(suite, out=tmp_path / "run", options=Options(jobs=0))
+    assert seen == [True, False]
 
 
 def test_both_ways_of_starting_agree(started: dict[str, CellRecord], tmp_path: Path) -> None:
