@@ -57,7 +57,7 @@ dist: $(VENV)/.installed-docs
 	$(BIN)/python -m build --outdir dist .
 ifeq ($(shell uname -sm),Linux x86_64)
 	NUMBA_CPU_NAME=x86-64-v3 NUMBA_CPU_FEATURES= NUMBA_CACHE_DIR=nrbench/machine_code \
-		$(BIN)/python -c "from nrbench.running.worker import warm; warm(int)"
+		$(BIN)/python -c "from nrbench.running.worker import warm; warm(lambda: None)"
 	$(BIN)/python -m build --wheel --outdir dist -C--build-option=--plat-name=manylinux_2_28_x86_64 \
 		-C--build-option=--python-tag=$$($(BIN)/python -c "import sys; print('cp%d%d' % sys.version_info[:2])") .
 	rm -rf nrbench/machine_code build/lib
