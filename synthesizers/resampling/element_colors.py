@@ -282,7 +282,7 @@ def match_distribution(field: Table, sample: NDArray[np.float64], rng: np.random
 
 
 def _read_quantiles(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return :func:`numpy.quantile` of values at :data:`_LEVELS`. A sort is faster than its partition at many places."""
+    """Return the quantiles of values at :data:`_LEVELS`, as :func:`numpy.quantile` does, but by a sort: faster."""
     place = _LEVELS * (len(values) - 1)
     first, ranked = place.astype(np.intp), np.sort(values)
     low, high, share = ranked[first], ranked[first + 1], place - first
