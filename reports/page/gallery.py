@@ -317,7 +317,7 @@ def _used_lattices(
 def trace_lattice(lattice: Lattice, shape: tuple[int, int]) -> LatticeOverlay:
     """Return the lines of a lattice along its two vectors, over an image of ``shape`` (height, width)."""
     start = _nearest_point(lattice, _middle(shape) - lattice.matrix.sum(0) / 2)
-    first, second = (_line(start, start + vector) for vector in lattice.matrix)
+    first, second = (_trace_line([*start, *(start + vector)]) for vector in lattice.matrix)
     vectors = (_describe_vector("t1", lattice.t1), _describe_vector("t2", lattice.t2))
     return LatticeOverlay(_lattice_lines(lattice, shape), (first, second), vectors)
 
@@ -351,11 +351,11 @@ def _lattice_lines(lattice: Lattice, shape: tuple[int, int]) -> str:
     if len(along_u) + len(along_v) > MAX_LINES:
         return ""
     ends = [((u, v0), (u, v1)) for u in along_u] + [((u0, v), (u1, v)) for v in along_v]
-    return "".join(_line(*lattice.from_cell(pair)) for pair in ends)
+    return "".join(map(_trace_line, lattice.from_cell(np.reshape(ends, (-1, 2, 2))).reshape(-1, 4).tolist()))
 
 
-def _line(start: Points, end: Points) -> str:
-    return f"M{start[0]:.2f} {start[1]:.2f}L{end[0]:.2f} {end[1]:.2f}"
+def _trace_line(ends: Sequence[float]) -> str:
+    return "M{:.2f} {:.2f}L{:.2f} {:.2f}".format(*ends)
 
 
 def _middle(shape: tuple[int, int]) -> Points:
