@@ -69,7 +69,7 @@ def _once(make: Callable[..., PagePicture | None]) -> Callable[..., PagePicture 
 
     @wraps(make)
     def made(store: PictureStore, *paths: Path | None) -> PagePicture | None:
-        key = (make, *paths)
+        key = (make.__name__, *paths)
         if key not in store._made:
             try:
                 store._made[key] = None if None in paths else make(store, *paths)
@@ -96,12 +96,11 @@ class PictureStore:
     single_file: bool = False
     _files: set[str] = field(default_factory=set)
     _made: dict[tuple[object, ...], PagePicture | None] = field(default_factory=dict)
-    _pixels: Callable[[Path], Pixels] = field(default_factory=lambda: lru_cache(maxsize=8)(read_pixels))
 
     @_once
     def load(self, path: Path) -> PagePicture | None:
         """Return the picture in a PNG file."""
-        pixels = self._pixels(path)
+        pixels = _keep_pixels(path)
         height, width = pixels.shape[:2]
         if self.single_file or width <= 64:
             return PagePicture(_webp(pixels, 30, lossless=True), width, height)
@@ -110,7 +109,7 @@ class PictureStore:
     @_once
     def overlay(self, output: Path, layer: Path) -> PagePicture | None:
         """Return the marks of a metric's picture over an output, transparent elsewhere; None if the sizes differ."""
-        marks, below = self._pixels(layer), self._pixels(output)
+        marks, below = _keep_pixels(layer), _keep_pixels(output)
         if marks.shape != below.shape:
             return None
         marked = find_marks(marks, below)
@@ -133,12 +132,21 @@ class PictureStore:
         layers
             Pictures of defects over the output; the first with any marks decides.
         """
-        pixels = self._pixels(output)
+        pixels = _keep_pixels(output)
         height, width = pixels.shape[:2]
         side = min(CROP, height, width)
         middle = (width - side) // 2, (height - side) // 2
-        x, y = worst_place(pixels, [self._pixels(layer) for layer in layers], side) or middle
+        x, y = worst_place(pixels, [_keep_pixels(layer) for layer in layers], side) or middle
         return PagePicture(_webp(pixels[y : y + side, x : x + side], _QUALITY, effort=2), side, side)
+
+    def empty(self) -> PictureStore:
+        """Return a store of the same page without pictures, for another thread or process."""
+        return PictureStore(self.directory, self.single_file)
+
+    def add(self, other: PictureStore) -> None:
+        """Add the pictures of another store of the page."""
+        self._made.update(other._made)
+        self._files.update(other._files)
 
     def embeds(self) -> bool:
         """Return whether the page embeds the small copies of all pictures that were made so far."""
@@ -216,6 +224,9 @@ def read_pixels(path: Path) -> NDArray[np.uint8]:
     """Return the pixels of a PNG file of a cell, ``(H, W, 3)``."""
     with path.open("rb") as file, PIL.Image.open(file, formats=("PNG",)) as image:
         return to_rgb(image)
+
+
+_keep_pixels = lru_cache(maxsize=8)(read_pixels)
 
 
 def find_marks(layer: NDArray[np.uint8], output: NDArray[np.uint8]) -> NDArray[np.bool_]:
