@@ -65,9 +65,7 @@ def sum_products(values: Float32x3, known: Boolx2, down: int, right: int, places
 
 
 @kernel
-def cluster_colors(
-    colors: Float64x2, first: int, count: int, rounds: int
-) -> tuple[Float64x2, Int64x1, Int64x1]:
+def cluster_colors(colors: Float64x2, first: int, count: int, rounds: int) -> tuple[Float64x2, Int64x1, Int64x1]:
     """Return the means of clusters, ``(k, 3)``, the number of each color's cluster, and the sizes of clusters.
 
     Lloyd's algorithm, up to a number of rounds or until a cluster is empty. The first centers are the color with the

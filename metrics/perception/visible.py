@@ -101,6 +101,7 @@ def _find_weights(sigma: float) -> NDArray[np.float64]:
 
 def _level(energy: NDArray[Any], unseen: float = limits.BAND_OFFSET) -> NDArray[Any]:
     """Return 20 ln of the amplitude of an energy, plus the amplitude that is not seen."""
+    # Into a plane of its own: in a strided view numpy takes thirty times as long.
     level: NDArray[Any] = energy + np.float32(unseen**2)
     np.log(level, out=level)
     level *= 10
@@ -125,7 +126,7 @@ def measure_looks(lab: Lab) -> NDArray[np.float32]:
     looks[..., :3] = lab[..., :3]
     grain = np.zeros_like(raw)
     grain[1:-1, 1:-1] = np.diff(np.diff(raw, 2, 0), 2, 1) / 6
-    looks[..., 3] = _level(smooth_plane(grain * grain, 1.5), limits.GRAIN_OFFSET)  # numpy's log is slow in a strided view
+    looks[..., 3] = _level(smooth_plane(grain * grain, 1.5), limits.GRAIN_OFFSET)
     del grain  # large, as are the planes that follow
     for k, (sigma, reach) in enumerate(((1.2, 2), (2.4, 2), (5.0, 3)), 4):
         octave = smooth_plane(raw, sigma)

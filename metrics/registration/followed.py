@@ -25,10 +25,6 @@ from .lattice_nodes import Field, LatticeNodes, Strips, find_least, node_shape
 from .net_kernels import measure_misfits
 
 
-_INSIDE = 0.97
-"""Least share of a window that lies inside the picture."""
-
-
 @dataclass(frozen=True)
 class CellModel:
     """The mean cell of a texture and the variance of its points from cell to cell.
@@ -112,16 +108,18 @@ class FollowedPicture(LatticeNodes):
         return displacement, contrast, valid
 
     def _fit_windows(self) -> tuple[Field, Values, Mask]:
-        """Compare the windows inside the picture with their models."""
-        shape = node_shape(self.net, self.size)
-        valid, windows = _average_windows(self.plane, self.net, self.size)
-        displacement, contrast = np.zeros((*shape, 2)), np.zeros(shape, np.float32)
-        number = self._number_models()
-        for k, model in enumerate(self.models):
-            own = number == k
-            costs = _compare(windows[own[valid]], model, self.size)
-            displacement[valid & own], contrast[valid & own] = find_least(costs), np.ptp(costs, axis=(1, 2))
+        valid, costs = self._compare_windows()
+        displacement, contrast = np.zeros((*valid.shape, 2)), np.zeros(valid.shape, np.float32)
+        displacement[valid], contrast[valid] = find_least(costs), np.ptp(costs, axis=(1, 2))
         return displacement, contrast, valid
+
+    def _compare_windows(self) -> tuple[Mask, Values]:
+        """Return the windows inside the picture, and the misfits of these at all displacements, ``(K, n1, n2)``."""
+        valid, windows = _average_windows(self.plane, self.net, self.size)
+        number, costs = self._number_models()[valid], np.empty((len(windows), *self.net.samples), np.float32)
+        for k, model in enumerate(self.models):
+            costs[number == k] = _compare(windows[number == k], model, self.size)
+        return valid, costs
 
     def _number_models(self) -> NDArray[np.intp]:
         """Return the number of the model of each node."""
@@ -205,7 +203,7 @@ def _average_windows(plane: Values, net: LatticeNet, size: int) -> tuple[Mask, V
     counts = _sum_windows(known, net.samples, size)
     means = _sum_windows(np.moveaxis(plane, -1, 0) * known, net.samples, size) / counts
     share = split_cells(counts, half).mean((2, 3)) / size**2
-    valid = (share[1:, 1:] + share[1:, :-1] + share[:-1, 1:] + share[:-1, :-1]) / 4 > _INSIDE
+    valid = (share[1:, 1:] + share[1:, :-1] + share[:-1, 1:] + share[:-1, :-1]) / 4 > limits.WHOLE_WINDOW
     halves = np.moveaxis(split_cells(np.moveaxis(means, 0, -1), half), -1, 2)
     row, column = np.nonzero(valid)
     windows = np.empty((len(row), 3, *net.samples), np.float32)

@@ -219,7 +219,7 @@ def find_least(costs: NDArray[Any]) -> Field:
     """
     samples = np.array(costs.shape[-2:])
     flat = costs.reshape(-1, *samples)
-    least = np.stack(np.unravel_index(flat.reshape(len(flat), -1).argmin(-1), samples), -1)
+    least = np.stack(np.unravel_index(flat.reshape(len(flat), samples.prod()).argmin(-1), samples), -1)
     place, windows = least.astype(np.float64), np.arange(len(flat))
     for axis, step in enumerate(np.eye(2, dtype=np.intp)):
         before, here, after = (flat[windows, *((least + k * step) % samples).T] for k in (-1, 0, 1))
