@@ -12,8 +12,6 @@ other textures (``validation.py``) have panels as well; no labeler saw them.
 each pair: could the right picture be another photograph of what the left one shows (0), or is something wrong (1)?
 """
 
-from __future__ import annotations
-
 import argparse
 import zlib
 from collections.abc import Iterator

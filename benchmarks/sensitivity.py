@@ -16,8 +16,6 @@ the qualities of all outputs for each change; a file that is there is read, and 
 judged.
 """
 
-from __future__ import annotations
-
 import argparse
 import functools
 import itertools

@@ -12,8 +12,6 @@ those of an undisturbed run. It prints figures, and ends with exit code 1 if one
 - orphans: methods that leave processes of other sessions without an environment, and kill their worker.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

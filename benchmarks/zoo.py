@@ -15,8 +15,6 @@ and ten others. Limits are set on the kinds with even numbers (``setting``), the
     A sheet with one picture of each kind; with ``--kinds NAME``, also its faults.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
