@@ -54,7 +54,8 @@ class SourceUse:
 
 def _known(source: SourceMap) -> NDArray[np.bool_]:
     """Return which pixels have a source, ``(H, W)``."""
-    return np.logical_and.reduce(np.isfinite(np.moveaxis(source, -1, 0)))  # numpy is slow along a short last axis
+    parts = [np.isfinite(source[..., k]) for k in range(source.shape[-1])]  # numpy is slow along a short last axis
+    return np.asarray(np.logical_and.reduce(parts))
 
 
 def _mean_copy_length(source: SourceMap) -> float:

@@ -68,9 +68,6 @@ def sum_products(values: Float32x3, known: Boolx2, down: int, right: int, places
 def cluster_colors(colors: Float64x2, first: int, count: int, rounds: int) -> tuple[Float64x2, Int64x1, Int64x1]:
     """Return the means of clusters, ``(k, 3)``, the number of each color's cluster, and the sizes of clusters.
 
-    Lloyd's algorithm, up to a number of rounds or until a cluster is empty. The first centers are the color with the
-    number ``first``, and then the color that lies farthest from the centers before it.
-
     Parameters
     ----------
     colors
@@ -78,7 +75,13 @@ def cluster_colors(colors: Float64x2, first: int, count: int, rounds: int) -> tu
     first
         Number of the color that is the first center.
     count, rounds
-        Number of clusters, and of rounds.
+        Number of clusters, and the largest number of rounds.
+
+    Notes
+    -----
+    Each further center is the color farthest from the centers before it (Gonzalez 1985). Each round assigns the colors
+    to the nearest centers and moves these to the means of their colors (Lloyd 1982), until no color changes its cluster
+    or a cluster is empty.
     """
     centers, labels, counts = np.empty((count, 3)), np.full(len(colors), -1), np.zeros(count, np.int64)
     squares, far = np.full(len(colors), np.inf), first
@@ -89,7 +92,7 @@ def cluster_colors(colors: Float64x2, first: int, count: int, rounds: int) -> tu
             for c in range(3):
                 square += (colors[n, c] - centers[k, c]) ** 2
             squares[n] = min(squares[n], square)
-        far = squares.argmax()
+        far = int(squares.argmax())
     for _ in range(rounds):
         sums, changed = np.zeros((count, 3)), False
         counts[:] = 0

@@ -550,7 +550,7 @@ def _write_png(file: IO[bytes], pixels: NDArray[Any], profile: bytes | None) -> 
     for name, data in (
         (b"IHDR", header),
         *([] if profile == b"" else [meaning]),
-        (b"IDAT", zlib.compress(lines, 1)),
+        (b"IDAT", zlib.compress(lines.data, 1)),
         (b"IEND", b""),
     ):
         PIL.PngImagePlugin.putchunk(file, name, data)
