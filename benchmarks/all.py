@@ -5,8 +5,6 @@ The table at the end has the first sentence of its page, its CPU seconds, also i
 figures.
 """
 
-from __future__ import annotations
-
 import ast
 import os
 import subprocess

@@ -11,14 +11,12 @@
     The share of undeformed 192 x 192 px draws of all models, some with jitter, that count as bent.
 """
 
-from __future__ import annotations
-
-import argparse
 import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from studies import Options, run_studies
 from unit import cpu_unit
 
 import nrbench
@@ -105,7 +103,7 @@ def errors(found: Deformation, bent: Bent) -> tuple[float, float, float]:
     return off, np.inf if match.error is None else match.error, match.recall or 0.0
 
 
-def show_bent(options: argparse.Namespace) -> None:
+def show_bent(options: Options) -> None:
     """Print how many lattices of bent pictures are right."""
     unit, every = cpu_unit(), []
     makers = [(warped, "bend", options.bends), (tilted, "tilt", options.tilts)]
@@ -132,7 +130,7 @@ def show_bent(options: argparse.Namespace) -> None:
     print(f"  all: right {sum(every)}/{len(every)}")
 
 
-def straight_pictures(options: argparse.Namespace) -> Iterator[tuple[str, Image]]:
+def straight_pictures(options: Options) -> Iterator[tuple[str, Image]]:
     """Yield undeformed draws of all models."""
     for model in (name for name in plugins.names("datasets") if name not in NOT_LATTICES):
         for departures in DEPARTURES:
@@ -142,7 +140,7 @@ def straight_pictures(options: argparse.Namespace) -> Iterator[tuple[str, Image]
                 yield f"{model} {departures}", quantize(built.render(STRAIGHT_SHAPE, rng).image)
 
 
-def show_straight(options: argparse.Namespace) -> None:
+def show_straight(options: Options) -> None:
     """Print how many straight pictures count as bent, and what the answer costs beyond the detector."""
     unit, flagged, number, extra = cpu_unit(), [], 0, []
     for name, image in straight_pictures(options):
@@ -160,21 +158,6 @@ def show_straight(options: argparse.Namespace) -> None:
     print(f"  {len(flagged)} of {number} count as bent, {np.median(extra):.0f} w beyond the detector: {flagged}")
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    subjects = {"bent": show_bent, "straight": show_straight}
-    parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"of {', '.join(subjects)}; none: all")
-    parser.add_argument("--count", type=int, default=20, help="draws of each texture")
-    parser.add_argument("--first", type=int, default=1000, help="first seed")
-    parser.add_argument("--models", nargs="*", default=list(MODELS))
-    parser.add_argument("--bends", nargs="*", type=float, default=[0.25, 0.5, 1.0])
-    parser.add_argument("--tilts", nargs="*", type=float, default=[10.0, 20.0, 30.0])
-    options = parser.parse_args()
-    for subject in options.subjects or subjects:
-        print(f"\n{subject}")
-        subjects[subject](options)
-
-
 if __name__ == "__main__":
-    main()
+    more = {"models": list(MODELS), "bends": [0.25, 0.5, 1.0], "tilts": [10.0, 20.0, 30.0]}
+    run_studies(__doc__, show_bent, show_straight, count=20, first=1000, **more)

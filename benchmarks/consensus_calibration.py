@@ -2,7 +2,8 @@
 
 Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/consensus_calibration.py [--count 6] [--kinds 1]``. The
 draws are of 25 models at random departures, from none to beyond recognition, 64 to 256 px a side, of noise, and of
-kinds of texture that the models lack (``benchmarks/texture_kinds.py``). ``--report N --plot FILE.png`` fits nothing,
+kinds of texture that the models lack (``benchmarks/texture_kinds.py``): ``--count`` of each model, ``--kinds`` of each
+kind, for each seed. ``--report N --plot FILE.png`` fits nothing,
 and draws the reliability diagram for N draws of each model and kind, also of those with structure of the pixels.
 
 The script prints the weights that belong into ``nrbench/detectors/candidate_search/candidates.py``, the mean loss of
@@ -10,9 +11,6 @@ the choice (nats for each image and level) on the draws of the fit, on families 
 For the weights as shipped it prints how often answers of each confidence are right on fresh draws.
 """
 
-from __future__ import annotations
-
-import argparse
 import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -20,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from studies import read_options
 from texture_kinds import Case, draw_kinds, draw_models, draw_pixel_kinds
 
 from nrbench.detectors.candidate_search.candidates import Traits, classify
@@ -158,12 +157,7 @@ def draw_reliability(gaps: Sequence[tuple[int, float, float]], plot: str) -> Non
 
 def main() -> None:
     """Fit on the draws of some seeds, report on those of others."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=6, help="draws of each model, for each seed")
-    parser.add_argument("--kinds", type=int, default=1, help="draws of each further kind, for each seed")
-    parser.add_argument("--report", type=int, default=0, help="only report: draws of each model and kind")
-    parser.add_argument("--plot", default="", metavar="FILE.png", help="draw the reliability diagram")
-    options = parser.parse_args()
+    options = read_options(__doc__, count=6, kinds=1, report=0, plot="")
     load_kernels()
     if options.report:
         report(draw(REPORT_SEEDS, options.report, options.report, options.report), options.plot)

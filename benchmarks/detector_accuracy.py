@@ -1,14 +1,12 @@
 """How often each detector finds the smallest lattice, how precisely and fast, and how often one where none is.
 
 Run it on one thread: ``OMP_NUM_THREADS=1 python benchmarks/detector_accuracy.py [--count 8] [DETECTOR...]``.
-``--blur 1`` blurs the textures with a lattice by a Gaussian of 1 px; ``--stochastic 0`` leaves out the others.
+``--first`` is the first seed. ``--blur 1`` blurs the textures with a lattice by a Gaussian of 1 px; ``--stochastic 0``
+leaves out the others.
 Brick, weave and hexagon, axis-aligned and rotated, 128 to 256 px a side with at least 4 periods, by regular share; and
 200 stochastic textures: noise of five spectra, crops of scikit-image's grass and gravel, and stripes in noise.
 """
 
-from __future__ import annotations
-
-import argparse
 import itertools
 import time
 from collections import defaultdict
@@ -18,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import skimage.data
 from scipy.ndimage import gaussian_filter
+from studies import read_options
 from unit import cpu_unit
 
 from nrbench import plugins
@@ -28,7 +27,7 @@ from nrbench.lattice.relation import lattice_error
 from nrbench.plugins.forms import Detector, NoLatticeFound, Texture
 from nrbench.plugins.parameters import parse_spec
 
-DETECTORS = (
+DETECTORS = [
     "consensus",
     "gncc",
     "gncc:reject=none",
@@ -37,7 +36,7 @@ DETECTORS = (
     "frdft:reject=none",
     "dominance",
     "dominance:reject=none",
-)
+]
 FAMILIES = {"brick": 17.3, "weave": 31.7, "hexagon": 11.9}
 SIDES = (128, 160, 192, 256)
 STRENGTHS = ((0.1, 0.02), (0.14, 0.04), (0.3, 0.05), (0.4, 0.08), (0.5, 0.1), (0.6, 0.1), (0.7, 0.1))
@@ -123,13 +122,7 @@ def gratings(count: int) -> Iterator[tuple[str, Image]]:
 
 def main() -> None:
     """Print one table for each detector."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--count", type=int, default=8)
-    parser.add_argument("--first", type=int, default=8000, help="The first seed.")
-    parser.add_argument("--stochastic", type=int, default=200)
-    parser.add_argument("--blur", type=float, default=0.0, help="Standard deviation, px.")
-    parser.add_argument("detectors", nargs="*", default=DETECTORS)
-    options = parser.parse_args()
+    options = read_options(__doc__, ["detectors"], detectors=DETECTORS, count=8, first=8000, stochastic=200, blur=0.0)
     load_kernels()
     unit = cpu_unit()
     for spec in options.detectors:

@@ -1,7 +1,5 @@
 """Edits of a picture by dose: those that nobody sees side by side, and those that everybody sees."""
 
-from __future__ import annotations
-
 import io
 import zlib
 from collections.abc import Callable, Iterator, Mapping

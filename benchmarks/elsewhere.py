@@ -10,9 +10,6 @@ the figures of ``report``, other textures and other seeds, are the report.
     ``nrbench lattice --defects``: fresh draws of all models with their lattices, clean or with one planted fault.
 """
 
-from __future__ import annotations
-
-import argparse
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 
@@ -21,6 +18,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 from scipy.spatial import cKDTree
+from studies import Options, run_studies
 from validation import models, print_table, show, subjects
 
 import nrbench
@@ -170,7 +168,7 @@ FAULTS: Mapping[str, Callable[[Image], Image]] = {
 """Pictures that break across x, made from pictures that repeat."""
 
 
-def study_edges(options: argparse.Namespace) -> None:
+def study_edges(options: Options) -> None:
     """Print the share of pictures that break, by the fault that was planted at the right edge and by texture."""
     rows = []
     for texture, image in repeating(options.half, options.count):
@@ -220,7 +218,7 @@ def plant(image: Image, lattice: Lattice, fault: str, rng: Rng) -> tuple[Image, 
 PLANTED = ("none", "missing", "stain", "hole", "broken", "shifted row")
 
 
-def study_defects(options: argparse.Namespace) -> None:
+def study_defects(options: Options) -> None:
     """Print the share of pictures in which a planted fault is found, and in which anything else is called a defect."""
     rows, first = [], 700 if options.half == "setting" else 900
     every = [*subjects("core", []), *models([])]
@@ -244,18 +242,6 @@ def study_defects(options: argparse.Namespace) -> None:
         tell(fault, len(own), show(own.found.mean()), f"{own.other.mean():.3f}", missed)
 
 
-STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {"edges": study_edges, "defects": study_defects}
-
-
-def main() -> None:
-    """Run a study, and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("study", choices=STUDIES)
-    parser.add_argument("--half", choices=("setting", "report"), default="report")
-    parser.add_argument("--count", type=int, default=6, help="pictures of each kind")
-    options = parser.parse_args()
-    STUDIES[options.study](options)
-
-
 if __name__ == "__main__":
-    main()
+    halves = ("setting", "report")
+    run_studies(__doc__, study_edges, study_defects, choices={"half": halves}, half="report", count=6)

@@ -7,13 +7,10 @@ for each, and the time is that of the whole synthesis under a known mask, over t
 sample. The method is ``fftm-pixel:preset=paper``, without principal components ``dimensions=0``.
 """
 
-from __future__ import annotations
-
-import argparse
-import sys
 import time
 
 import numpy as np
+from studies import read_options
 
 from nrbench import texture
 from nrbench.imaging.convert import quantize
@@ -40,12 +37,9 @@ def measure_pixel(side: int, neighborhood: int, dimensions: int, repeats: int) -
     return 1e6 * min(seconds[1:]) / side**2
 
 
-def main() -> int:
+def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sides", type=int, nargs="+", choices=list(PAPER), default=list(PAPER))
-    parser.add_argument("--repeats", type=int, default=3)
-    options = parser.parse_args()
+    options = read_options(__doc__, choices={"sides": PAPER}, sides=list(PAPER), repeats=3)
     print("| sample | neighborhood | all values | 16 components | ratio | paper: all values | 16 components | ratio |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for side in options.sides:
@@ -54,8 +48,7 @@ def main() -> int:
             published = ("-", "-") if plain is None else (f"{plain}", f"{plain / reduced:.1f}")
             cells = (f"{ours[0]:.1f}", f"{ours[1]:.1f}", f"{ours[0] / ours[1]:.1f}", published[0], f"{reduced}")
             print(f"| {side} x {side} px | {size} x {size} | {' | '.join(cells)} | {published[1]} |", flush=True)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

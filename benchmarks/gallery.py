@@ -6,8 +6,6 @@ draws every texture model with each of its departures, plants defects of growing
 runs are kept in ``runs/gallery`` and resumed, so that only what changed is computed again.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

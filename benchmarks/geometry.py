@@ -14,14 +14,12 @@ Samples have 192 x 192 px, outputs 256 x 256 px; the lattice is given. Subjects:
     Which undisturbed, displaced and bent draws are straightened, over all models.
 """
 
-from __future__ import annotations
-
-import argparse
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from studies import Options, run_studies
 
 from nrbench import plugins
 from nrbench.calling.bent_samples import find_bend, synthesize_in_geometry
@@ -59,7 +57,7 @@ def task_of(texture: Texture, seed: int) -> Task:
     return Task(texture.image, OUTPUT, texture.lattice, np.random.default_rng(seed))
 
 
-def show_fields(options: argparse.Namespace) -> None:
+def show_fields(options: Options) -> None:
     """Print amplitude and length ratios."""
     metric = plugins.build("metrics", "deformation")
     for model in options.models:
@@ -87,7 +85,7 @@ def spread(values: list[float]) -> str:
     return f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
 
 
-def show_quality(options: argparse.Namespace) -> None:
+def show_quality(options: Options) -> None:
     """Print how many outputs keep their regularity, lose it, and are undecided, and their mean quality.
 
     The method ``fresh`` is another draw of the model, as large as the output.
@@ -137,7 +135,7 @@ def show_verdicts(head: str, verdicts: Counter[str]) -> None:
     print(f"  {head}", *(f" {name} {verdicts[name]}" for name in ("kept", "lost", "undecided", "refused")), end="")
 
 
-def show_rule(options: argparse.Namespace) -> None:
+def show_regular(options: Options) -> None:
     """Print how many undisturbed and bent draws count as departing, over all models."""
     cases: Mapping[str, dict[str, float]] = {
         "undisturbed": {},
@@ -162,26 +160,7 @@ def show_rule(options: argparse.Namespace) -> None:
         print(f"  {case:24} {found} of {measured} are straightened; not as expected: {sorted(set(odd))}")
 
 
-SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
-    "fields": show_fields,
-    "quality": show_quality,
-    "regular": show_rule,
-}
-
-
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"of {', '.join(SUBJECTS)}; none: all")
-    parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1, 2])
-    parser.add_argument("--models", nargs="*", default=list(ROTATIONS))
-    parser.add_argument("--methods", nargs="*", default=["rsgf", "rsgf:geometry=as-is", "tile-set"])
-    parser.add_argument("--bends", nargs="*", type=float, default=[0.5, 1.0])
-    options = parser.parse_args()
-    for subject in options.subjects or SUBJECTS:
-        print(f"\n{subject}")
-        SUBJECTS[subject](options)
-
-
 if __name__ == "__main__":
-    main()
+    methods = ["rsgf", "rsgf:geometry=as-is", "tile-set"]
+    more = {"seeds": [0, 1, 2], "models": list(ROTATIONS), "methods": methods, "bends": [0.5, 1.0]}
+    run_studies(__doc__, show_fields, show_quality, show_regular, **more)

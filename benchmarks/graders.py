@@ -19,8 +19,6 @@ B, one of them by `resample`; of prints beside one output, by `resample` or a fr
 Adds the answers of graders to ``labels/graders.csv``, one file for each grader, which its name tells.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import shutil

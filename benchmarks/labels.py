@@ -19,8 +19,6 @@ over textures; the outputs on which grade and quality differ most; and, by the s
 lattice is called lost.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import itertools

@@ -24,14 +24,11 @@
     The last column is the largest difference over the inner half of the lags.
 """
 
-from __future__ import annotations
-
-import argparse
 import importlib
 import shutil
 import statistics
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.registration._masked_phase_cross_correlation import cross_correlate_masked
 from speed import run_command, sampled
+from studies import Options, run_studies
 from unit import cpu_unit, median_units
 
 import nrbench
@@ -57,9 +55,9 @@ SIDE = 256
 WALL = {"width": 196.37, "height": 74.11, "joint": 12.35, "color": 0.2, "noise": 0.03}
 
 
-def find_peer(options: argparse.Namespace) -> str | None:
+def find_peer(options: Options) -> str | None:
     """Return the peer's command line; None, after a sentence that says why, if its program is missing."""
-    command: str = options.peer or GMIC
+    command: str = options.peer
     program = command.split()[0]
     if shutil.which(program) or Path(program).is_file():
         return command.replace("{block}", str(options.block)).replace("{overlap}", str(options.overlap))
@@ -75,7 +73,7 @@ def print_row(name: str, seconds: list[float], base: float, records: list[CellRe
     print(f"{name:46} {mean:8.3f} s {mean / cpu_unit():8.1f} w {mean / base:8.1f} x {quality}", flush=True)
 
 
-def show_quilting(options: argparse.Namespace) -> None:
+def show_quilting(options: Options) -> None:
     """Print time and quality of quilting and its peer."""
     peer = find_peer(options)
     if peer is None:
@@ -116,7 +114,7 @@ def import_peer(name: str) -> Any:
         return None
 
 
-def show_bmquilting(options: argparse.Namespace) -> None:
+def show_bmquilting(options: Options) -> None:
     """Print what quilting and bmquilting cost, at two sizes of blocks and of outputs."""
     peer = import_peer("bmquilting.square")
     if peer is None:
@@ -133,7 +131,7 @@ def show_bmquilting(options: argparse.Namespace) -> None:
             print(f"  block {block}, overlap {overlap}, {side:4} px: {ours:7.1f} w, bmquilting {theirs:7.1f} w")
 
 
-def show_windows(options: argparse.Namespace) -> None:
+def show_windows(options: Options) -> None:
     """Print what the search of a window in the sample costs, and OpenCV's, and their difference over the largest."""
     peer = import_peer("cv2")
     if peer is None:
@@ -171,7 +169,7 @@ def brute_force(image: Image, size: tuple[int, int], places: NDArray[np.int64]) 
     return found
 
 
-def show_search(options: argparse.Namespace) -> None:
+def show_search(options: Options) -> None:
     """Print what rating every place costs, exactly, and by brute force from ten places; and how they differ."""
     wall = sampled("brick", 1200, **WALL).image[:600]
     for image, size in ((wall, (148, 196)), (wall[:300, :600], (74, 98))):
@@ -186,7 +184,7 @@ def show_search(options: argparse.Namespace) -> None:
         print(f" ({naive / exact:.0f} times), difference {error:.0e}", flush=True)
 
 
-def show_correlation(options: argparse.Namespace) -> None:
+def show_correlation(options: Options) -> None:
     """Print the cost of the autocorrelation and of scikit-image's, and their difference in the first channel."""
     for side in (128, 256, 512):
         image, mask = sampled("brick", side).image, np.ones((side, side), bool)
@@ -203,29 +201,6 @@ def show_correlation(options: argparse.Namespace) -> None:
         print(f"  {side:4} px: {ours:7.1f} w, scikit-image {theirs:9.1f} w, difference {difference:.1e}", flush=True)
 
 
-SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
-    "quilting": show_quilting,
-    "bmquilting": show_bmquilting,
-    "windows": show_windows,
-    "search": show_search,
-    "correlation": show_correlation,
-}
-
-
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"of {', '.join(SUBJECTS)}; none: all")
-    parser.add_argument("--peer", help="of quilting: command line of the other program")
-    parser.add_argument("--block", type=int, default=64)
-    parser.add_argument("--overlap", type=int, default=11)
-    parser.add_argument("--textures", nargs="*", default=["*"], help="of quilting: textures of the suite core")
-    options = parser.parse_args()
-    print(f"w = {cpu_unit() * 1e3:.2f} ms")
-    for subject in options.subjects or SUBJECTS:
-        print(f"\n{subject}")
-        SUBJECTS[subject](options)
-
-
 if __name__ == "__main__":
-    main()
+    studies = (show_quilting, show_bmquilting, show_windows, show_search, show_correlation)
+    run_studies(__doc__, *studies, peer=GMIC, block=64, overlap=11, textures=["*"])

@@ -12,8 +12,6 @@ gpnn`` those of two methods.
 ``python benchmarks/pictures.py structure`` draws ``structure.svg`` from the packages and their docstrings.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import textwrap

@@ -12,8 +12,6 @@ draw are cut. FOLDER/invented holds pictures of the labeled prints whose element
 values with the mean and the covariance of the inks.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import tempfile

@@ -14,8 +14,6 @@
     Scores of defects that are planted in outputs and in fresh draws; the rate of missing and worn elements.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import sys

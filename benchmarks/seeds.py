@@ -6,9 +6,6 @@ method's mean over textures at each seed, the mean and the standard deviation of
 method takes. Below: Kendall's tau between the order at each pair of seeds, and the minutes that one seed took.
 """
 
-from __future__ import annotations
-
-import argparse
 import itertools
 import os
 import time
@@ -17,11 +14,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from scipy.stats import kendalltau
+from studies import Options, read_options
 
 import nrbench
 
 
-def mean_qualities(seed: int, options: argparse.Namespace) -> pd.Series:
+def mean_qualities(seed: int, options: Options) -> pd.Series:
     """Run one seed; return the mean quality of each ranked method and source of the lattice."""
     run = nrbench.run(
         "default",
@@ -36,12 +34,8 @@ def mean_qualities(seed: int, options: argparse.Namespace) -> pd.Series:
 
 def main() -> None:
     """Run the seeds and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(1, 9)), help="two seeds or more")
-    parser.add_argument("--out", type=Path, default=Path("runs/seeds"), help="folder of the runs")
-    parser.add_argument("--textures", nargs="*", default=[], help="patterns of textures; all if none is given")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="cells at the same time")
-    options = parser.parse_args()
+    jobs = os.cpu_count() or 1
+    options = read_options(__doc__, seeds=list(range(1, 9)), out=Path("runs/seeds"), textures=[], jobs=jobs)
     columns, minutes = [], []
     for seed in options.seeds:
         start = time.perf_counter()

@@ -31,9 +31,6 @@ both. Subjects:
     left out. CPU time of all processes, and the part that encodes and decodes pictures.
 """
 
-from __future__ import annotations
-
-import argparse
 import contextlib
 import json
 import multiprocessing
@@ -43,26 +40,26 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import psutil
+from studies import Options, run_studies
 from trivial_cells import write_plugin, write_suite
 from unit import cpu_unit, median_units
 
 import nrbench
 from nrbench import Lattice, plugins
 from nrbench.imaging.convert import quantize
-from nrbench.jit import load_kernels
 from nrbench.lattice.relation import lattice_error
 from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
 from nrbench.running.guard import peak_bytes
 from nrbench.running.phases import score_observation
-from nrbench.running.runner import Options, Step
+from nrbench.running.runner import Step
 from nrbench.streams import stream
 from nrbench.suites.suite import load_suite
 
@@ -108,13 +105,13 @@ def print_cost(name: str, call: Callable[[], object], repeats: int = 7) -> None:
         print(f"  {name:92} refused: {refusal.reason}", flush=True)
 
 
-def time_methods(options: argparse.Namespace) -> None:
+def time_methods(options: Options) -> None:
     """Print the cost of each method and variant."""
     for spec in options.methods or METHODS:
         print_cost(spec, synthesis(spec, sampled(options.model, options.sample), options.output))
 
 
-def time_outputs(options: argparse.Namespace) -> None:
+def time_outputs(options: Options) -> None:
     """Print cost and memory by the side of the output."""
     for spec in options.methods or PLAIN:
         for side in (side for side in SIDES if side <= options.largest):
@@ -134,7 +131,7 @@ def cost_alone(spec: str, side: int) -> tuple[float, float]:
     return (time.process_time() - start) / unit, (peak_bytes() - held) / side**2
 
 
-def time_models(options: argparse.Namespace) -> None:
+def time_models(options: Options) -> None:
     """Print the cost of each texture model; the bound is 50 w."""
     for name in plugins.names("datasets"):
         for kind, parameters in {"plain": {}, "with all departures": EVERYTHING}.items():
@@ -154,7 +151,7 @@ def observed(name: str, side: int, **parameters: float) -> Observation:
     return Observation(texture.image, again((side, side), 0).image, texture, again=again)
 
 
-def time_cells(options: argparse.Namespace) -> None:
+def time_cells(options: Options) -> None:
     """Print the cost of all scores of one cell, and of each part that takes 1 w or more.
 
     The bounds are 15 w at 256 px, and 50 w at 448 px without a model. A part that several metrics share counts for the
@@ -181,7 +178,7 @@ def time_cells(options: argparse.Namespace) -> None:
             print(" + ".join(f"{metric} {cost:.1f}" for metric, cost in costs.items() if cost >= 1), flush=True)
 
 
-def time_scores(options: argparse.Namespace) -> None:
+def time_scores(options: Options) -> None:
     """Print the cost of each metric, with the texture's model and without."""
     for name in ("brick", "weave", "hexagon"):
         observation = observed(name, 256, color=0.2, noise=0.03)
@@ -216,12 +213,12 @@ def run_command(command: str, folder: Path) -> tuple[float, float, float, bytes]
     return time.perf_counter() - start, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 2**20, answer
 
 
-def time_commands(options: argparse.Namespace) -> None:
+def time_commands(options: Options) -> None:
     """Print the cost of short commands from cold."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         write_image(folder / "brick.png", nrbench.texture("brick", shape=(128, 128), color=0.3).image)
-        once = Options(jobs=0)
+        once = nrbench.Options(jobs=0)
         nrbench.run("core", methods=["scatter"], textures="brick-mild", out=folder / "R", options=once)
         for command in COMMANDS:
             run_command(command, folder)
@@ -229,7 +226,7 @@ def time_commands(options: argparse.Namespace) -> None:
             print(f"  {seconds:6.2f} s {seconds / cpu_unit():6.0f} w  nrbench {command}", flush=True)
 
 
-def time_pictures(options: argparse.Namespace) -> None:
+def time_pictures(options: Options) -> None:
     """Print the cost of ``nrbench lattice``. The wall is one draw, repeated; its lattice fits into the draw."""
     wall = nrbench.texture("brick", (2000, 2000), 1, width=25.0, height=12.5, color=0.3, noise=0.05)
     assert wall.lattice is not None
@@ -246,7 +243,7 @@ def time_pictures(options: argparse.Namespace) -> None:
         print(f"  {side:>6} {seconds:>7.1f} {cpu:>7.1f} {cpu / cpu_unit():>7.0f} {held:>6.2f}  {found}", flush=True)
 
 
-def time_overhead(options: argparse.Namespace) -> None:
+def time_overhead(options: Options) -> None:
     """Print what a cell costs beyond its method and metrics."""
     with tempfile.TemporaryDirectory() as place:
         plugins.add_file(write_plugin(Path(place)))
@@ -266,7 +263,7 @@ def time_trivial_cells(count: int, parameter: str) -> None:
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         suite = write_suite(folder, count, parameter)
-        cells = nrbench.run(suite, out=folder / "run", options=Options(jobs=1), progress=follow).cells
+        cells = nrbench.run(suite, out=folder / "run", options=nrbench.Options(jobs=1), progress=follow).cells
         pictures = picture_units(cells[0].folder)
     if any(cell.status != "ok" for cell in cells):
         raise SystemExit("overhead: a trivial cell failed")
@@ -301,36 +298,19 @@ def picture_units(folder: Path) -> float:
     return median_units(handle) / 100
 
 
-SUBJECTS: Mapping[str, Callable[[argparse.Namespace], None]] = {
-    "methods": time_methods,
-    "outputs": time_outputs,
-    "models": time_models,
-    "cells": time_cells,
-    "scores": time_scores,
-    "commands": time_commands,
-    "pictures": time_pictures,
-    "overhead": time_overhead,
-}
-
-
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("subjects", nargs="*", metavar="SUBJECT", help=f"of {', '.join(SUBJECTS)}; none: all")
-    parser.add_argument("--largest", type=int, default=SIDES[-1], help="of outputs: the largest side in px")
-    parser.add_argument("--methods", nargs="*", help="methods as name:param=value,...")
-    parser.add_argument("--model", default="brick", help="of methods: the texture model")
-    parser.add_argument("--sample", type=int, default=128, help="of methods: side of the sample in px")
-    parser.add_argument("--output", type=int, default=256, help="of methods: side of the output in px")
-    parser.add_argument("--sides", type=int, nargs="+", default=[8000], help="of pictures: sides in px")
-    parser.add_argument("--cells", type=int, default=2000, help="of overhead: number of cells")
-    options = parser.parse_args()
-    load_kernels()
-    print(f"w = {cpu_unit() * 1e3:.2f} ms")
-    for subject in options.subjects or SUBJECTS:
-        print(f"\n{subject}")
-        SUBJECTS[subject](options)
-
-
 if __name__ == "__main__":
-    main()
+    run_studies(
+        __doc__,
+        *(
+            time_methods,
+            time_outputs,
+            time_models,
+            time_cells,
+            time_scores,
+            time_commands,
+            time_pictures,
+            time_overhead,
+        ),
+        **{"largest": SIDES[-1], "methods": [], "model": "brick", "sample": 128, "output": 256},
+        **{"sides": [8000], "cells": 2000},
+    )

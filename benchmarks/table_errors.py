@@ -11,13 +11,11 @@
 ``--runs`` is the number of simulated tables for each figure; ``--short`` takes a few sizes.
 """
 
-from __future__ import annotations
-
-import argparse
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from studies import Options, run_studies
 
 from nrbench.reports.statistics.estimates import (
     ALPHA,
@@ -30,7 +28,7 @@ from nrbench.reports.statistics.estimates import (
 
 Floats = NDArray[np.float64]
 Rng = np.random.Generator
-SIZES = (2, 5, 6, 9, 12, 18, 24, 36)
+SIZES, SHORT_SIZES = (2, 5, 6, 9, 12, 18, 24, 36), (6, 24)
 
 
 def smooth(rng: Rng, shape: tuple[int, ...]) -> Floats:
@@ -74,8 +72,9 @@ CASES: tuple[Callable[[Rng, tuple[int, ...]], Floats], ...] = (
 )  # fmt: skip
 
 
-def study_stars(runs: int, sizes: tuple[int, ...], methods: tuple[int, ...]) -> None:
+def study_stars(options: Options) -> None:
     """Print the share of tables with a wrong star, and with any wrong difference."""
+    runs, sizes, methods = options.runs, *((SHORT_SIZES, (4,)) if options.short else (SIZES, (2, 4, 10)))
     print(f"| qualities | methods | {' | '.join(f'{n} textures' for n in sizes)} |")
     print(f"| --- | --- |{' --- |' * len(sizes)}")
     for case in CASES:
@@ -128,8 +127,9 @@ def _covered(ends: Floats, mean: float) -> str:
     return f"{held.mean():.3f}" + ("" if printed.all() else f" ({printed.mean():.2f})")
 
 
-def study_coverage(rng: Rng, runs: int, sizes: tuple[int, ...]) -> None:
+def study_coverage(options: Options) -> None:
     """Print the coverage over draws of a fixed list, then over a population of textures."""
+    rng, runs, sizes = np.random.default_rng(0), options.runs, SHORT_SIZES if options.short else SIZES
     print(f"| draws of the list | replicates | {' | '.join(f'{n} textures' for n in sizes)} |")
     print(f"| --- | --- |{' --- |' * len(sizes)}")
     for case in DRAWS:
@@ -154,11 +154,12 @@ def _scores(rng: Rng, level: Floats, scatter: float, failed: NDArray[np.bool_]) 
     return np.concatenate([perils, perils.min(2, keepdims=True), verdict, 1.0 - failed], 2).mean(3)
 
 
-def study_compare(runs: int, sizes: tuple[int, ...], methods: int = 10) -> None:
+def study_compare(options: Options) -> None:
     """Print the share of comparisons with an alarm, and with the loss found that one of the methods has.
 
     2 % of the cells fail: the same ones in both runs where cells are paired, others where the seed is another.
     """
+    runs, sizes, methods = options.runs, SHORT_SIZES if options.short else (6, 12, 24), 10
     heads = ("draws", "textures", "replicates", "alarm", "loss .05 found", "the same, quality alone", "loss .1 found")
     heads += ("detectable in quality",)
     print(f"| {' | '.join(heads)} |\n|{' --- |' * len(heads)}")
@@ -191,23 +192,5 @@ def _alarm(losses: Floats, method: int | None = None) -> bool:
     return bool((p <= ALPHA).any() if method is None else (p[method] <= ALPHA).any())
 
 
-def main() -> None:
-    """Run the studies that are named, or all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("studies", nargs="*", help="stars, coverage, compare  [default: all]")
-    parser.add_argument("--runs", type=int, default=1000)
-    parser.add_argument("--short", action="store_true")
-    options = parser.parse_args()
-    sizes, methods = ((6, 24), (4,)) if options.short else (SIZES, (2, 4, 10))
-    studies: dict[str, Callable[[], None]] = {
-        "stars": lambda: study_stars(options.runs, sizes, methods),
-        "coverage": lambda: study_coverage(np.random.default_rng(0), options.runs, sizes),
-        "compare": lambda: study_compare(options.runs, tuple(n for n in sizes if n in (6, 12, 24))),
-    }
-    for name in options.studies or studies:
-        print(f"\n{name}: {options.runs} tables for each figure\n")
-        studies[name]()
-
-
 if __name__ == "__main__":
-    main()
+    run_studies(__doc__, study_stars, study_coverage, study_compare, runs=1000, short=False)

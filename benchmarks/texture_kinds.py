@@ -4,8 +4,6 @@ Cells with two similar halves, elements of two tints, bent textures, large eleme
 other colors, stones without a lattice, and structure of pixels: offsets of lines, enlarged pictures, and screens.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 

@@ -21,8 +21,6 @@ Run it by ``OMP_NUM_THREADS=1 python benchmarks/texture_statistics.py [MODEL ...
 ``--noise`` prints instead the pixels that noise alone clips, in %, by its strength.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A suite of many cells that cost next to nothing, for benchmarks of what a run adds to its methods and metrics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 PLUGIN = '''

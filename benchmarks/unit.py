@@ -1,7 +1,5 @@
 """The machine unit w, in which every benchmark prints its figures."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable

@@ -6,15 +6,13 @@ departures of color, grain or place. Seeds under 100 have set the limits of the 
 groups of the ideal pictures of other models.
 """
 
-from __future__ import annotations
-
-import argparse
 import itertools
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from studies import read_options
 
 from nrbench import plugins
 from nrbench.datasets_procedural.modelling.model import Model
@@ -81,12 +79,8 @@ def print_ideals() -> None:
 
 def main() -> None:
     """Print the table, and each wrong group."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("what", nargs="?", choices=("groups", "ideals"), default="groups")
-    parser.add_argument("--first", type=int, default=100)
-    parser.add_argument("--count", type=int, default=6)
-    parser.add_argument("--detect", action="store_true")
-    options = parser.parse_args()
+    choices = {"what": ("groups", "ideals")}
+    options = read_options(__doc__, ["what"], choices, what="groups", first=100, count=6, detect=False)
     load_kernels()
     if options.what == "ideals":
         return print_ideals()

@@ -153,11 +153,6 @@ COMPILATION = Compilation()
 atexit.register(lambda: COMPILATION.report())
 
 
-def work_clock() -> float:
-    """Return :func:`time.perf_counter` without the seconds in which this process has compiled kernels."""
-    return time.perf_counter() - COMPILATION.seconds
-
-
 class Kernel(Generic[P, R]):
     """A function that numba compiles for the types of its annotations when it is first needed.
 

@@ -37,12 +37,13 @@ from nrbench.lattice.geometry import Lattice
 from nrbench.plugins import forms
 from nrbench.plugins.forms import Refused
 from nrbench.plugins.parameters import leave_user_folder, user_path
-from nrbench.running.phases import FAULTS, freeze, leaves, score_observation, write_score
+from nrbench.running.phases import FAULTS, score_observation, write_score
 from nrbench.runs.records import Run
 from nrbench.runs.store import CellFolder
 from nrbench.streams import stream
 from nrbench.suites.cell import Recipe
 from nrbench.suites.plan import draw_texture
+from nrbench.work import freeze, leaves
 
 EXAMPLES: Mapping[str, Any] = tomllib.loads(files(__package__).joinpath("templates/examples.toml").read_text("utf-8"))
 WALL = EXAMPLES["wall"]

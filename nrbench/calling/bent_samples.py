@@ -16,7 +16,6 @@ from nrbench.displacement.free_form import REPEATS, FreeForm
 from nrbench.displacement.random_field import output_field
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.masks import Mask
-from nrbench.jit import work_clock
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import (
     FoundLattice,
@@ -29,6 +28,7 @@ from nrbench.plugins.forms import (
     find_lattice,
 )
 from nrbench.plugins.registry import NamedDetector, in_role
+from nrbench.work import reuse, work_clock
 
 _SAME = 0.15
 """Tolerance, in s, at which the mean lattice of a bent sample counts as the given one."""
@@ -85,7 +85,9 @@ def recognize_sample(method: Synthesizer | None, task: Task) -> SampleSurvey:
     """
     start = work_clock()
     found = find_lattice(task, detector_of(method))
-    followed = find_bent_lattice(task.sample, task.known) if found.lattice is None else None
+    followed = None
+    if found.lattice is None:
+        followed = reuse(("bent", task.sample, task.known), find_bent_lattice, task.sample, task.known)
     if followed is None:
         bent, note = find_bend(task.sample, found.lattice, task.lattice is not None, task.known)
     else:

@@ -42,7 +42,7 @@ from nrbench.errors import BadInput, require
 from nrbench.imaging.convert import Image, depth_of, quantize
 from nrbench.imaging.masks import MaskedImage
 from nrbench.imaging.wallpaper_group import FoundGroup, find_wallpaper_group
-from nrbench.jit import load_kernels, work_clock
+from nrbench.jit import load_kernels
 from nrbench.lattice.geometry import Lattice, Vector, require_visible
 from nrbench.lattice.vertices import Vertex, lay_vertices
 from nrbench.pictures.files import encode_png, write_image
@@ -58,6 +58,7 @@ from nrbench.pictures.truth import vertices_text
 from nrbench.plugins.forms import Alternative, Curve, Detection, NoLatticeFound, Surface, detect_known
 from nrbench.plugins.parameters import parse_spec
 from nrbench.storage import write_aside, write_text
+from nrbench.work import work_clock
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

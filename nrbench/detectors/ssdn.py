@@ -254,20 +254,36 @@ class Period:
         px.
     peaks
         Lags, px, of the peak at each multiple 1, 2, ..., n.
-    height
-        Mean of the curve at the multiples.
-    contrast
-        The height above the curve's median.
-    strength
-        The contrast with each multiple weighted by its number squared, times the root of their number: a repetition
-        that occurs by chance fades with the lag.
+    heights
+        Values of the curve at the multiples.
+    level
+        Median of the curve.
     """
 
     length: float
     peaks: tuple[float, ...]
-    height: float
-    contrast: float
-    strength: float
+    heights: tuple[float, ...]
+    level: float
+
+    @property
+    def height(self) -> float:
+        """Mean of the curve at the multiples."""
+        return float(np.mean(self.heights))
+
+    @property
+    def contrast(self) -> float:
+        """The height above the curve's median."""
+        return self.height - self.level
+
+    @property
+    def strength(self) -> float:
+        """The contrast with each multiple weighted by its number squared, times the root of their number.
+
+        A repetition that occurs by chance fades with the lag.
+        """
+        weights = np.square(np.arange(len(self.heights)) + 1.0)
+        far = float(np.average(self.heights, weights=weights)) - self.level
+        return far * float(np.sqrt(len(self.heights)))
 
 
 def find_period(curve: Sequence, share: float, subpixel: bool) -> Period | None:
@@ -289,26 +305,30 @@ def find_period(curve: Sequence, share: float, subpixel: bool) -> Period | None:
     if len(curve) < 3:
         return None
     level, inner = float(np.median(curve)), curve[1:-1]
+    vertices = np.arange(1, len(curve) - 1) + (find_vertex(curve[:-2], inner, curve[2:]) if subpixel else 0.0)
     candidates = np.flatnonzero((inner > curve[:-2]) & (inner >= curve[2:]) & (inner > level)) + 1
-    periods = [_follow_multiples(curve, level, int(lag), subpixel) for lag in candidates]
-    highest = max((period.contrast for period in periods), default=0.0)
-    return next((period for period in periods if period.contrast >= share * highest > 0), None)
+    values, tops = curve.tolist(), [0.0, *vertices.tolist()]
+    periods = [_follow_multiples(values, tops, level, lag, subpixel) for lag in candidates.tolist()]
+    contrasts = [period.contrast for period in periods]
+    least = share * max(contrasts, default=0.0)
+    return next((period for period, each in zip(periods, contrasts, strict=True) if each >= least > 0), None)
 
 
-def _follow_multiples(curve: Sequence, level: float, lag: int, subpixel: bool) -> Period:
-    """Return the period whose first peak is at ``lag``, followed to the end of the curve."""
+def _follow_multiples(values: list[float], tops: list[float], level: float, lag: int, subpixel: bool) -> Period:
+    """Return the period whose first peak is at ``lag``, followed to the end of the curve.
+
+    The curve has ``values``; the peak at each of its lags has its top at ``tops``. Lists are read faster than arrays.
+    """
     period, peaks, heights = float(lag), list[float](), list[float]()
     products, squares, near = 0.0, 0.0, min(NEAR, MAX_SHIFT * lag)
-    while abs(period - lag) <= MAX_SHIFT * lag and (k := len(peaks) + 1) * period <= len(curve) - 2:
+    while abs(period - lag) <= MAX_SHIFT * lag and (k := len(peaks) + 1) * period <= len(values) - 2:
         low = max(round(k * period - near), 1)
-        peak = low + int(curve[low : min(round(k * period + near) + 1, len(curve) - 1)].argmax())
-        peaks.append(peak + float(find_vertex(*curve[peak - 1 : peak + 2])) if subpixel else float(peak))
-        heights.append(float(curve[peak]))
+        around = values[low : min(round(k * period + near) + 1, len(values) - 1)]
+        heights.append(max(around))
+        peaks.append(tops[low + around.index(heights[-1])])
         products, squares = products + k * peaks[-1], squares + k * k
         period = products / squares if subpixel else peaks[-1] / k
-    height = float(np.mean(heights))
-    far = float(np.average(heights, weights=np.square(np.arange(len(heights)) + 1.0))) - level
-    return Period(period, tuple(peaks), height, height - level, far * float(np.sqrt(len(heights))))
+    return Period(period, tuple(peaks), tuple(heights), level)
 
 
 def inner_repetition(gamma: Correlation, width: float, height: float, reach: tuple[int, int]) -> float:

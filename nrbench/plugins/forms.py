@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from nrbench.errors import BadInput
 from nrbench.imaging.convert import Image
 from nrbench.imaging.masks import Mask
-from nrbench.jit import work_clock
 from nrbench.lattice.geometry import Lattice, Points
 from nrbench.lattice.vertices import Vertex
+from nrbench.work import work_clock
 
 Kind = Literal["0", "I", "II", "III", "stochastic"]
 Shape = tuple[int, int]

@@ -17,14 +17,13 @@ from typing import Any, Protocol, cast
 
 import psutil
 
-from nrbench.jit import COMPILATION
 from nrbench.runs.store import Result, is_result_part
+from nrbench.work import MIB
 
 TICK = 0.02
 """Seconds between two checks of the clock and of the memory of the child. Above half of its limit there are more."""
 MEMORY_TICK = 0.1
 """Seconds between two checks of the memory of all that the child started, and of what they share."""
-MIB = 1 << 20
 LONG_LOG, SHORT_LOG = 16 << 20, 1 << 20
 """Bytes of a log above which it is cut, and bytes that are kept of it."""
 
@@ -508,29 +507,10 @@ def _prctl(option: int, value: int) -> None:
         ctypes.CDLL(None, use_errno=True).prctl(option, value)
 
 
-def peak_bytes() -> int:
-    """Return the highest resident size of this process so far, bytes."""
-    if sys.platform == "win32":
-        return int(psutil.Process().memory_info().peak_wset)
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return int(peak if sys.platform == "darwin" else peak * 1024)
-
-
 def forget_peak() -> None:
-    """Give free memory back to the system, and let :func:`peak_bytes` start anew from what is held now (Linux)."""
+    """Give free memory back to the system, and let :func:`.peak_bytes` start anew from what is held now (Linux)."""
     import ctypes
 
     with contextlib.suppress(AttributeError):  # another C library than glibc
         ctypes.CDLL(None).malloc_trim(0)
     Path("/proc/self/clear_refs").write_text("5", "ascii")
-
-
-def cpu_seconds() -> float:
-    """Return the processor seconds so far of this process, all threads, and of the programs that it has waited for.
-
-    The compilation of kernels is left out.
-    """
-    times = os.times()
-    return time.process_time() + times.children_user + times.children_system - COMPILATION.cpu

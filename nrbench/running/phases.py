@@ -13,14 +13,14 @@ import os
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from pydantic import ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from nrbench import plugins
 from nrbench.calling.bent_samples import SampleSurvey, survey_sample, synthesize_in_geometry
@@ -28,7 +28,7 @@ from nrbench.calling.method_calls import InvalidOutput, checked_synthesis, is_pi
 from nrbench.errors import BadInput, describe_error, storage_fault
 from nrbench.imaging.convert import MIN_SIDE, Image, quantize
 from nrbench.imaging.masks import Mask
-from nrbench.jit import find_cache, work_clock
+from nrbench.jit import find_cache
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.vertices import Vertex
 from nrbench.pictures.files import read_image, read_mask, write_image
@@ -48,12 +48,24 @@ from nrbench.plugins.forms import (
 )
 from nrbench.plugins.parameters import leave_user_folder
 from nrbench.plugins.registry import bent_finders, in_role
-from nrbench.running.guard import MIB, Message, cpu_seconds, peak_bytes
+from nrbench.running.guard import Message
 from nrbench.runs.store import CellFolder, Result, metric_key
 from nrbench.storage import read_arrays, read_json, write_arrays, write_json, write_text
 from nrbench.streams import pixels_hash, stream
 from nrbench.suites.cell import RESULTS_VERSION, Cell, Recipe, hash_content, reader_of
-from nrbench.suites.plan import draw_texture
+from nrbench.suites.plan import draw_texture, identify_detector
+from nrbench.work import (
+    MIB,
+    REUSED,
+    Spent,
+    cpu_seconds,
+    freeze,
+    keep_results,
+    measure_cost,
+    peak_bytes,
+    reuse,
+    work_clock,
+)
 
 T = TypeVar("T")
 PLAIN = ("family", "kind", "regular_share", "region")
@@ -241,9 +253,10 @@ def synthesize_cell(folder: Path, send: Send) -> None:
     task, prepared = prepare_method(method, _task(where, cell), folder, cell.seed)
     send({"scored": PREPARED})
     wall, cpu = work_clock(), cpu_seconds()
-    survey, spent = survey_once(method, task, cell, folder.parent)
-    synthesis = synthesize_in_geometry(method, task, survey)
-    wall, cpu = work_clock() - wall + spent.seconds, cpu_seconds() - cpu + spent.cpu_seconds
+    with keep_results():
+        survey = survey_once(method, task, cell, folder.parent)
+        synthesis = synthesize_in_geometry(method, task, survey)
+    wall, cpu = work_clock() - wall, cpu_seconds() - cpu
     synthesis = checked_synthesis(synthesis, task.sample, cell.shape, task.known)
     _write(where, synthesis)
     result: Result = {
@@ -253,7 +266,7 @@ def synthesize_cell(folder: Path, send: Send) -> None:
         "seconds": wall,
         "cpu_seconds": cpu,
         "detection_seconds": synthesis.detection_seconds,
-        "peak_mib": spent.peak_mib,
+        "peak_mib": REUSED.peak_mib,
         "lattice_used": synthesis.lattice.as_dict() if synthesis.lattice else None,
         "output_hash": pixels_hash(synthesis.image),
         "made": {
@@ -293,29 +306,6 @@ def _reference_draws(where: CellFolder, cell: Cell) -> tuple[Again | None, Again
         return Texture(region[: shape[0], : shape[1]]) if fits else None
 
     return draw, None
-
-
-def leaves(thing: Any) -> Iterator[Any]:
-    """Yield the values that mappings, sequences and dataclasses are made of, and the names of the values."""
-    if dataclasses.is_dataclass(thing) and not isinstance(thing, type):
-        thing = {field.name: getattr(thing, field.name) for field in dataclasses.fields(thing) if field.init}
-    if isinstance(thing, Mapping):
-        for key in sorted(thing, key=str):
-            yield str(key)
-            yield from leaves(thing[key])
-    elif isinstance(thing, tuple | list):
-        for part in thing:
-            yield from leaves(part)
-    else:
-        yield thing
-
-
-def freeze(thing: T) -> T:
-    """Make all arrays of a value read-only, and return it."""
-    for part in leaves(thing):
-        if isinstance(part, np.ndarray):
-            part.setflags(write=False)
-    return thing
 
 
 def _frozen_draws(draw: Again) -> Again:
@@ -513,26 +503,8 @@ def _read_cell(where: CellFolder) -> Cell:
 
 
 @dataclasses.dataclass(frozen=True)
-class Spent:
-    """What an earlier survey cost, which counts as a cost of each method that uses it.
-
-    Parameters
-    ----------
-    seconds, cpu_seconds
-        Wall and processor seconds.
-    peak_mib
-        By how much it raised the peak memory of its process, MiB.
-    """
-
-    __pydantic_config__ = ConfigDict(allow_inf_nan=False)
-    seconds: float = 0.0
-    cpu_seconds: float = 0.0
-    peak_mib: float = 0.0
-
-
-@dataclasses.dataclass(frozen=True)
 class KeptSurvey:
-    """The content of the file of a survey. That of a bent sample, which holds pictures, is kept by the process.
+    """The content of the file of a survey. That of a bent sample, which holds pictures, is kept by the process alone.
 
     Parameters
     ----------
@@ -547,12 +519,8 @@ class KeptSurvey:
     spent: Spent
 
 
-_bent_surveys: dict[str, tuple[SampleSurvey, Spent]] = {}
-"""The last surveys of bent samples in this process, by :func:`_survey_key`, and what they cost."""
-
-
-def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> tuple[SampleSurvey | None, Spent]:
-    """Return the survey of a cell's sample, and what it cost if an earlier cell made it.
+def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> SampleSurvey | None:
+    """Return the survey of a cell's sample. What it cost counts for each cell that uses it.
 
     Parameters
     ----------
@@ -565,33 +533,32 @@ def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> tuple[Samp
     """
     finder = (cell.finder or (in_role("detector"),))[0]
     if not all(plugins.find("detectors", name).built_in for name in (finder, *bent_finders())):
-        return survey_sample(method, task), Spent()
+        return survey_sample(method, task)
     if getattr(method, "geometry", "as-is") == "as-is" or not getattr(method, "uses_lattice", True):
-        return None, Spent()
+        return None
     key = _survey_key(cell)
-    if key in _bent_surveys:
-        return _bent_surveys[key]
     file = folder / f"{key}.json"
     kept = _read_survey(file)
-    if kept is not None:
-        return SampleSurvey(kept.found, None, kept.note, kept.spent.seconds), kept.spent
-    wall, cpu, peak = work_clock(), cpu_seconds(), peak_bytes()
-    survey = survey_sample(method, task)
-    spent = Spent(work_clock() - wall, cpu_seconds() - cpu, (peak_bytes() - peak) / MIB)
+    if kept is None:
+        return reuse(("survey", key), _keep_survey, method, task, file)
+    REUSED.count(kept.spent)
+    return SampleSurvey(kept.found, None, kept.note, kept.spent.seconds)
+
+
+def _keep_survey(method: Any, task: Task, file: Path) -> SampleSurvey | None:
+    """Return the survey of a sample; write its file if the sample is not bent."""
+    survey, spent = measure_cost(survey_sample, method, task)
     if survey is not None and survey.bent is None:
         write_json(file, dataclasses.asdict(KeptSurvey(survey.found, survey.note, spent)))
-    elif survey is not None:
-        while len(_bent_surveys) > 1:  # given and own lattice of one sample
-            del _bent_surveys[next(iter(_bent_surveys))]
-        _bent_surveys[key] = survey, spent
-    return survey, Spent()
+    return survey
 
 
 def _survey_key(cell: Cell) -> str:
     """Return a hash of all that a survey depends on."""
     given = cell.lattice_given.as_dict() if cell.lattice_given else None
+    finder = None if given else cell.finder or identify_detector(in_role("detector"))
     versions = [plugins.find("detectors", name).full_version for name in bent_finders()]
-    return hash_content([RESULTS_VERSION, cell.sample_hash, given, cell.finder, versions])
+    return hash_content([RESULTS_VERSION, cell.sample_hash, given, finder, versions])
 
 
 def _read_survey(file: Path) -> KeptSurvey | None:

@@ -34,6 +34,7 @@ from nrbench.running import guard
 from nrbench.running.guard import Message, Reply
 from nrbench.running.phases import PREPARED, KeptSurvey, Request, Send, perform, send_error
 from nrbench.suites.cell import Cell, Recipe, reader_of
+from nrbench.work import MIB
 
 ROOM_BETWEEN = 256.0
 """MiB beyond those of the worker that a child may hold between two cells. Above it, a new child takes its place."""
@@ -317,7 +318,7 @@ class ChildServer:
         last, self._last = self._last, None
         if last is not None:
             last.end(kill=True)
-        room = guard.held_bytes(os.getpid()) + ROOM_BETWEEN * guard.MIB
+        room = guard.held_bytes(os.getpid()) + ROOM_BETWEEN * MIB
         for phase, child in list(self._shared.items()):
             if guard.held_bytes(child.pid) > room:
                 self._shared.pop(phase).end(kill=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -27,6 +26,7 @@ from nrbench.spectra.harmonics import (
     find_free_waves,
     find_tied_waves,
 )
+from nrbench.work import reuse, work_clock
 
 from ..lattice_places.equal_places import shows_two_periods
 
@@ -129,7 +129,9 @@ class MaskParameters(SharedParameters):
         find = partial(find_free_waves, threshold=self.threshold or None, signal=self.signal)
         if self.harmonics == "tied":
             find = partial(find_tied_waves, threshold=self.threshold or None, signal=self.signal, given=given)
-        waves = find(planes) if self.channels == "joint" else find_channel_waves(find, planes)
+        each = partial(find_channel_waves, find) if self.channels == "each" else find
+        key = "waves", planes, given, self.threshold, self.signal, self.harmonics, self.channels
+        waves = reuse(key, each, planes)
         if not len(waves.frequencies):
             limit = f" and the threshold of {self.threshold:g}" if self.threshold else ""
             raise Refused(f"no wave of the sample exceeds its noise{limit}: there is no regular part for a mask")
@@ -145,9 +147,9 @@ class MaskParameters(SharedParameters):
         """
         if task.tileable and not self.tileable:
             return replace(self, tileable=True).synthesize(task)
-        start = time.perf_counter()
+        start = work_clock()
         mask = self.find_mask(task.sample, task.lattice)
-        seconds = 0.0 if task.lattice else time.perf_counter() - start
+        seconds = 0.0 if task.lattice else work_clock() - start
         return replace(self.synthesize_with_mask(task, mask), detection_seconds=seconds)
 
     def synthesize_with_mask(self, task: Task, mask: TextureMask) -> Synthesis:

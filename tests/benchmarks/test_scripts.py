@@ -14,6 +14,6 @@ def test_every_script_can_be_imported(load: Load, name: str) -> None:
 def test_the_list_names_every_script(load: Load) -> None:
     """`make benchmark` starts each script of the folder but helpers and `make soak`'s, and none that does not exist."""
     listed = {command.split()[0] for command in load("all").BENCHMARKS}
-    helpers = {"all.py", "unit.py", "edits.py", "texture_kinds.py", "trivial_cells.py", "soak.py"}
-    helpers |= {"gallery.py", "pictures.py"}  # which draw the pictures of the docs
+    helpers = {"all.py", "unit.py", "edits.py", "texture_kinds.py", "trivial_cells.py", "studies.py"}
+    helpers |= {"soak.py", "gallery.py", "pictures.py"}  # which draw the pictures of the docs
     assert listed == {f"{name}.py" for name in NAMES} - helpers

@@ -41,6 +41,7 @@ FLOORS = (
         "nrbench.flags",
         "nrbench.storage",
         "nrbench.jit",
+        "nrbench.work",
         "nrbench.source_tree",
         "nrbench.version",
     ),

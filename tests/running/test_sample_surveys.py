@@ -7,6 +7,7 @@ import pytest
 
 import nrbench
 from nrbench.running import phases
+from nrbench.work import REUSED
 
 
 def execute(out: Path, methods: list[str], texture: str = "brick-mild") -> list[nrbench.CellRecord]:
@@ -44,11 +45,11 @@ def test_a_survey_is_made_once_and_its_cost_counts_for_each_method(
 def test_a_bent_sample_is_surveyed_once_by_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second method finds the bent sample straightened, and its output is that of a process that did it itself."""
     (alone,) = execute(tmp_path / "alone", ["tile-set"], "hexagon-bent")
-    phases._bent_surveys.clear()
+    REUSED.kept.clear()
     execute(tmp_path / "run", ["rsgf"], "hexagon-bent")
     assert not list((tmp_path / "run" / "prepared").glob("*.json"))
     monkeypatch.setattr(phases, "survey_sample", None)
     (second,) = execute(tmp_path / "run", ["tile-set"], "hexagon-bent")
     assert second.note == alone.note and "bent by" in second.note
     assert (second.folder / "output.png").read_bytes() == (alone.folder / "output.png").read_bytes()
-    assert second.values["cost.seconds"] >= max(spent.seconds for _, spent in phases._bent_surveys.values())
+    assert second.values["cost.seconds"] >= max(spent.seconds for _, spent in REUSED.kept.values())
