@@ -54,7 +54,8 @@ class SourceUse:
 
 def _known(source: SourceMap) -> NDArray[np.bool_]:
     """Return which pixels have a source, ``(H, W)``."""
-    return np.asarray(np.isfinite(source).all(-1))
+    parts = [np.isfinite(source[..., k]) for k in range(source.shape[-1])]  # numpy is slow along a short last axis
+    return np.asarray(np.logical_and.reduce(parts))
 
 
 def _mean_copy_length(source: SourceMap) -> float:
@@ -62,8 +63,8 @@ def _mean_copy_length(source: SourceMap) -> float:
     count, starts = int(_known(source).sum()), 0
     for lines, step in ((source, (0, 1)), (source.swapaxes(0, 1), (1, 0))):
         known = _known(lines)
-        alike = (np.abs(np.diff(lines[..., :2], axis=0) - np.array(step, lines.dtype)) <= _SLACK).all(-1)
-        starts += count - int((known[1:] & known[:-1] & alike).sum())
+        along, across = (np.abs(np.diff(lines[..., k], axis=0) - lines.dtype.type(step[k])) <= _SLACK for k in (0, 1))
+        starts += count - int((known[1:] & known[:-1] & along & across).sum())
     return 2 * count / starts
 
 

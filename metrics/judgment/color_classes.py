@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 from ..perception import limits
 from ..registration.coarse_plane import CoarsePlane
 from ..registration.lattice_net import Mask, split_cells
-from .element_kernels import assign_colors
+from .element_kernels import cluster_colors
 from .texture_reference import TextureReference
 
 Colors = NDArray[np.float64]
@@ -112,7 +112,8 @@ def _gather_elements(parts: list[tuple[Colors, NDArray[np.intp]]]) -> tuple[tupl
         for own, cells in parts:
             line = cells[:, 0] * each[0] + cells[:, 1] * each[1]
             line -= line.min(initial=0)
-            sums, held = np.stack([np.bincount(line, own[:, k]) for k in range(3)], 1), np.bincount(line)[:, np.newaxis]
+            held = np.bincount(line)[:, np.newaxis]
+            sums = np.bincount((3 * line[:, np.newaxis] + np.arange(3)).ravel(), own.ravel()).reshape(-1, 3)
             average = sums / np.maximum(held, 1)
             means.append(average[held[:, 0] > 0])
             rest += float(((own - average[line]) ** 2).sum())
@@ -169,9 +170,10 @@ def find_classes(colors: Colors) -> PlaceClasses | None:
     colors = np.ascontiguousarray(colors[:: -(-len(colors) // _MOST_CELLS) or 1])
     if len(colors) < _LEAST_ELEMENTS or colors.var(0).sum() < limits.CLASS_GAP**2 * _FLOOR / len(colors):
         return None
-    whole, best, found = _log_size(colors - colors.mean(0)), limits.DECISIVE, None
+    away = colors - colors.mean(0)
+    whole, first, best, found = _log_size(away), int((away**2).sum(1).argmax()), limits.DECISIVE, None
     for count in range(2, min(_MOST_CLASSES, len(colors) // 2) + 1):
-        centers, labels, counts = _cluster(colors, count)
+        centers, labels, counts = cluster_colors(colors, first, count, _ROUNDS)
         if not counts.all():  # fewer different colors than clusters
             break
         rest = colors - centers[labels]
@@ -190,20 +192,6 @@ def find_classes(colors: Colors) -> PlaceClasses | None:
 def _log_size(departures: Colors) -> float:
     """Return the logarithm of the determinant of the covariance of departures, with the floor added."""
     return float(np.linalg.slogdet(departures.T @ departures / len(departures) + _FLOOR * np.eye(3))[1])
-
-
-def _cluster(colors: Colors, count: int) -> tuple[Colors, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the means of clusters, the number of each color's cluster, and sizes, by k-means from colors far apart."""
-    centers = colors[((colors - colors.mean(0)) ** 2).sum(1).argmax()][np.newaxis]
-    while len(centers) < count:
-        centers = np.concatenate([centers, colors[_square_distances(colors, centers).min(1).argmax()][np.newaxis]])
-    labels = np.full(len(colors), -1)
-    for _ in range(_ROUNDS):
-        before, (labels, sums, counts) = labels, assign_colors(colors, centers)
-        if not counts.all() or (labels == before).all():
-            break
-        centers = sums / counts[:, np.newaxis]
-    return centers, labels, counts
 
 
 def _square_distances(a: Colors, b: Colors) -> NDArray[np.float64]:

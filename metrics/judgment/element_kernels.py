@@ -65,18 +65,53 @@ def sum_products(values: Float32x3, known: Boolx2, down: int, right: int, places
 
 
 @kernel
-def assign_colors(colors: Float64x2, centers: Float64x2) -> tuple[Int64x1, Float64x2, Int64x1]:
-    """Return the number of the center nearest to each color, ``(n, 3)``, and the sum and number of colors of each."""
-    labels, sums, counts = np.zeros(len(colors), np.int64), np.zeros(centers.shape), np.zeros(len(centers), np.int64)
-    for n in range(len(colors)):
-        least = np.inf
-        for k in range(len(centers)):
+def cluster_colors(colors: Float64x2, first: int, count: int, rounds: int) -> tuple[Float64x2, Int64x1, Int64x1]:
+    """Return the means of clusters, ``(k, 3)``, the number of each color's cluster, and the sizes of clusters.
+
+    Parameters
+    ----------
+    colors
+        ``(n, 3)``.
+    first
+        Number of the color that is the first center.
+    count, rounds
+        Number of clusters, and the largest number of rounds.
+
+    Notes
+    -----
+    Each further center is the color farthest from the centers before it (Gonzalez 1985). Each round assigns the colors
+    to the nearest centers and moves these to the means of their colors (Lloyd 1982), until no color changes its cluster
+    or a cluster is empty.
+    """
+    centers, labels, counts = np.empty((count, 3)), np.full(len(colors), -1), np.zeros(count, np.int64)
+    squares, far = np.full(len(colors), np.inf), first
+    for k in range(count):
+        centers[k] = colors[far]
+        for n in range(len(colors)):
             square = 0.0
             for c in range(3):
                 square += (colors[n, c] - centers[k, c]) ** 2
-            if square < least:
-                least, labels[n] = square, k
-        counts[labels[n]] += 1
-        for c in range(3):
-            sums[labels[n], c] += colors[n, c]
-    return labels, sums, counts
+            squares[n] = min(squares[n], square)
+        far = int(squares.argmax())
+    for _ in range(rounds):
+        sums, changed = np.zeros((count, 3)), False
+        counts[:] = 0
+        for n in range(len(colors)):
+            least, label = np.inf, 0
+            for k in range(count):
+                square = 0.0
+                for c in range(3):
+                    square += (colors[n, c] - centers[k, c]) ** 2
+                if square < least:
+                    least, label = square, k
+            changed |= label != labels[n]
+            labels[n] = label
+            counts[label] += 1
+            for c in range(3):
+                sums[label, c] += colors[n, c]
+        if counts.min() == 0 or not changed:
+            break
+        for k in range(count):
+            for c in range(3):
+                centers[k, c] = sums[k, c] / counts[k]
+    return centers, labels, counts

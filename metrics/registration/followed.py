@@ -108,18 +108,23 @@ class FollowedPicture(LatticeNodes):
         return displacement, contrast, valid
 
     def _fit_windows(self) -> tuple[Field, Values, Mask]:
-        costs, cover = self._compare_windows()
-        return find_least(costs), np.ptp(costs, axis=(2, 3)), cover > 0.97
+        valid, costs = self._compare_windows()
+        displacement, contrast = np.zeros((*valid.shape, 2)), np.zeros(valid.shape, np.float32)
+        displacement[valid], contrast[valid] = find_least(costs), np.ptp(costs, axis=(1, 2))
+        return displacement, contrast, valid
 
-    def _compare_windows(self) -> tuple[Values, Values]:
-        """Return the misfits at all displacements, ``(R, C, n1, n2)``, and which share of each window is inside."""
-        windows, cover = _average_windows(self.plane, self.net, self.size)
-        if self.strips is None:
-            return _compare(windows, self.models[0], self.size), cover
-        number, costs = self.strips.number(self.centers), np.empty((*cover.shape, *self.net.samples), np.float32)
+    def _compare_windows(self) -> tuple[Mask, Values]:
+        """Return the windows inside the picture, and the misfits of these at all displacements, ``(K, n1, n2)``."""
+        valid, windows = _average_windows(self.plane, self.net, self.size)
+        number, costs = self._number_models()[valid], np.empty((len(windows), *self.net.samples), np.float32)
         for k, model in enumerate(self.models):
             costs[number == k] = _compare(windows[number == k], model, self.size)
-        return costs, cover
+        return valid, costs
+
+    def _number_models(self) -> NDArray[np.intp]:
+        """Return the number of the model of each node."""
+        shape = node_shape(self.net, self.size)
+        return np.zeros(shape, np.intp) if self.strips is None else self.strips.number(self.centers)
 
     @property
     def contrast(self) -> Values:
@@ -135,9 +140,8 @@ class FollowedPicture(LatticeNodes):
     def _measure_misfits(self, moves: NDArray[np.intp]) -> Values:
         weights = np.stack([_weigh_points(model, 1) for model in self.models])
         shape = node_shape(self.net, self.size)
-        number = np.zeros(shape, np.intp) if self.strips is None else self.strips.number(self.centers)
         means = np.stack([model.mean for model in self.models]).astype(np.float32)
-        return measure_misfits(self.plane, means, weights, number, moves[: shape[0]], self.size - 1)
+        return measure_misfits(self.plane, means, weights, self._number_models(), moves[: shape[0]], self.size - 1)
 
     @cached_property
     def straightened(self) -> tuple[Values, Mask]:
@@ -188,26 +192,26 @@ def _spread_nodes(values: NDArray[np.float64], at: NDArray[np.float64], axis: in
     return np.asarray(values.take(low, axis) * (1 - part) + values.take(high, axis) * part)
 
 
-def _average_windows(plane: Values, net: LatticeNet, size: int) -> tuple[Values, Values]:
-    """Average the cells of each window, ``(R, C, 3, n1, n2)``, and return which share of it lies inside the picture.
+def _average_windows(plane: Values, net: LatticeNet, size: int) -> tuple[Mask, Values]:
+    """Return the windows that lie inside the picture, ``(R, C)``, and the mean cell of each, ``(K, 3, n1, n2)``.
 
     A point that lies outside in all cells has the value at the nearest border.
     """
-    half, shape = net.samples // 2, node_shape(net, size)
+    half = net.samples // 2
     # What does not count is filled, as it repeats.
     known = np.where(find_inside(net.points, net.shape), np.float32(1), np.float32(1e-3))
     counts = _sum_windows(known, net.samples, size)
     means = _sum_windows(np.moveaxis(plane, -1, 0) * known, net.samples, size) / counts
-    windows = np.empty((*shape, 3, *net.samples), np.float32)
-    cells = np.moveaxis(split_cells(np.moveaxis(means, 0, -1), net.samples), -1, 2)
-    # A window that begins in the middle of a cell shows the first half of the next one.
-    for a, b, i, j in np.ndindex(2, 2, 2, 2):
-        y, x = (slice(k * n, (k + 1) * n) for k, n in zip((i, j), half, strict=True))
-        down, right = a * (1 - i), b * (1 - j)
-        rows, columns = windows[a::2, b::2].shape[:2]
-        windows[a::2, b::2, :, y, x] = cells[down : down + rows, right : right + columns, :, y, x]
     share = split_cells(counts, half).mean((2, 3)) / size**2
-    return windows, (share[1:, 1:] + share[1:, :-1] + share[:-1, 1:] + share[:-1, :-1]) / 4
+    valid = (share[1:, 1:] + share[1:, :-1] + share[:-1, 1:] + share[:-1, :-1]) / 4 > limits.WHOLE_WINDOW
+    halves = np.moveaxis(split_cells(np.moveaxis(means, 0, -1), half), -1, 2)
+    row, column = np.nonzero(valid)
+    windows = np.empty((len(row), 3, *net.samples), np.float32)
+    # A window that begins in the middle of a cell shows the first half of the next one.
+    for i, j in np.ndindex(2, 2):
+        y, x = (slice(k * n, (k + 1) * n) for k, n in zip((i, j), half, strict=True))
+        windows[..., y, x] = halves[row + (row + i) % 2, column + (column + j) % 2]
+    return valid, windows
 
 
 def _sum_windows(a: Values, samples: NDArray[np.intp], size: int) -> Values:

@@ -213,22 +213,21 @@ def node_shape(net: LatticeNet, size: int) -> tuple[int, int]:
 
 
 def find_least(costs: NDArray[Any]) -> Field:
-    """Return the displacement of the least cost of each window, from costs ``(R, C, n1, n2)`` at displacements i / n.
+    """Return the displacement of the least cost of each window, from costs ``(..., n1, n2)`` at displacements i / n.
 
     It lies between the samples by a parabola, in cell coordinates modulo the lattice.
     """
-    samples = np.array(costs.shape[2:])
-    least = np.stack(np.unravel_index(costs.reshape(*costs.shape[:2], -1).argmin(-1), costs.shape[2:]), -1)
-    rows, columns = np.indices(costs.shape[:2])
-    place = least.astype(np.float64)
+    samples = np.array(costs.shape[-2:])
+    flat = costs.reshape(-1, *samples)
+    least = np.stack(np.unravel_index(flat.reshape(len(flat), samples.prod()).argmin(-1), samples), -1)
+    place, windows = least.astype(np.float64), np.arange(len(flat))
     for axis, step in enumerate(np.eye(2, dtype=np.intp)):
-        near = [np.moveaxis((least + k * step) % samples, -1, 0) for k in (-1, 0, 1)]
-        before, here, after = (costs[rows, columns, i, j] for i, j in near)
+        before, here, after = (flat[windows, *((least + k * step) % samples).T] for k in (-1, 0, 1))
         bend = before - 2 * here + after
         away = np.clip((before - after) / (2 * np.maximum(bend, 1e-9)), -0.5, 0.5)
         place[..., axis] += np.where(bend > 1e-9, away, 0)
     place /= samples
-    return place - np.rint(place)
+    return (place - np.rint(place)).reshape(*costs.shape[:-2], 2)
 
 
 def find_lengths(difference: Field, vectors: Points) -> Values:

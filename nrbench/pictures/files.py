@@ -520,7 +520,7 @@ def write_map(path: str | Path, values: NDArray[Any], profile: bytes | None = No
     if kind == ".webp" and deep:
         kept = "WebP has 8 bits a channel; .png and .tif keep the 16 of the image"
         warnings.warn(f"picture {path}: {kept}", stacklevel=2)
-    write = {".png": _write_deep_png if deep else _write_png, ".webp": _write_webp}.get(kind, _write_tiff)
+    write = {".png": _write_png, ".webp": _write_webp}.get(kind, _write_tiff)
     try:
         if not target.parent.is_dir():
             raise NotADirectoryError(errno.ENOENT, "No such file or directory")
@@ -535,25 +535,22 @@ def _to_pil(pixels: NDArray[Any]) -> PIL.Image.Image:
 
 
 def _write_png(file: IO[bytes], pixels: NDArray[Any], profile: bytes | None) -> None:
-    chunks = PIL.PngImagePlugin.PngInfo()
-    if profile is None:
-        chunks.add(b"sRGB", b"\x00")
-    _to_pil(pixels).save(file, "PNG", compress_level=1, pnginfo=chunks, icc_profile=profile)
+    """Write a PNG of 8 or 16 bits a channel.
 
-
-def _write_deep_png(file: IO[bytes], pixels: NDArray[Any], profile: bytes | None) -> None:
-    """Write a PNG of 16 bits a channel. Pillow writes such files in gray alone."""
+    Pillow writes 16 bits in gray alone. Of 8 bits, it tries five filters on each row, which takes twice the time and
+    saves 3 % of the bytes.
+    """
     height, width, channels = pixels.shape
-    rows = pixels.astype(">u2").reshape(height, -1).view(np.uint8)
+    rows = pixels.astype(">u2" if pixels.dtype == np.uint16 else np.uint8).reshape(height, -1).view(np.uint8)
     lines = np.full((height, 1 + rows.shape[1]), 2, np.uint8)  # 2: differences from the line above
     lines[:, 1:] = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint8))
     file.write(b"\x89PNG\r\n\x1a\n")
-    header = struct.pack(">IIBBBBB", width, height, 16, (0, 4, 2, 6)[channels - 1], 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, 8 * pixels.itemsize, (0, 4, 2, 6)[channels - 1], 0, 0, 0)
     meaning = (b"iCCP", b"ICC profile\0\0" + zlib.compress(profile)) if profile else (b"sRGB", b"\x00")
     for name, data in (
         (b"IHDR", header),
         *([] if profile == b"" else [meaning]),
-        (b"IDAT", zlib.compress(lines.tobytes(), 1)),
+        (b"IDAT", zlib.compress(lines.data, 1)),
         (b"IEND", b""),
     ):
         PIL.PngImagePlugin.putchunk(file, name, data)

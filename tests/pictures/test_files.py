@@ -47,11 +47,11 @@ def test_interrupted_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytes
     """A write that fails half-way leaves the old picture whole, and no part beside it."""
     path = write_image(tmp_path / "out.png", np.zeros((8, 8, 3), np.float32))
 
-    def fail(self: PIL.Image.Image, target: BinaryIO, *_: object, **__: object) -> None:
+    def fail(target: BinaryIO, *_: object) -> None:
         target.write(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(PIL.Image.Image, "save", fail)
+    monkeypatch.setattr(PIL.PngImagePlugin, "putchunk", fail)
     with pytest.raises(BadInput, match="No space left on device"):
         write_image(path, np.ones((8, 8, 3), np.float32))
     assert [item.name for item in tmp_path.iterdir()] == ["out.png"]
