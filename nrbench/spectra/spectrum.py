@@ -292,7 +292,7 @@ class LineKernels:
 
     @cached_property
     def _u(self) -> Array:
-        return 2 * np.pi * (np.arange(self.length) - (self.length - 1) / 2)
+        return np.asarray(2 * np.pi * (np.arange(self.length) - (self.length - 1) / 2), np.float64)
 
     @cached_property
     def _waves(self) -> tuple[Array, Array]:

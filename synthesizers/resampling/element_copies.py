@@ -268,17 +268,18 @@ class ElementCopies:
             if colors is not None:
                 laid = np.zeros((len(place), self.rest.shape[2]))
                 for other in range(ranks):
-                    shown = np.flatnonzero(flat_shares[other, at] > 0)
-                    k, i, j = flat_index[:, other, at[shown]]
-                    source = step[shown] + np.stack([i, j], -1) + corner
+                    seen = np.flatnonzero(flat_shares[other, at] > 0)
+                    k, i, j = flat_index[:, other, at[seen]]
+                    source = step[seen] + np.stack([i, j], -1) + corner
                     color = colors[k, i, j] - self._read_own(k, source)
-                    laid[shown] += self.outlines.read(k, source, place[shown])[:, np.newaxis] * color
+                    laid[seen] += self.outlines.read(k, source, place[seen])[:, np.newaxis] * color
                 copied += laid * self.outlines.gain[row.ravel()[at], column.ravel()[at]]
             flat_copies[rank, at] = copied
         weight = _cut_seams(copies, shares, np.asarray(np.ravel_multi_index(tuple(index), drawn.shape[:3])))
         sources[:ranks, ..., 2], inner = weight, np.s_[:, pad : size[0] - pad, pad : size[1] - pad]
-        order = np.argsort(-sources[*inner, 2], 0, kind="stable")[: FURTHER + 1]
-        shown = np.take_along_axis(sources[inner], order[..., np.newaxis], 0)
+        parts = sources[inner]
+        order = np.argsort(-parts[..., 2], axis=0, kind="stable")[: FURTHER + 1]
+        shown = np.take_along_axis(parts, order[..., np.newaxis], 0)
         return np.asarray((copies[inner] * weight[*inner, np.newaxis]).sum(0)), np.moveaxis(shown, 0, 2)
 
 
