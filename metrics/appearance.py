@@ -182,9 +182,9 @@ def _measure_light(lab: Lab, net: LatticeNet) -> Looks:
     plane, known = net.sample(lab[..., :1]), net.inside[..., np.newaxis]
     rest = np.where(known, plane - net.tile(fold_cells(plane, net.inside, net.samples)), 0)
     weight = known / net.tile(fold_cells(rest**2, net.inside, net.samples) + np.float32(limits.JND**2))
-    rest, strips = rest * weight, (net.cut_strips(1, 3), net.cut_strips(0, 3))
+    strips, (rest, weight) = (net.cut_strips(1, 3), net.cut_strips(0, 3)), ((rest * weight)[..., 0], weight[..., 0])
     parts = (row & column for row in strips[0] for column in strips[1])
-    return np.array([rest[part].sum(0) / np.maximum(weight[part].sum(0), 1e-9) for part in parts])
+    return np.array([[rest[part].sum() / max(weight[part].sum(), 1e-9)] for part in parts])
 
 
 def _mean_of_places(planes: NDArray[np.float32], known: Mask, samples: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -223,9 +223,10 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
         height, width = known.shape
         one = np.s_[n1:, max(n2, 0) : width + min(n2, 0)]
         other = np.s_[: height - n1, max(-n2, 0) : width - max(n2, 0)]
-        rows, (a, b) = max(_BLOCK // width, 1), (planes[one], planes[other])
-        blocks = [np.s_[k : k + rows] for k in range(0, max(len(a), 1), rows)]
-        products = np.sum([np.tensordot(a[k], b[k], ((0, 1), (0, 1))).astype(np.float64) for k in blocks], 0)
+        rows = max(_BLOCK // width, 1)
+        blocks = [np.s_[k : k + rows] for k in range(0, max(height - n1, 1), rows)]
+        pairs = [(planes[one][k].reshape(-1, 15), planes[other][k].reshape(-1, 15)) for k in blocks]
+        products = np.sum([(first.T @ second).astype(np.float64) for first, second in pairs], 0)
         return (products + products.T) / 2, int((known[one] & known[other]).sum())
 
     n1, n2 = (int(n) for n in samples)
