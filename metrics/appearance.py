@@ -214,19 +214,17 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
     contrast
         (12,): the same of L*, a* and b*, and their three correlations.
     """
-    planes[~known] = 0
     means, share = average_blocks(planes, np.ascontiguousarray(known), *known.shape)
-    mean = (means[0, 0] / max(share[0, 0], 1e-9)).astype(np.float32)
-    np.subtract(planes, mean, planes, where=known[..., np.newaxis])
+    planes -= (means[0, 0] / max(share[0, 0], 1e-9)).astype(np.float32)
+    planes[~known] = 0
 
     def correlate(n1: int, n2: int) -> tuple[NDArray[np.float64], int]:
         height, width = known.shape
         one = np.s_[n1:, max(n2, 0) : width + min(n2, 0)]
         other = np.s_[: height - n1, max(-n2, 0) : width - max(n2, 0)]
-        rows = max(_BLOCK // width, 1)
-        blocks = [np.s_[k : k + rows] for k in range(0, max(height - n1, 1), rows)]
-        pairs = [(planes[one][k].reshape(-1, 15), planes[other][k].reshape(-1, 15)) for k in blocks]
-        products = np.sum([(first.T @ second).astype(np.float64) for first, second in pairs], 0)
+        rows, (a, b) = max(_BLOCK // width, 1), (planes[one], planes[other])
+        blocks = [np.s_[k : k + rows] for k in range(0, max(len(a), 1), rows)]
+        products = np.sum([(a[k].reshape(-1, 15).T @ b[k].reshape(-1, 15)).astype(np.float64) for k in blocks], 0)
         return (products + products.T) / 2, int((known[one] & known[other]).sum())
 
     n1, n2 = (int(n) for n in samples)
