@@ -42,6 +42,36 @@ def compare_tones(
 
 
 @kernel
+def average_known(values: Float32x2, known: Boolx2, reach: int) -> tuple[Float32x2, Float32x2]:
+    """Return the means over ``reach`` x ``reach`` places of values, ``(H, W)``, and of the known share.
+
+    Unknown values and those beyond the border are 0. ``reach`` is odd. The means are those of
+    :func:`scipy.ndimage.uniform_filter`, which filters one line at a time.
+    """
+    (height, width), half = known.shape, reach // 2
+    means, share = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    lines, sums = np.zeros((2, width + 2 * half)), np.empty((2, width))
+    for y in range(height):
+        lines[:] = 0.0
+        for row in range(max(y - half, 0), min(y + half + 1, height)):
+            for x in range(width):
+                lines[0, half + x] += values[row, x] if known[row, x] else np.float32(0)
+                lines[1, half + x] += 1.0 if known[row, x] else 0.0
+        for x in range(width):
+            for k in range(2):
+                lines[k, half + x] = np.float32(lines[k, half + x] / reach)
+        sums[:] = 0.0
+        for step in range(reach):
+            for k in range(2):
+                line = lines[k, step:]
+                for x in range(width):
+                    sums[k, x] += line[x]
+        for x in range(width):
+            means[y, x], share[y, x] = sums[0, x] / reach, sums[1, x] / reach
+    return means, share
+
+
+@kernel
 def sum_products(values: Float32x3, known: Boolx2, down: int, right: int, places: int) -> tuple[Float64x4, Float64x2]:
     """Return sums of products of colors at each place of the cell, ``(3, p, p, 9)``, and the pairs, ``(p, p)``.
 
