@@ -48,26 +48,30 @@ def average_known(values: Float32x2, known: Boolx2, reach: int) -> tuple[Float32
     Unknown values and those beyond the border are 0. ``reach`` is odd. The means are those of
     :func:`scipy.ndimage.uniform_filter`, which filters one line at a time.
     """
-    (height, width), half = known.shape, reach // 2
+    (height, width), half, side = known.shape, reach // 2, float(reach)
     means, share = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    lines, sums = np.zeros((2, width + 2 * half)), np.empty((2, width))
+    total, count = np.empty(width), np.empty(width)
+    line, shown = np.zeros(width + 2 * half), np.zeros(width + 2 * half)
     for y in range(height):
-        lines[:] = 0.0
+        total[:], count[:] = 0.0, 0.0
         for row in range(max(y - half, 0), min(y + half + 1, height)):
             for x in range(width):
-                lines[0, half + x] += values[row, x] if known[row, x] else np.float32(0)
-                lines[1, half + x] += 1.0 if known[row, x] else 0.0
+                weight = np.float64(known[row, x])
+                total[x] += values[row, x] * weight
+                count[x] += weight
         for x in range(width):
-            for k in range(2):
-                lines[k, half + x] = np.float32(lines[k, half + x] / reach)
-        sums[:] = 0.0
+            line[half + x], shown[half + x] = (
+                np.float32(np.divide(total[x], side)),
+                np.float32(np.divide(count[x], side)),
+            )
+        total[:], count[:] = 0.0, 0.0
         for step in range(reach):
-            for k in range(2):
-                line = lines[k, step:]
-                for x in range(width):
-                    sums[k, x] += line[x]
+            own, theirs = line[step:], shown[step:]
+            for x in range(width):
+                total[x] += own[x]
+                count[x] += theirs[x]
         for x in range(width):
-            means[y, x], share[y, x] = sums[0, x] / reach, sums[1, x] / reach
+            means[y, x], share[y, x] = np.divide(total[x], side), np.divide(count[x], side)
     return means, share
 
 
