@@ -122,7 +122,7 @@ def gratings(count: int) -> Iterator[tuple[str, Image]]:
 
 def main() -> None:
     """Print one table for each detector."""
-    options = read_options(__doc__, "detectors", detectors=DETECTORS, count=8, first=8000, stochastic=200, blur=0.0)
+    options = read_options(__doc__, ["detectors"], detectors=DETECTORS, count=8, first=8000, stochastic=200, blur=0.0)
     load_kernels()
     unit = cpu_unit()
     for spec in options.detectors:

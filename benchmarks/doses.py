@@ -12,7 +12,6 @@ other textures (``validation.py``) have panels as well; no labeler saw them.
 each pair: could the right picture be another photograph of what the left one shows (0), or is something wrong (1)?
 """
 
-import argparse
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,6 +26,7 @@ import pandas as pd
 from edits import EDITS, Scene
 from PIL import Image as Pillow
 from PIL import ImageDraw
+from studies import read_options
 from validation import SIZE, Subject, plant, planted_subject, print_table, show, subjects
 
 from nrbench.imaging.convert import Image, quantize
@@ -148,11 +148,9 @@ def plot_doses(path: Path) -> None:
 
 def main() -> None:
     """Write the sheets, or draw the plot."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("task", choices=("sheets", "plot"))
-    parser.add_argument("path", type=Path, help="folder of the sheets, or file of the plot")
-    options = parser.parse_args()
-    {"sheets": write_sheets, "plot": plot_doses}[options.task](options.path)
+    tasks = {"sheets": write_sheets, "plot": plot_doses}
+    options = read_options(__doc__, ["task", "path"], {"task": tasks}, task="plot", path=Path("doses.svg"))
+    tasks[options.task](options.path)
 
 
 if __name__ == "__main__":

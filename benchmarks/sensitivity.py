@@ -13,10 +13,9 @@ apart, and the standard error of the difference between textures.
 
 A result that was computed without reading a limit is kept when that limit changes (:class:`Memory`). ``--keep`` writes
 the qualities of all outputs for each change; a file that is there is read, and only the textures that it lacks are
-judged.
+judged. ``--draws`` is the number of draws of each texture whose outputs are judged, with a fresh one each.
 """
 
-import argparse
 import functools
 import itertools
 import sys
@@ -30,6 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from scipy.stats import kendalltau
+from studies import read_options
 from validation import FIRST_DRAW, LEAST_FRESH, Subject, print_table, subject_of
 
 import nrbench
@@ -242,21 +242,14 @@ def print_changes(table: pd.DataFrame) -> None:
 
 def main() -> None:
     """Change each limit and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run", type=Path, help="directory of a run of the suite default")
-    parser.add_argument("--textures", nargs="*", default=[], help="patterns of the run's textures")
-    parser.add_argument("--limits", nargs="*", default=["*"], help="patterns of limits")
-    parser.add_argument(
-        "--draws", type=int, default=2, help="draws of each texture whose outputs are judged, with a fresh one each"
-    )
-    parser.add_argument("--keep", type=Path, help="file of the qualities of all outputs")
-    options = parser.parse_args()
+    more = {"textures": [], "limits": ["*"], "draws": 2, "keep": ""}
+    options = read_options(__doc__, ["run"], run=Path("runs/default"), **more)
     if not options.run.exists():
         nrbench.run("default", out=options.run)
     appearance._seam = lambda observation: (None, None, None)  # a seam does not count in any score
     memory, begun = Memory(), time.process_time()
     memory.cover(_PACKAGE)
-    known = options.keep is not None and options.keep.exists()
+    known = bool(options.keep) and Path(options.keep).exists()
     table = pd.read_csv(options.keep) if known else pd.DataFrame({"texture": []})
     for texture, outputs in read_outputs(options.run, options.textures, options.draws):
         if texture in set(table["texture"]):

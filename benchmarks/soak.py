@@ -12,7 +12,6 @@ those of an undisturbed run. It prints figures, and ends with exit code 1 if one
 - orphans: methods that leave processes of other sessions without an environment, and kill their worker.
 """
 
-import argparse
 import contextlib
 import os
 import random
@@ -27,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from studies import read_options
 from trivial_cells import write_plugin, write_suite
 
 from nrbench import plugins
@@ -311,13 +311,8 @@ def soaking(jobs: int, replicates: int) -> Iterator[Soak]:
 
 def main() -> int:
     """Run the parts that the arguments name, or all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[])
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--cells", type=int, default=20_000)
-    parser.add_argument("--replicates", type=int, default=6, help="draws of each texture; 8 cells each")
-    parser.add_argument("--jobs", type=int, default=2)
-    options = parser.parse_args()
+    more = {"parts": [], "kills": 50, "cells": 20_000, "replicates": 6, "jobs": 2}
+    options = read_options(__doc__, ["parts"], {"parts": [*PARTS, []]}, **more)
     with soaking(options.jobs, options.replicates) as soak:
         for name in options.parts or PARTS:
             PARTS[name](soak, options.kills, options.cells)

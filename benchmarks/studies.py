@@ -1,7 +1,7 @@
 """The command lines of benchmarks: options that are read by their defaults, and studies that are run by name."""
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 from unit import cpu_unit
@@ -12,7 +12,7 @@ Options = argparse.Namespace
 
 
 def read_options(
-    page: str | None, words: str = "", choices: Mapping[str, Iterable[Any]] = {}, **defaults: Any
+    page: str | None, words: Collection[str] = (), choices: Mapping[str, Iterable[Any]] = {}, **defaults: Any
 ) -> Options:
     """Return the options of a command line.
 
@@ -21,7 +21,7 @@ def read_options(
     page
         The docstring of the script, which is shown as help.
     words
-        The one of the defaults that takes the words which follow no option.
+        Those of the defaults that take the words which follow no option, in this order.
     choices
         The values that an option may have.
     **defaults
@@ -33,10 +33,10 @@ def read_options(
         many = isinstance(default, list)
         first = next(iter(default), "") if many else default
         given: dict[str, Any] = {"action": "store_true"}
-        nargs = "*" if many else "?" if name == words else None
+        nargs = "*" if many else "?" if name in words else None
         if default is not False:
             given = {"default": default, "type": type(first), "choices": choices.get(name), "nargs": nargs}
-        parser.add_argument(name if name == words else f"--{name}", **given)
+        parser.add_argument(name if name in words else f"--{name}", **given)
     return parser.parse_args()
 
 
@@ -47,7 +47,7 @@ def run_studies(page: str | None, *studies: Callable[[Options], None], **more: A
     """
     known = {study.__name__.partition("_")[2]: study for study in studies}
     choices = {**more.pop("choices", {}), "studies": [*known, []]}
-    options = read_options(page, "studies", choices, studies=[], **more)
+    options = read_options(page, ["studies"], choices, studies=[], **more)
     load_kernels()
     print(f"w = {cpu_unit() * 1e3:.2f} ms")
     for name in options.studies or known:

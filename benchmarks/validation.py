@@ -1,6 +1,8 @@
 """Validation of the scores: fresh draws, planted defects, edits by dose, baselines, bases and photographs.
 
-``python benchmarks/validation.py STUDY [--count N] [--textures PATTERN ...]``. Each study prints one table.
+``python benchmarks/validation.py STUDY [--count N] [--textures PATTERN ...]``. Each study prints one table. N is the
+number of fresh draws of each model, or of planted textures of each share; ``--first`` is the seed of the first planted
+one, ``--kinds`` names the kinds that are planted, and ``--unedited`` leaves out the edits of photographs.
 
 ``fresh``
     False alarms: fresh draws of all texture models, judged with the model and by sample and lattice alone.
@@ -23,7 +25,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -34,6 +35,7 @@ import pandas as pd
 from edits import Scene, edit_picture, shortest, slip
 from numpy.typing import NDArray
 from scipy.stats import mannwhitneyu
+from studies import Options, read_options
 
 import nrbench
 from nrbench import Lattice, plugins
@@ -208,7 +210,7 @@ def perils_text(row: Row) -> str:
     return f"{bound}{show(row['score'])} (" + ", ".join(f"{name[:3]} {show(row[name])}" for name in PERILS) + ")"
 
 
-def study_fresh(options: argparse.Namespace) -> None:
+def study_fresh(options: Options) -> None:
     """Print the quality of fresh draws of all models, and the perils of those that are false alarms."""
     tell = print_table(
         "model", "judged by", "draws", "mean", "least", f"below {LEAST_FRESH}", "complete", "false alarms"
@@ -274,7 +276,7 @@ def auc(low: pd.Series[float], high: pd.Series[float]) -> float:
     return float(mannwhitneyu(high, low).statistic) / (len(low) * len(high)) if len(low) and len(high) else np.nan
 
 
-def study_planted(options: argparse.Namespace) -> None:
+def study_planted(options: Options) -> None:
     """Print how well ``quality`` and each peril separate each planted defect from fresh draws."""
     tell = print_table("textures", "defect", "size", "n", "mean quality", "AUC", "worst share", *PERILS)
     for textures, kinds in PLANTED_IN.items():
@@ -348,7 +350,7 @@ def print_ladder(table: pd.DataFrame) -> None:
         print(f"\n{group}, {'seen' if seen else 'unseen'}: {(~own['wrong']).mean():.3f} of {len(own)} {bound}")
 
 
-def study_ladder(options: argparse.Namespace) -> None:
+def study_ladder(options: Options) -> None:
     """Print the quality of edited fresh draws, by halves of the textures."""
     rows = []
     names = [row.name for row in load_suite("default").texture]
@@ -366,7 +368,7 @@ def baseline(name: str, sample: Image, lattice: Lattice | None, shape: Shape) ->
         return None
 
 
-def study_baselines(options: argparse.Namespace) -> None:
+def study_baselines(options: Options) -> None:
     """Print how the baselines are judged, with the model and without it."""
     tell = print_table("texture", "judged by", *BASELINES)
     every: list[Row] = []
@@ -382,7 +384,7 @@ def study_baselines(options: argparse.Namespace) -> None:
         print(f"\nby {by}, {method}: mean {own['score'].mean():.3f}, largest {own['score'].max():.2f}")
 
 
-def study_bases(options: argparse.Namespace) -> None:
+def study_bases(options: Options) -> None:
     """Print how a fresh draw and a slip are judged by other bases and by supercells of the lattice."""
     tell = print_table("texture", "output", *CHANGES)
     for subject in subjects("default", options.textures):
@@ -425,7 +427,7 @@ def crop_cells(subject: Subject, cells: float) -> Subject:
     return replace(subject, texture=replace(subject.texture, image=image))
 
 
-def study_photographs(options: argparse.Namespace) -> None:
+def study_photographs(options: Options) -> None:
     """Print how the other half of each photograph, its slips and edits, and shuffled tiles of the sample are judged.
 
     The other half is also judged by a corner of the sample that shows 3.5 cells a side.
@@ -463,7 +465,7 @@ def study_photographs(options: argparse.Namespace) -> None:
         print_ladder(pd.DataFrame(rows).astype({"score": float}))
 
 
-STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
+STUDIES: Mapping[str, Callable[[Options], None]] = {
     "fresh": study_fresh,
     "planted": study_planted,
     "ladder": study_ladder,
@@ -475,19 +477,11 @@ STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
 
 def main() -> None:
     """Run a study, and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("study", choices=STUDIES)
-    parser.add_argument("folder", nargs="?", help="of photographs: a folder with truth.csv")
-    parser.add_argument(
-        "--count", type=int, default=3, help="fresh: draws of each model; planted: textures of each share"
-    )
-    parser.add_argument("--first", type=int, default=100_000, help="of planted: the seed of the first texture")
-    parser.add_argument("--kinds", nargs="*", default=[], choices=PLANTED, metavar="KIND", help="of planted: kinds")
-    parser.add_argument("--textures", nargs="*", default=[], help="patterns of textures, models (fresh) or files")
-    parser.add_argument("--unedited", action="store_true", help="of photographs: without the edits")
-    options = parser.parse_args()
+    lists = {"kinds": [], "textures": []}
+    more = {"study": "fresh", "folder": "", "count": 3, "first": 100_000, "unedited": False, **lists}
+    options = read_options(__doc__, ["study", "folder"], {"study": STUDIES, "kinds": PLANTED}, **more)
     if options.study == "photographs" and not options.folder:
-        parser.error("photographs needs a folder with truth.csv")
+        raise SystemExit("photographs needs a folder with truth.csv")
     STUDIES[options.study](options)
 
 

@@ -80,7 +80,7 @@ def print_ideals() -> None:
 def main() -> None:
     """Print the table, and each wrong group."""
     choices = {"what": ("groups", "ideals")}
-    options = read_options(__doc__, "what", choices, what="groups", first=100, count=6, detect=False)
+    options = read_options(__doc__, ["what"], choices, what="groups", first=100, count=6, detect=False)
     load_kernels()
     if options.what == "ideals":
         return print_ideals()

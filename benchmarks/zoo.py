@@ -15,7 +15,6 @@ and ten others. Limits are set on the kinds with even numbers (``setting``), the
     A sheet with one picture of each kind; with ``--kinds NAME``, also its faults.
 """
 
-import argparse
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -31,6 +30,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtri
 from skimage.color import rgb2lab
+from studies import Options, read_options
 from validation import SIZE, Row, Subject, baseline, perils_text, print_table, show
 
 from nrbench import Lattice
@@ -457,7 +457,7 @@ FAULTS: Mapping[str, tuple[str, Callable[[Specimen], Image], str]] = {
 """The peril of each fault, what plants it, and which field of a kind says that it can be seen there."""
 
 
-def specimens(options: argparse.Namespace, prints: bool = False) -> Iterator[Specimen]:
+def specimens(options: Options, prints: bool = False) -> Iterator[Specimen]:
     """Yield the samples of the chosen kinds; a print has all palettes, or one in turn."""
     for place, (name, each) in enumerate(KINDS.items()):
         palettes = [*PALETTES] if prints else [[*PALETTES][place // 2 % len(PALETTES)]]
@@ -483,7 +483,7 @@ def print_rows(rows: list[Row], *columns: str) -> None:
         print(f"\n{half}, by {by}, {columns[0]} {group}: {share}, {len(own) - len(judged)} undecided")
 
 
-def study_fresh(options: argparse.Namespace) -> None:
+def study_fresh(options: Options) -> None:
     """Print the quality of fresh draws, by samples of two sizes."""
     rows = []
     for by, side, case in product(options.by, options.sides, specimens(options)):
@@ -491,7 +491,7 @@ def study_fresh(options: argparse.Namespace) -> None:
     print_rows(rows, "side", "texture")
 
 
-def study_prints(options: argparse.Namespace) -> None:
+def study_prints(options: Options) -> None:
     """Print how prints of the right and of wrong inks are judged, and copies of them."""
     bounds = {"fresh": (LEAST_PRINT, 1.0), "invented": (0.0, MOST_NEW), "copied": (LEAST_COPY, 1.0)}
     rows = []
@@ -504,7 +504,7 @@ def study_prints(options: argparse.Namespace) -> None:
     print_rows(rows, "way", "texture")
 
 
-def study_faults(options: argparse.Namespace) -> None:
+def study_faults(options: Options) -> None:
     """Print the quality of planted faults."""
     rows = []
     for by, (fault, (peril, plant, needs)), case in product(options.by, FAULTS.items(), specimens(options)):
@@ -513,7 +513,7 @@ def study_faults(options: argparse.Namespace) -> None:
     print_rows(rows, "peril", "fault")
 
 
-def draw_sheet(options: argparse.Namespace) -> None:
+def draw_sheet(options: Options) -> None:
     """Draw one picture of each kind, or the faults and copies of some."""
     options.count, pictures = 1, {}
     for case in specimens(options):
@@ -530,7 +530,7 @@ def draw_sheet(options: argparse.Namespace) -> None:
     sheet.save(options.file)
 
 
-STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
+STUDIES: Mapping[str, Callable[[Options], None]] = {
     "fresh": study_fresh,
     "prints": study_prints,
     "faults": study_faults,
@@ -540,15 +540,10 @@ STUDIES: Mapping[str, Callable[[argparse.Namespace], None]] = {
 
 def main() -> None:
     """Run a study, and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("study", choices=STUDIES)
-    parser.add_argument("file", nargs="?", help="of draw: the PNG file")
-    parser.add_argument("--half", choices=("setting", "report", "both"), default="both")
-    parser.add_argument("--kinds", nargs="*", default=[], choices=KINDS, metavar="NAME")
-    parser.add_argument("--count", type=int, default=5, help="number of samples of each kind, and palette")
-    parser.add_argument("--by", nargs="+", choices=("sample", "model"), default=["sample"])
-    parser.add_argument("--sides", type=int, nargs="+", default=[128, 96], help="of fresh: sides of the samples, px")
-    options = parser.parse_args()
+    halves, references = ("setting", "report", "both"), ("sample", "model")
+    choices = {"study": STUDIES, "half": halves, "kinds": KINDS, "by": references}
+    more = {"half": "both", "kinds": [], "count": 5, "by": ["sample"], "sides": [128, 96]}
+    options = read_options(__doc__, ["study", "file"], choices, study="fresh", file="zoo.png", **more)
     STUDIES[options.study](options)
 
 

@@ -42,7 +42,7 @@ class Basket(Model):
     draft: Literal["single", "double"] = "single"
 
     breadth = ("strand", 1)
-    least_sizes = {"gap": 1, "stake": lambda own: own.gap + 2, "strand": lambda own: own.gap + 2}
+    ranges = {"gap": 1, "stake": lambda own: own.gap + 2, "strand": lambda own: own.gap + 2}
 
     @property
     def vectors(self) -> Vectors:

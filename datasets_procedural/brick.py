@@ -9,7 +9,7 @@ import numpy as np
 
 from nrbench.errors import require
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Layer, Pattern, box, boxes, coverage, nearness, rim, split_period
 
 _CLAY = (0.55, 0.38, 0.32)
@@ -43,8 +43,10 @@ class Brick(Model):
 
     breadth = ("height", 1)
 
+    ranges = {"joint": 1, "width": lambda own: (own.joint + 2) * (1 + own._halves), "height": lambda own: own.joint + 2}
+
     def _check_parameters(self) -> None:
-        check_sizes(self, joint=1, width=(self.joint + 2) * (1 + self._halves), height=self.joint + 2)
+        super()._check_parameters()
         every = self.small_every
         known = every in (0, *range(2, 101))
         require(known, f"small_every is {every}; give a number of courses from 2 to 100, or 0")

@@ -32,7 +32,7 @@ class Cans(Model):
     period: float = 28.3
     packing: Literal["hexagonal", "square"] = "hexagonal"
 
-    least_sizes = {"period": 12}
+    ranges = {"period": 12}
 
     @property
     def vectors(self) -> Vectors:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from nrbench.errors import require
-
-from .modelling.model import RectangularModel, check_sizes
+from .modelling.model import RectangularModel
 from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, hats
 
 _HOLE = (0.25, 0.24, 0.26)
@@ -29,9 +27,7 @@ class Card(RectangularModel):
     height: float = 27.4
     hole: float = 0.42
 
-    def _check_parameters(self) -> None:
-        check_sizes(self, width=6, height=6)
-        require(0.2 <= self.hole <= 0.8, f"hole is {self.hole}; give a share of the width from 0.2 to 0.8")
+    ranges = {"width": 6, "height": 6, "hole": (0.2, 0.8)}
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return holes in paper; the origin is the middle of a hole."""

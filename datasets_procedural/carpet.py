@@ -8,7 +8,7 @@ import numpy as np
 
 from nrbench.errors import require
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, rim
 
 _COLORS = np.array([(0.50, 0.20, 0.22), (0.20, 0.23, 0.36), (0.60, 0.50, 0.34), (0.34, 0.39, 0.28)])
@@ -33,8 +33,10 @@ class Carpet(Model):
 
     breadth = ("knot", 1)
 
+    ranges = {"knot": 3}
+
     def _check_parameters(self) -> None:
-        check_sizes(self, knot=3)
+        super()._check_parameters()
         require(self.knots in range(6, 41, 2), f"knots is {self.knots}; give an even number from 6 to 40")
 
     @property

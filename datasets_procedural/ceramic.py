@@ -30,7 +30,7 @@ class Ceramic(SquareModel):
     period: float = 29.3
     joint: float = 2.0
 
-    least_sizes = {"joint": 1, "period": lambda own: 6 * own.joint}
+    ranges = {"joint": 1, "period": lambda own: 6 * own.joint}
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return tiles on grout; the origin is the middle of a tile."""

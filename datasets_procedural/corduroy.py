@@ -29,7 +29,7 @@ class Corduroy(RectangularModel):
     tuft: float = 5.9
 
     sides = ("width", "tuft")
-    least_sizes = {"width": 5, "tuft": 3}
+    ranges = {"width": 5, "tuft": 3}
     breadth = ("tuft", 1)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

@@ -29,7 +29,7 @@ class Cracker(SquareModel):
     period: float = 33.7
     gap: float = 2.4
 
-    least_sizes = {"gap": 1, "period": lambda own: 16 + own.gap}
+    ranges = {"gap": 1, "period": lambda own: 16 + own.gap}
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return crackers on a tray; the origin is the middle of one."""

@@ -49,7 +49,7 @@ class Hexagon(Model):
     joint: float = 2.4
     style: Literal["tiles", "net"] = "tiles"
 
-    least_sizes = {"joint": 1, "period": lambda own: own.joint + 2}
+    ranges = {"joint": 1, "period": lambda own: own.joint + 2}
 
     @property
     def vectors(self) -> Vectors:

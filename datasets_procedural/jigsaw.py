@@ -35,7 +35,7 @@ class Jigsaw(Model):
     gap: float = 1.6
     tabs: Literal["alternate", "same"] = "alternate"
 
-    least_sizes = {"gap": 1, "width": lambda own: 8 * own.gap, "height": lambda own: 8 * own.gap}
+    ranges = {"gap": 1, "width": lambda own: 8 * own.gap, "height": lambda own: 8 * own.gap}
 
     @property
     def vectors(self) -> Vectors:

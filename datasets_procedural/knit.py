@@ -26,7 +26,7 @@ class Knit(RectangularModel):
     width: float = 17.3
     height: float = 13.1
 
-    least_sizes = {"width": 6, "height": 5}
+    ranges = {"width": 6, "height": 5}
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return stitches on a shadow; the origin is the tip of a V."""

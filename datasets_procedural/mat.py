@@ -33,7 +33,7 @@ class Mat(Model):
     rope: float = 8.3
 
     breadth = ("rope", 1)
-    least_sizes = {"rope": 3, "width": lambda own: 2 * own.rope, "height": lambda own: own.rope}
+    ranges = {"rope": 3, "width": lambda own: 2 * own.rope, "height": lambda own: own.rope}
 
     @property
     def vectors(self) -> Vectors:

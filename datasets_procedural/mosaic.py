@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.errors import require
-
-from .modelling.model import SquareModel, check_sizes
+from .modelling.model import SquareModel
 from .modelling.pattern import Field, Index, Layer, Pattern, coverage, rim
 from .modelling.random_fields import role_seed, uniform
 
@@ -35,9 +33,7 @@ class Mosaic(SquareModel):
     stones: int = 6
     joint: float = 1.4
 
-    def _check_parameters(self) -> None:
-        require(3 <= self.stones <= 12, f"stones is {self.stones}; give a number from 3 to 12")
-        check_sizes(self, joint=1, period=3 * self.joint * self.stones)
+    ranges = {"stones": (3, 12), "joint": 1, "period": lambda own: 3 * own.joint * own.stones}
 
     @property
     def element_size(self) -> float:

@@ -10,10 +10,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from nrbench.errors import require
+from nrbench.errors import require_ranges
 from nrbench.plugins.forms import Shape, Texture
 
-from .modelling.model import check_choices, check_degrees, check_shape, check_sizes
+from .modelling.model import LARGEST_SIZE, check_choices, check_degrees, check_shape
 from .modelling.pattern import hue_rotation
 from .modelling.random_fields import hash_bits, role_seed
 
@@ -55,8 +55,7 @@ class Noise:
 
     def __post_init__(self) -> None:
         check_choices(self)
-        check_sizes(self, scale=3)
-        require(0 <= self.contrast <= 0.3, f"contrast is {self.contrast}; give a standard deviation from 0 to 0.3")
+        require_ranges(self, scale=(3, LARGEST_SIZE), contrast=(0, 0.3))
         check_degrees(self, "rotation", "hue")
 
     def render(self, shape: Shape, rng: np.random.Generator) -> Texture:

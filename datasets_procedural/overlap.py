@@ -31,7 +31,7 @@ class Overlap(Model):
 
     period: float = 37.3
 
-    least_sizes = {"period": 14}
+    ranges = {"period": 14}
     breadth = ("period", 5 / 7)
 
     @property

@@ -40,7 +40,7 @@ class Pavement(Model):
     style: Literal["herringbone", "basket", "octagon"] = "octagon"
 
     breadth = ("width", 1)
-    least_sizes = {"joint": 1, "width": lambda own: 2 * own.joint + 2}
+    ranges = {"joint": 1, "width": lambda own: 2 * own.joint + 2}
 
     @property
     def vectors(self) -> Vectors:

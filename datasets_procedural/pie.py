@@ -30,7 +30,7 @@ class Pie(Model):
     period: float = 20.3
     strip: float = 12.1
 
-    least_sizes = {"strip": 4, "period": lambda own: own.strip + 1}
+    ranges = {"strip": 4, "period": lambda own: own.strip + 1}
 
     @property
     def vectors(self) -> Vectors:

@@ -27,7 +27,7 @@ class Plaid(SquareModel):
 
     period: float = 36.1
 
-    least_sizes = {"period": 12}
+    ranges = {"period": 12}
     breadth = ("period", 1 / 4)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

@@ -24,7 +24,7 @@ class Plate(Model):
 
     period: float = 19.7
 
-    least_sizes = {"period": 8}
+    ranges = {"period": 8}
 
     @property
     def vectors(self) -> Vectors:

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.errors import require
-
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Layer, Pattern, cells, coverage, round_profile, stripe
 
 _COLORS = np.array([(0.57, 0.26, 0.22), (0.62, 0.54, 0.41), (0.23, 0.30, 0.39), (0.58, 0.42, 0.22)])
@@ -37,9 +35,7 @@ class Rug(Model):
 
     breadth = ("step", 2)
 
-    def _check_parameters(self) -> None:
-        check_sizes(self, yarn=2.5, step=3)
-        require(4 <= self.steps <= 20, f"steps is {self.steps}; give a number from 4 to 20")
+    ranges = {"yarn": 2.5, "step": 3, "steps": (4, 20)}
 
     @property
     def vectors(self) -> Vectors:

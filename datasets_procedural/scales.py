@@ -28,7 +28,7 @@ class Scales(Model):
     width: float = 26.9
     gap: float = 1.8
 
-    least_sizes = {"gap": 1, "width": lambda own: 6 * own.gap}
+    ranges = {"gap": 1, "width": lambda own: 6 * own.gap}
 
     @property
     def vectors(self) -> Vectors:

@@ -25,7 +25,7 @@ class Squares(SquareModel):
 
     period: float = 27.7
 
-    least_sizes = {"period": 12}
+    ranges = {"period": 12}
 
     def pattern(self, x: Field, y: Field) -> Pattern:
         """Return squares on a ground; the origin is the middle of three nested ones."""

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.errors import require
-
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Layer, Pattern, coverage, disc, mix, rows
 
 _LIGHT = (0.60, 0.55, 0.46)
@@ -31,9 +29,7 @@ class Swirl(Model):
     period: float = 30.7
     arms: int = 3
 
-    def _check_parameters(self) -> None:
-        check_sizes(self, period=12)
-        require(1 <= self.arms <= 6, f"arms is {self.arms}; give a number from 1 to 6")
+    ranges = {"period": 12, "arms": (1, 6)}
 
     @property
     def vectors(self) -> Vectors:

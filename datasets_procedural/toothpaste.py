@@ -29,7 +29,7 @@ class Toothpaste(RectangularModel):
     turn: float = 37.9
 
     sides = ("width", "turn")
-    least_sizes = {"width": 6, "turn": 12}
+    ranges = {"width": 6, "turn": 12}
     breadth = ("turn", 1 / 4)
 
     def pattern(self, x: Field, y: Field) -> Pattern:

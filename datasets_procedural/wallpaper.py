@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nrbench.errors import require
 from nrbench.lattice.geometry import Lattice
 
-from .modelling.model import Model, Vectors, check_sizes
+from .modelling.model import Model, Vectors
 from .modelling.pattern import Field, Layer, Pattern, hats, mix
 from .modelling.random_fields import role_seed, uniform, unit
 
@@ -84,9 +84,10 @@ class Wallpaper(Model):
     slant: float = 0.0
     motif: int = 0
 
+    ranges = {"width": 8, "height": 8, "slant": (-45, 45)}
+
     def _check_parameters(self) -> None:
-        check_sizes(self, width=8, height=8)
-        require(abs(self.slant) <= 45, f"slant is {self.slant}; give degrees from -45 to 45")
+        super()._check_parameters()
         slanted = self.slant and self.group not in ("p1", "p2")
         require(not slanted, f"slant is for groups p1 and p2, not {self.group}; give 0")
 

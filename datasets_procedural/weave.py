@@ -46,7 +46,7 @@ class Weave(Model):
     gap: float = 1.5
     draft: Literal["plain", "twill", "basket", "herringbone"] = "plain"
 
-    least_sizes = {"gap": 1, "warp": lambda own: own.gap + 2, "weft": lambda own: own.gap + 2}
+    ranges = {"gap": 1, "warp": lambda own: own.gap + 2, "weft": lambda own: own.gap + 2}
 
     @property
     def vectors(self) -> Vectors:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nrbench.errors import require
+from nrbench.errors import require_ranges
 
-from .modelling.model import RectangularModel, check_sizes
+from .modelling.model import LARGEST_SIZE, RectangularModel
 from .modelling.pattern import Field, Layer, Pattern, box, cells, coverage, split_period
 
 _WALL = (0.60, 0.54, 0.46)
@@ -38,10 +38,9 @@ class Windows(RectangularModel):
     wall: float = 0.35
 
     def _check_parameters(self) -> None:
-        require(0.05 <= self.wall <= 0.7, f"wall is {self.wall}; give a share from 0.05 to 0.7")
-        for name in ("columns", "lines"):
-            require(1 <= getattr(self, name) <= 4, f"{name} is {getattr(self, name)}; give a number from 1 to 4")
-        check_sizes(self, width=5 * self.columns / (1 - self.wall), height=5 * self.lines / (1 - self.wall))
+        require_ranges(self, wall=(0.05, 0.7), columns=(1, 4), lines=(1, 4))
+        least = 5 / (1 - self.wall)
+        require_ranges(self, width=(least * self.columns, LARGEST_SIZE), height=(least * self.lines, LARGEST_SIZE))
 
     @property
     def element_size(self) -> float:

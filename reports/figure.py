@@ -20,7 +20,7 @@ from nrbench.runs.records import CellRecord, Run
 from nrbench.storage import write_files
 
 from .page.pictures import DEFECTS, read_pixels, worst_place
-from .page.plots import GRAY, INK, add_axes, make_figure, returns_file
+from .page.plots import GRAY, INK, Plotter, add_axes, make_figure
 from .statistics.format import break_name
 from .statistics.method_comparison import Comparison, ComparisonRow, compare_methods, match_names
 from .statistics.summaries import Method
@@ -78,7 +78,7 @@ class PictureGrid:
         if not rows or not methods:
             return []
         shown = (comparison, rows, methods, self.replicate, self.width, self.insets)
-        return write_files(directory, {f"figure.{kind}": plot_pictures(kind, *shown) for kind in ("pdf", "png")})
+        return write_files(directory, plot_pictures.files("figure", ("pdf", "png"), *shown))
 
 
 def choose_textures(
@@ -104,7 +104,7 @@ def choose_methods(comparison: Comparison, patterns: tuple[str, ...]) -> list[Me
     return match_names("method", patterns, [((method.label, method.name), method) for method in comparison.methods])
 
 
-@returns_file
+@Plotter
 def plot_pictures(
     comparison: Comparison,
     rows: Sequence[ComparisonRow],

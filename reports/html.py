@@ -85,7 +85,7 @@ class HtmlReport(ComparisonOptions):
     version: ClassVar[str] = "1"
 
     def begin(self, run: Run, directory: Path) -> Callable[[], list[Path]]:
-        """Begin to make the pictures in threads; return the function that writes the page with them."""
+        """Begin to make the pictures; return the function that writes the page with them."""
         pictures = PictureStore(directory, self.single_file)
         figures = gallery.begin_figures(run, pictures)
         return lambda: write_files(directory, {"report.html": self._render(run, pictures, figures)})
@@ -99,12 +99,11 @@ class HtmlReport(ComparisonOptions):
         pictures = PictureStore(directory, self.single_file)
         return self._render(run, pictures, gallery.begin_figures(run, pictures))
 
-    def _render(self, run: Run, pictures: PictureStore, figures: Sequence[Future[gallery.OutputFigure]]) -> str:
+    def _render(self, run: Run, pictures: PictureStore, figures: Sequence[Future[gallery.Made]]) -> str:
         """Return the page."""
         comparison = self.comparison(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
         labelers, claims, timed = compare_labelers(run, self.labels), evaluate_claims(run), timed_methods(comparison)
-        sections = gallery.build_gallery(comparison, figures, pictures)
         content: dict[str, Any] = {
             "command": shlex.join(map(str, run.info.get("argv") or [])),
             "run": run,
@@ -136,8 +135,6 @@ class HtmlReport(ComparisonOptions):
                 ]
                 for name, asked in (labelers.questions.items() if labelers else ())
             },
-            "sections": sections,
-            "layers": gallery.list_layers(sections),
             "failings": gallery.list_failings(comparison, pictures),
             "crop_side": CROP,
             "gallery": gallery,
@@ -157,8 +154,9 @@ class HtmlReport(ComparisonOptions):
             "answers": ANSWERS,
             "whole_score": WHOLE_SCORE,
         }
-        embed = pictures.embeds()
-        content |= {"address": cache(lambda picture: pictures.address(picture, embed)), "embedded": embed}
+        sections = gallery.build_gallery(comparison, figures, pictures)  # last, because it waits for the figures
+        content |= {"sections": sections, "layers": gallery.list_layers(sections), "embedded": pictures.embeds()}
+        content["address"] = cache(partial(pictures.address, embed=content["embedded"]))
         filters: dict[str, Any] = {
             "score_shade": gallery.score_shade,
             "strip_control": strip_control,

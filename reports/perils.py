@@ -55,18 +55,18 @@ class PerilsPlane(ComparisonOptions):
         """Write the files and return their paths; none if no method has a quality."""
         comparison = self.comparison(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)
-        files = {}
-        for kind in ("svg", "pdf"):
-            if points:
-                files[f"perils.{kind}"] = plot_perils_plane(kind, points, self.width)
-            if panels:
-                files[f"levels.{kind}"] = plot_levels(kind, panels, self.width)
-            if comparison.tests:
-                files[f"ranks.{kind}"] = plot_ranks(kind, comparison, self.width)
-            if timed := timed_methods(comparison):
-                files[f"cost.{kind}"] = plot_cost(kind, timed, self.width)
-            if comparison.has_ranking:
-                files[f"heat-map.{kind}"] = plot_heat_map(kind, comparison)
+        files: dict[str, bytes] = {}
+        kinds = ("svg", "pdf")
+        if points:
+            files |= plot_perils_plane.files("perils", kinds, points, self.width)
+        if panels:
+            files |= plot_levels.files("levels", kinds, panels, self.width)
+        if comparison.tests:
+            files |= plot_ranks.files("ranks", kinds, comparison, self.width)
+        if timed := timed_methods(comparison):
+            files |= plot_cost.files("cost", kinds, timed, self.width)
+        if comparison.has_ranking:
+            files |= plot_heat_map.files("heat-map", kinds, comparison)
         return write_files(directory, files)
 
     def plot(self, run: Run, kind: str) -> bytes:

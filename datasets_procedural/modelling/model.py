@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from nrbench.errors import BadInput, require
+from nrbench.errors import BadInput, require, require_ranges
 from nrbench.lattice.geometry import Lattice, Vector
 from nrbench.plugins.forms import Kind, Shape, Texture
 from nrbench.plugins.parameters import SharedParameters
@@ -27,6 +27,8 @@ Vectors = tuple[Vector, Vector]
 LARGEST_AREA = 1 << 26
 """Area in px^2 of the largest picture that a model draws: about 8000 x 8000, which takes a few GiB."""
 _STRENGTHS = ("color", "intensity", "noise", "light", "damage", "missing", "jitter", "bend")
+LARGEST_SIZE = 1e4
+"""px: the greatest length that a parameter may have."""
 _CELL_STEPS = 96
 """Samples along each side of a cell when its variance is integrated."""
 _DRAWS = 32
@@ -107,14 +109,13 @@ class Model(SharedParameters, ABC):
 
     procedural: ClassVar[bool] = True
     version: ClassVar[str] = "1"
-    least_sizes: ClassVar[Mapping[str, float | Callable[[Any], float]]] = {}
-    """Least values, px, of the parameters that are lengths; a function of the model where another parameter decides."""
+    ranges: ClassVar[Mapping[str, float | tuple[float, float] | Callable[[Any], float]]] = {}
+    """The least and the greatest values of parameters; of lengths, px, the least one, or a function of the model."""
     breadth: ClassVar[tuple[str, float]] = ("s", 0.5)
     """Typical breadth of an element: the name of a length, and the breadth as its multiple."""
 
     def __post_init__(self) -> None:
-        for name in _STRENGTHS:
-            require(0 <= getattr(self, name) <= 1, f"{name} is {getattr(self, name)}; give a strength from 0 to 1")
+        require_ranges(self, **dict.fromkeys(_STRENGTHS, (0, 1)))
         check_degrees(self, "rotation", "hue")
         require(self.inks in (0, *range(2, 7)), f"inks is {self.inks}; give a number of colors from 2 to 6, or 0")
         fixed = () if self.phase is None else self.phase
@@ -124,7 +125,10 @@ class Model(SharedParameters, ABC):
 
     def _check_parameters(self) -> None:
         """Raise :class:`BadInput` if a model's own parameters are out of range."""
-        check_sizes(self, **{name: low(self) if callable(low) else low for name, low in self.least_sizes.items()})
+        given = {name: low(self) if callable(low) else low for name, low in self.ranges.items()}
+        require_ranges(
+            self, **{name: low if isinstance(low, tuple) else (low, LARGEST_SIZE) for name, low in given.items()}
+        )
 
     @property
     @abstractmethod
@@ -289,13 +293,6 @@ class SquareModel(RectangularModel):
 
     period: float
     sides = ("period", "period")
-
-
-def check_sizes(model: Any, **least: float) -> None:
-    """Raise :class:`BadInput` if a length of ``model`` is below its value in ``least``, huge or NaN; both in px."""
-    for name, low in least.items():
-        size = getattr(model, name)
-        require(low <= size < 1e4, f"{name} is {size} px; give at least {low:g}, less than 10000")
 
 
 def check_degrees(model: Any, *names: str) -> None:

@@ -120,7 +120,8 @@ def cluster_colors(colors: Float64x2, first: int, count: int, rounds: int) -> tu
     centers, labels, counts = np.empty((count, 3)), np.full(len(colors), -1), np.zeros(count, np.int64)
     squares, far = np.full(len(colors), np.inf), first
     for k in range(count):
-        centers[k] = colors[far]
+        for c in range(3):
+            centers[k, c] = colors[far, c]
         for n in range(len(colors)):
             square = 0.0
             for c in range(3):

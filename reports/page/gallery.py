@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 import zlib
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +30,8 @@ SAME_LATTICE = 0.05
 """Lattices whose reduced vectors agree within this many px share one drawing."""
 SOURCE_MAP = "source map"
 """Name of the layer that shows where in the sample each pixel comes from."""
+_MANY, _BATCH = 200, 16
+"""Number of outputs from which on processes are forked, and of those whose pictures are made in one call."""
 _WEAKEST = 4
 """Number of weak outputs that are shown of a method."""
 _FULL = 0.995
@@ -164,21 +171,48 @@ def list_layers(textures: Sequence[Sequence[TextureDraw]]) -> list[tuple[int, st
     return sorted({(index, title) for figure in figures for index, title, _ in figure.layers})
 
 
-def begin_figures(run: Run, pictures: PictureStore) -> list[Future[OutputFigure]]:
-    """Begin to make the figures of all outputs in threads: pictures are coded outside of Python's lock."""
+Made = tuple[list[tuple[Any, ...]], PictureStore]
+"""The attributes of several :class:`OutputFigure` without the records, and the store with their pictures."""
+_forked: list[Callable[[int], Made]] = []
+"""What a forked process calls."""
+
+
+def begin_figures(run: Run, pictures: PictureStore) -> list[Future[Made]]:
+    """Begin to make the figures of all outputs: in two forked processes if there are many, else in two threads."""
     names = dict.fromkeys(title for record in run.cells for title in record.pictures)
-    titles = [*sort_headlines_first(names), SOURCE_MAP]
-    pool = ThreadPoolExecutor(2)
-    figures = [pool.submit(_output_figure, record, titles, pictures) for record in run.cells]
+    make: Callable[[int], Made] = partial(
+        _make_figures, run.cells, [*sort_headlines_first(names), SOURCE_MAP], pictures
+    )
+    pool: Executor = ThreadPoolExecutor(2)
+    if len(run.cells) >= _MANY and sys.platform.startswith("linux"):
+        pool, make = ProcessPoolExecutor(2, get_context("fork"), _forked.append, (make,)), _make_forked
+    with warnings.catch_warnings():  # the threads of libraries take no part in a fork
+        warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
+        figures = [pool.submit(make, start) for start in range(0, len(run.cells), _BATCH)]
     pool.shutdown(wait=False)
     return figures
 
 
+def _make_figures(records: Sequence[CellRecord], titles: Sequence[str], pictures: PictureStore, start: int) -> Made:
+    own = pictures.empty()
+    return [_output_figure(record, titles, own) for record in records[start : start + _BATCH]], own
+
+
+def _make_forked(start: int) -> Made:
+    return _forked[0](start)
+
+
 def build_gallery(
-    comparison: Comparison, figures: Iterable[Future[OutputFigure]], pictures: PictureStore
+    comparison: Comparison, figures: Iterable[Future[Made]], pictures: PictureStore
 ) -> list[list[TextureDraw]]:
     """Return the replicates of every texture of the comparison, from the figures of :func:`begin_figures`."""
-    by_cell = {id(figure.record): figure for figure in (each.result() for each in figures)}
+    made = []
+    for each in figures:
+        parts, own = each.result()
+        made += parts
+        pictures.add(own)
+    cells = comparison.run.cells
+    by_cell = {id(record): OutputFigure(record, *parts) for record, parts in zip(cells, made, strict=True)}
     textures = []
     for row in comparison.rows:
         replicates: dict[int, list[OutputFigure]] = {}
@@ -255,7 +289,8 @@ def _texture_draw(figures: Sequence[OutputFigure], pictures: PictureStore) -> Te
     )
 
 
-def _output_figure(record: CellRecord, titles: Sequence[str], pictures: PictureStore) -> OutputFigure:
+def _output_figure(record: CellRecord, titles: Sequence[str], pictures: PictureStore) -> tuple[Any, ...]:
+    """Return the attributes of the figure of a cell, without the record."""
     path = record.folder / "output.png"
     output = pictures.load(path) if record.status == "ok" else None
     layers: list[tuple[int, str, PagePicture]] = []
@@ -269,7 +304,7 @@ def _output_figure(record: CellRecord, titles: Sequence[str], pictures: PictureS
         elif inset := pictures.load(layer):
             insets.append((title, inset))
     lattice = _output_lattice(record, (output.height, output.width)) if output else None
-    return OutputFigure(record, output, layers, insets, lattice)
+    return output, layers, insets, lattice
 
 
 def _output_lattice(record: CellRecord, shape: tuple[int, int]) -> LatticeOverlay | None:
@@ -317,7 +352,7 @@ def _used_lattices(
 def trace_lattice(lattice: Lattice, shape: tuple[int, int]) -> LatticeOverlay:
     """Return the lines of a lattice along its two vectors, over an image of ``shape`` (height, width)."""
     start = _nearest_point(lattice, _middle(shape) - lattice.matrix.sum(0) / 2)
-    first, second = (_line(start, start + vector) for vector in lattice.matrix)
+    first, second = (_trace_line([*start, *(start + vector)]) for vector in lattice.matrix)
     vectors = (_describe_vector("t1", lattice.t1), _describe_vector("t2", lattice.t2))
     return LatticeOverlay(_lattice_lines(lattice, shape), (first, second), vectors)
 
@@ -351,11 +386,11 @@ def _lattice_lines(lattice: Lattice, shape: tuple[int, int]) -> str:
     if len(along_u) + len(along_v) > MAX_LINES:
         return ""
     ends = [((u, v0), (u, v1)) for u in along_u] + [((u0, v), (u1, v)) for v in along_v]
-    return "".join(_line(*lattice.from_cell(pair)) for pair in ends)
+    return "".join(map(_trace_line, lattice.from_cell(np.reshape(ends, (-1, 2, 2))).reshape(-1, 4).tolist()))
 
 
-def _line(start: Points, end: Points) -> str:
-    return f"M{start[0]:.2f} {start[1]:.2f}L{end[0]:.2f} {end[1]:.2f}"
+def _trace_line(ends: Sequence[float]) -> str:
+    return "M{:.2f} {:.2f}L{:.2f} {:.2f}".format(*ends)
 
 
 def _middle(shape: tuple[int, int]) -> Points:

@@ -8,7 +8,7 @@ import io
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, wraps
+from functools import cache, lru_cache, wraps
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +69,7 @@ def _once(make: Callable[..., PagePicture | None]) -> Callable[..., PagePicture 
 
     @wraps(make)
     def made(store: PictureStore, *paths: Path | None) -> PagePicture | None:
-        key = (make, *paths)
+        key = (make.__name__, *paths)
         if key not in store._made:
             try:
                 store._made[key] = None if None in paths else make(store, *paths)
@@ -96,12 +96,11 @@ class PictureStore:
     single_file: bool = False
     _files: set[str] = field(default_factory=set)
     _made: dict[tuple[object, ...], PagePicture | None] = field(default_factory=dict)
-    _pixels: Callable[[Path], Pixels] = field(default_factory=lambda: lru_cache(maxsize=8)(read_pixels))
 
     @_once
     def load(self, path: Path) -> PagePicture | None:
         """Return the picture in a PNG file."""
-        pixels = self._pixels(path)
+        pixels = _keep_pixels(path)
         height, width = pixels.shape[:2]
         if self.single_file or width <= 64:
             return PagePicture(_webp(pixels, 30, lossless=True), width, height)
@@ -110,10 +109,11 @@ class PictureStore:
     @_once
     def overlay(self, output: Path, layer: Path) -> PagePicture | None:
         """Return the marks of a metric's picture over an output, transparent elsewhere; None if the sizes differ."""
-        marks, below = self._pixels(layer), self._pixels(output)
+        marks, below = _keep_pixels(layer), _keep_pixels(output)
         if marks.shape != below.shape:
             return None
-        return PagePicture(_webp(_marks(marks, below), _LAYER_QUALITY), marks.shape[1], marks.shape[0])
+        marked = find_marks(marks, below)
+        return _draw_marks(marks, marked) if marked.any() else _no_marks(marked.shape)
 
     @_once
     def source_map(self, source: Path) -> PagePicture | None:
@@ -132,12 +132,21 @@ class PictureStore:
         layers
             Pictures of defects over the output; the first with any marks decides.
         """
-        pixels = self._pixels(output)
+        pixels = _keep_pixels(output)
         height, width = pixels.shape[:2]
         side = min(CROP, height, width)
         middle = (width - side) // 2, (height - side) // 2
-        x, y = worst_place(pixels, [self._pixels(layer) for layer in layers], side) or middle
+        x, y = worst_place(pixels, [_keep_pixels(layer) for layer in layers], side) or middle
         return PagePicture(_webp(pixels[y : y + side, x : x + side], _QUALITY, effort=2), side, side)
+
+    def empty(self) -> PictureStore:
+        """Return a store of the same page without pictures, for another thread or process."""
+        return PictureStore(self.directory, self.single_file)
+
+    def add(self, other: PictureStore) -> None:
+        """Add the pictures of another store of the page."""
+        self._made.update(other._made)
+        self._files.update(other._files)
 
     def embeds(self) -> bool:
         """Return whether the page embeds the small copies of all pictures that were made so far."""
@@ -174,20 +183,28 @@ def _webp(pixels: Pixels, quality: int, effort: int = 0, lossless: bool = False)
     return file.getvalue()
 
 
-def _marks(layer: Pixels, output: Pixels) -> Pixels:
-    """Return a metric's picture with an alpha channel that hides what is gray or equal to the output."""
-    marked = find_marks(layer, output)
+def _draw_marks(layer: Pixels, marked: NDArray[np.bool_]) -> PagePicture:
+    """Return a metric's picture with an alpha channel that hides what is not marked."""
     shown = np.empty((*marked.shape, 4), np.uint8)
-    np.multiply(layer, marked[..., None], out=shown[..., :3])
+    for channel in range(3):  # planes are several times faster than pixels
+        np.multiply(layer[..., channel], marked, out=shown[..., channel])
     np.multiply(marked, np.uint8(_SHADE), out=shown[..., 3])
-    return shown
+    return PagePicture(_webp(shown, _LAYER_QUALITY), marked.shape[1], marked.shape[0])
+
+
+@cache
+def _no_marks(shape: tuple[int, int]) -> PagePicture:
+    """Return a picture without marks; most outputs have one, and coding takes time."""
+    return _draw_marks(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.bool_))
 
 
 def _place_colors(places: NDArray[np.float32]) -> Pixels:
     """Return colors of places (x, y) in the sample, blended between the colors of the corners of the used region."""
-    x, y = (_relative(places[..., axis])[..., None] for axis in (0, 1))
-    top, bottom = (left * (1 - x) + right * x for left, right in _CORNERS)
-    colors: Pixels = np.rint(top * (1 - y) + bottom * y).astype(np.uint8)
+    x, y = (_relative(places[..., axis]) for axis in (0, 1))
+    colors = np.empty((*x.shape, 3), np.uint8)
+    for channel in range(3):  # planes are several times faster than pixels
+        top, bottom = (left * (1 - x) + right * x for left, right in _CORNERS[..., channel])
+        colors[..., channel] = np.rint(top * (1 - y) + bottom * y)
     return colors
 
 
@@ -209,6 +226,9 @@ def read_pixels(path: Path) -> NDArray[np.uint8]:
         return to_rgb(image)
 
 
+_keep_pixels = lru_cache(maxsize=8)(read_pixels)
+
+
 def find_marks(layer: NDArray[np.uint8], output: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return where a metric's picture has marks, ``(H, W)``.
 
@@ -220,12 +240,16 @@ def find_marks(layer: NDArray[np.uint8], output: NDArray[np.uint8]) -> NDArray[n
     layer, output
         The picture and the output, ``(H, W, 3)``.
     """
-    # planes are contiguous, which is many times faster than a reduction over the last axis
-    planes, below = (np.ascontiguousarray(np.moveaxis(picture, -1, 0)) for picture in (layer, output))
-    spread = planes.max(0) - planes.min(0)
-    apart = (np.maximum(planes, below) - np.minimum(planes, below)).max(0)
-    marked: NDArray[np.bool_] = (spread > _LEVELS) & (apart > _LEVELS)
+    planes = _planes(layer)
+    marked: NDArray[np.bool_] = planes.max(0) - planes.min(0) > _LEVELS
+    if marked.any():
+        marked &= _planes(np.maximum(layer, output) - np.minimum(layer, output)).max(0) > _LEVELS
     return marked
+
+
+def _planes(picture: Pixels) -> Pixels:
+    """Return the channels ``(3, H, W)``; a reduction over them is many times faster than over the last axis."""
+    return np.ascontiguousarray(np.moveaxis(picture, -1, 0))
 
 
 def worst_place(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import textwrap
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, Concatenate, ParamSpec
+from typing import Any, Generic, ParamSpec
 
 import matplotlib
 import numpy as np
@@ -67,20 +66,34 @@ def open_frame(axes: Axes) -> None:
         axes.spines[side].set_visible(False)
 
 
-def returns_file(draw: Callable[P, Figure]) -> Callable[Concatenate[str, P], bytes]:
-    """Let a function that draws a figure return its file. Its new first argument is the kind: svg, pdf or png."""
+class Plotter(Generic[P]):
+    """A function that draws a figure, and returns its file. Its new first argument is the kind: svg, pdf or png.
 
-    @functools.wraps(draw)
-    def render(kind: str, /, *args: P.args, **kwargs: P.kwargs) -> bytes:
-        file = io.BytesIO()
+    Parameters
+    ----------
+    draw
+        Draws the figure.
+    """
+
+    def __init__(self, draw: Callable[P, Figure]) -> None:
+        self._draw = draw
+
+    def __call__(self, kind: str, /, *args: P.args, **kwargs: P.kwargs) -> bytes:
+        """Return the file of one kind."""
+        return self.files("", (kind,), *args, **kwargs)[f".{kind}"]
+
+    def files(self, stem: str, kinds: Sequence[str], /, *args: P.args, **kwargs: P.kwargs) -> dict[str, bytes]:
+        """Return the files of several kinds by their names; the figure is drawn once."""
+        files = {}
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # equal runs give equal bytes
         with matplotlib.rc_context(_STYLE), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Glyph .* missing from font")  # an emoji in a name is drawn as a box
-            back, dots = ("white", 160) if kind == "png" else ("none", 72)
-            draw(*args, **kwargs).savefig(file, format=kind, facecolor=back, metadata=dates.get(kind), dpi=dots)
-        return file.getvalue()
-
-    return render
+            figure = self._draw(*args, **kwargs)
+            for kind in kinds:
+                file, (back, dots) = io.BytesIO(), ("white", 160) if kind == "png" else ("none", 72)
+                figure.savefig(file, format=kind, facecolor=back, metadata=dates.get(kind), dpi=dots)
+                files[f"{stem}.{kind}"] = file.getvalue()
+        return files
 
 
 Floats = NDArray[np.float64]
@@ -100,7 +113,7 @@ def caption_text(point: PerilsPoint) -> str:
     return point.method.label + point.rests_on + point.validity.sign + count
 
 
-@returns_file
+@Plotter
 def plot_perils_plane(points: Sequence[PerilsPoint], width: float = 5.5) -> Figure:
     """Plot the plane, ``width`` inches wide."""
     narrow, shown = width < _NARROW, choose_named([point.method.reference for point in points])
@@ -233,7 +246,7 @@ _NAME_LETTER = 4.6
 """Width of a letter of a name, pt."""
 
 
-@returns_file
+@Plotter
 def plot_ranks(comparison: Comparison, width: float = 5.5) -> Figure:
     """Plot the mean quality of each ranked method, best first; bars at the right join those that do not differ.
 
@@ -271,7 +284,7 @@ def plot_ranks(comparison: Comparison, width: float = 5.5) -> Figure:
     return figure
 
 
-@returns_file
+@Plotter
 def plot_heat_map(comparison: Comparison) -> Figure:
     """Plot the heat map: methods across from the best, textures down from the hardest.
 
@@ -318,7 +331,7 @@ def timed_methods(comparison: Comparison) -> list[MethodSummary]:
     return [one for one in scored if one.means[RANKING].value is not None and one.means["seconds"].value]
 
 
-@returns_file
+@Plotter
 def plot_cost(methods: Sequence[MethodSummary], width: float = 5.5) -> Figure:
     """Plot mean seconds across, logarithmic, and mean quality upwards, of some :func:`timed_methods`."""
     figure = make_figure(width, 72 * width * 0.62)
@@ -353,7 +366,7 @@ _SPREAD = 0.07
 _LINE: Any = {"lw": 1.1, "ms": 4.6, "mew": 0.5, "mec": "white", "clip_on": False}
 
 
-@returns_file
+@Plotter
 def plot_levels(panels: Sequence[LevelPanel], width: float = 5.5) -> Figure:
     """Plot the quality by level, one panel for each difficulty.
 
@@ -428,7 +441,7 @@ def _draw_line(
             axes.plot([place, place], ends, color=style["color"], lw=0.8, zorder=1)
 
 
-@returns_file
+@Plotter
 def plot_claim(result: ClaimResult) -> Figure:
     """Plot the panel of a claim.
 

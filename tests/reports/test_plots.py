@@ -202,7 +202,7 @@ def test_files_are_vector_graphics_and_the_same_again(ranked: Run, comparison: C
     """The plane is written as SVG and PDF, without a date, so that equal runs give equal bytes."""
     paths = PerilsPlane().write(ranked, tmp_path)
     assert [path.name for path in paths] == [
-        f"{name}.{kind}" for kind in ("svg", "pdf") for name in ("perils", "levels", "cost", "heat-map")
+        f"{name}.{kind}" for name in ("perils", "levels", "cost", "heat-map") for kind in ("svg", "pdf")
     ]
     first = [path.read_bytes() for path in paths if path.stem == "perils"]
     assert [content[:5] for content in first] == [b"<?xml", b"%PDF-"]

@@ -36,6 +36,7 @@ class Mirrored:
             time.sleep(0.01)
         return Synthesis(np.pad(task.sample, ((0, task.shape[0] - 64), (0, task.shape[1] - 64), (0, 0)), "symmetric"))
 '''
+SUITE = 'sample = "64x64"\nsize = "96x80"\nmetrics = ["cost"]\ntexture = [{ name = "wall", dataset = "brick" }]\n'
 MOST_FRAMES = 15
 
 
@@ -48,6 +49,7 @@ def own(files: list[str]) -> list[str]:
 def test_a_method_of_one_file_has_a_row_and_is_called_through_few_frames(tmp_path: Path) -> None:
     """Its cell is in the table; the run, in all its threads, and the forked child together hold few frames."""
     (tmp_path / "mine.py").write_text(METHOD)
+    (tmp_path / "s.toml").write_text('name = "s"\n' + SUITE)
     stacks: list[list[str]] = []
 
     def watch() -> None:
@@ -60,8 +62,7 @@ def test_a_method_of_one_file_has_a_row_and_is_called_through_few_frames(tmp_pat
 
     watcher = threading.Thread(target=watch)
     watcher.start()
-    words = "run core -t brick-mild --sample 64x64 --size 96x80 --jobs 1 --no-report --out run"
-    assert call(f"--plugin mine.py {words} -m mirrored") == 0
+    assert call("--plugin mine.py run s.toml -m mirrored --jobs 1 --no-report --out run") == 0
     watcher.join()
     (record,) = nrbench.load("run").cells
     assert (record.method, record.status) == ("mirrored", "ok")

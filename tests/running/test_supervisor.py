@@ -112,10 +112,7 @@ def choose_way(way: str, patch: pytest.MonkeyPatch, warm_executor: Any) -> None:
 
 @pytest.fixture(scope="module", params=WAYS)
 def started(
-    request: pytest.FixtureRequest,
-    faulty_run: FaultyRun,
-    warm_executor: Any,
-    tmp_path_factory: pytest.TempPathFactory,
+    request: pytest.FixtureRequest, faulty_run: FaultyRun, warm_executor: Any, tmp_path_factory: Any
 ) -> dict[str, CellRecord]:
     """Run with a forking worker, and with a fresh interpreter for each child; return the cells by their methods."""
     program = tmp_path_factory.mktemp("started") / "tool.py"
@@ -250,12 +247,9 @@ def test_relative_paths_of_users_and_of_plugins(
     """A relative path in a parameter starts from the user's folder; one that a plugin writes to is not in it."""
     choose_way(way, monkeypatch, warm_executor)
     Path("number.txt").write_text("0.5")
-    Path("tool.py").write_text(
-        "import shutil, sys\nopen('copy.txt', 'w').close()\nshutil.copy(sys.argv[1], sys.argv[2])\n"
-    )
+    Path("tool.py").write_text("import shutil, sys\nopen('copy.txt', 'w').close()\nshutil.copy(*sys.argv[1:])\n")
     made = run(wall_suite(["fine"], "cost"), out=tmp_path / "made", options=Options(jobs=0)).cells[0]
-    table = "sample,output\nsample.png,output.png\n"
-    (made.folder / "index.csv").write_text(table)
+    (made.folder / "index.csv").write_text("sample,output\nsample.png,output.png\n")
     tool = f"command:run={sys.executable} tool.py {{sample}} {{output}}"
     others = [tool, f"precomputed:directory={made.folder.relative_to(tmp_path)}"]
     methods = ["reader:file=number.txt", *(others if way == "fork" else [])]
@@ -312,15 +306,13 @@ def test_one_process_runs_many_methods_of_nrbench(supervisors: list[Supervisor],
     folders = [prepare(tmp_path / name / "cell", "scatter") for name in ("small", "large", "again")]
     cell = json.loads((folders[1] / "cell.json").read_text())
     (folders[1] / "cell.json").write_text(json.dumps({**cell, "shape": [1024, 1024]}))
-    small, *others = [
-        supervisors[1].run(Request("synthesize_cell", str(folder), 20, 500, built_in=True)).result
-        for folder in (folders[0], folders[1], folders[2])
-    ]
+    requests = [Request("synthesize_cell", str(folder), 20, 500, built_in=True) for folder in folders]
+    small, large, again = (supervisors[1].run(request).result for request in requests)
     kept = {child.pid for child in server_of(supervisors[1]).children()}
-    assert [each["status"] for each in (small, *others)] == ["ok"] * 3
-    assert others[0]["peak_mib"] > 20 > others[1]["peak_mib"]
-    assert small["output_hash"] == others[1]["output_hash"]
-    supervisors[1].run(Request("synthesize_cell", str(folders[0]), 20, 500, built_in=True))
+    assert [each["status"] for each in (small, large, again)] == ["ok"] * 3
+    assert large["peak_mib"] > 20 > again["peak_mib"]
+    assert small["output_hash"] == again["output_hash"]
+    supervisors[1].run(requests[0])
     assert len(kept & {child.pid for child in server_of(supervisors[1]).children()}) >= 2  # one runs, one waits
 
 
@@ -330,17 +322,18 @@ def test_a_method_prepares_once_for_a_sample(supervisors: list[Supervisor], faul
     The limit of time holds for the preparation and for the synthesis, each by itself.
     """
     suite = wall_suite([f"learner:marks={tmp_path}/marks"], "cost")
-    cells = []
-    for size in ((64, 64), (64, 80)):
-        cells += run(suite.with_changes(size=size), out=tmp_path / "run", options=Options(jobs=0)).cells
-    first, second = cells
+
+    def made(width: int) -> CellRecord:
+        return run(suite.with_changes(size=(64, width)), out=tmp_path / "run", options=Options(jobs=0)).cells[0]
+
+    first, second = made(64), made(80)
     assert first.note == second.note
     assert (tmp_path / "marks").read_text() == "(64, 64)\n"
-    for cell in cells:
+    for cell in (first, second):
         assert cell.values["cost.seconds"] < 0.2 <= cell.values["cost.prepare_seconds"]
     (record,) = (tmp_path / "run" / "prepared").glob("*/.prepared.json")
     record.write_text("{}")
-    run(suite.with_changes(size=(64, 96)), out=tmp_path / "run", options=Options(jobs=0))
+    made(96)
     assert (tmp_path / "marks").read_text() == "(64, 64)\n" * 2
     alone = synthesize("learner", first.folder / "sample.png", (32, 32), marks=str(tmp_path / "alone"))
     assert alone.note == first.note
@@ -385,10 +378,8 @@ def test_a_worker_imports_no_other_methods_than_those_of_the_run() -> None:
     """The kernels of the others would take seconds to compile; without a plan it imports all."""
     program = "from nrbench import plugins; from nrbench.running import worker; worker.load_kernels = print; "
     program += "worker.warm('', {}); print(*(p.name for p in plugins.inventory('synthesizers') if p.is_loaded))"
-    for methods, count in (
-        (["rsgf"], 1),
-        ([], len([each for each in plugins.inventory("synthesizers") if each.built_in])),
-    ):
+    every = sum(each.built_in for each in plugins.inventory("synthesizers"))
+    for methods, count in ((["rsgf"], 1), ([], every)):
         named = [("synthesizers", name) for name in methods]
         imported = subprocess.check_output([sys.executable, "-c", program.format(named)], text=True).split()
         assert len(imported) == count and "rsgf" in imported

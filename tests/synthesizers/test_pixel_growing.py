@@ -62,15 +62,17 @@ def repeated(tile: Image, shape: tuple[int, int], grain: float = 0.0, seed: int 
     return quantize(picture + grain * np.random.default_rng(seed).standard_normal(picture.shape).astype(np.float32))
 
 
-def masked(method: FftmPixel, sample: Image, shape: tuple[int, int], mask: TextureMask, seed: int = 1) -> Synthesis:
-    """Run the method with a known mask."""
-    return method.synthesize_with_mask(Task(sample, shape, None, np.random.default_rng(seed)), mask)
+def masked(
+    sample: Image, shape: tuple[int, int], mask: TextureMask | Image, seed: int = 1, **parameters: Any
+) -> Synthesis:
+    """Run the method with a known mask, or that of a tile."""
+    task = Task(sample, shape, None, np.random.default_rng(seed))
+    return FftmPixel(**parameters).synthesize_with_mask(task, mask if isinstance(mask, TextureMask) else mask_of(mask))
 
 
 def mean_run(made: Synthesis, sample: Image) -> float:
     """Return the mean unbroken run of the source map, px."""
-    found = SourceUse().score(Observation(sample, made.image, source=made.source)).values["mean_copy_length"]
-    return float(found)
+    return SourceUse().score(Observation(sample, made.image, source=made.source)).values["mean_copy_length"]
 
 
 @pytest.mark.parametrize("match", MATCHES)
@@ -83,9 +85,8 @@ def test_a_perfect_texture_with_a_perfect_mask_is_continued(
     """On a whole-pixel lattice the output continues the texture periodically: PSNR over 35 dB, exact for match full."""
     tile = noise(13, 15, channels)
     sample, due = repeated(tile, (60, 62)), repeated(tile, (70, 131))
-    made = masked(FftmPixel(neighborhood, match=match, search=search), sample, (70, 131), mask_of(tile))
-    error = float(((made.image - due) ** 2).mean())
-    assert error < 10**-3.5
+    made = masked(sample, (70, 131), tile, neighborhood=neighborhood, match=match, search=search)
+    assert ((made.image - due) ** 2).mean() < 10**-3.5
     if match == "full":
         np.testing.assert_array_equal(quantize(made.image), due)
 
@@ -93,28 +94,19 @@ def test_a_perfect_texture_with_a_perfect_mask_is_continued(
 @settings(max_examples=60)
 @given(
     st.tuples(st.integers(1, 40), st.integers(1, 40)),
-    st.integers(2, 6),
     st.sampled_from([1, 3]),
-    st.sampled_from(MATCHES),
-    st.sampled_from(SEARCHES),
-    st.sampled_from([0.0, 1.0, 2.5]),
-    st.sampled_from([0, 3, 16]),
     st.tuples(st.integers(6, 30), st.integers(6, 30)),
-)
+    st.fixed_dictionaries({
+        "neighborhood": st.integers(2, 6), "match": st.sampled_from(MATCHES), "search": st.sampled_from(SEARCHES),
+        "coherence": st.sampled_from([0.0, 1.0, 2.5]), "dimensions": st.sampled_from([0, 3, 16]),
+    }),
+)  # fmt: skip
 def test_every_pixel_is_the_samples_and_the_map_says_which_beside_a_mask(
-    shape: tuple[int, int],
-    neighborhood: int,
-    channels: int,
-    match: Any,
-    search: Any,
-    coherence: float,
-    dimensions: int,
-    size: tuple[int, int],
+    shape: tuple[int, int], channels: int, size: tuple[int, int], parameters: dict[str, Any]
 ) -> None:
     """For all parameters and shapes, pixels are copies, the source map is right, and the mask has the output's size."""
     sample = noise(*size, channels)
-    method = FftmPixel(neighborhood, match=match, search=search, coherence=coherence, dimensions=dimensions)
-    made = checked_synthesis(masked(method, sample, shape, mask_of(soft_tile(7, 9, channels))), sample, shape)
+    made = checked_synthesis(masked(sample, shape, soft_tile(7, 9, channels), **parameters), sample, shape)
     x, y, weight = np.moveaxis(made.source, -1, 0)
     assert (weight == 1).all()
     np.testing.assert_array_equal(made.image, sample[y.astype(int), x.astype(int)])
@@ -129,15 +121,8 @@ def test_the_tree_finds_what_exhaustive_search_finds(match: Any, coherence: floa
     """Both searches give the same bytes, on noise and on a texture with many ties."""
     tile = soft_tile(7, 9)
     for sample in (noise(40, 44), repeated(tile, (40, 44)), repeated(tile, (40, 44), 0.05)):
-        ann, all_of_them = (
-            masked(
-                FftmPixel(match=match, search=search, coherence=coherence, dimensions=dimensions),
-                sample,
-                (50, 41),
-                mask_of(tile),
-            )
-            for search in ("ann", "exhaustive")
-        )
+        more = {"match": match, "coherence": coherence, "dimensions": dimensions}
+        ann, all_of_them = (masked(sample, (50, 41), tile, search=each, **more) for each in ("ann", "exhaustive"))
         np.testing.assert_array_equal(ann.source, all_of_them.source)
 
 
@@ -145,16 +130,10 @@ def test_coherence_lengthens_runs_and_exhaustive_search_does_not() -> None:
     """The mean length of copied runs grows with the coherence factor; exhaustive search alone gives short runs."""
     tile = soft_tile(11, 13)
     sample = repeated(tile, (64, 64), 0.08)
-    runs = {
-        (search, factor): mean_run(
-            masked(FftmPixel(search=search, coherence=factor), sample, (80, 80), mask_of(tile)), sample
-        )
-        for search, factor in (("exhaustive", 0.0), ("ann", 0.0), ("ann", 1.5), ("ann", 2.0), ("ann", 4.0))
-    }  # type: dict[tuple[Any, float], float]
-    none, once, twice, far = (runs["ann", factor] for factor in (0.0, 1.5, 2.0, 4.0))
-    assert runs["exhaustive", 0.0] == none
-    assert none < once < twice < far
-    assert far > 3 * none
+    kinds = (("exhaustive", 0.0), ("ann", 0.0), ("ann", 1.5), ("ann", 2.0), ("ann", 4.0))
+    outputs = (masked(sample, (80, 80), tile, search=search, coherence=factor) for search, factor in kinds)
+    all_of_them, none, once, twice, far = (mean_run(made, sample) for made in outputs)
+    assert all_of_them == none < once < twice < far and far > 3 * none
 
 
 def test_the_output_looks_like_the_mask_the_more_it_counts() -> None:
@@ -163,7 +142,7 @@ def test_the_output_looks_like_the_mask_the_more_it_counts() -> None:
     sample, shape = repeated(tile, (64, 64), 0.15), (96, 96)
     like = {}
     for weight in (0.0, 0.01, 1.0, 5.0, 100.0):
-        made = masked(FftmPixel(weight=weight, coherence=0.0), sample, shape, mask_of(tile))
+        made = masked(sample, shape, tile, weight=weight, coherence=0.0)
         like[weight] = float(np.corrcoef(made.image.ravel(), made.extras["mask"].ravel())[0, 1])
     assert abs(like[0.0]) < 0.2
     assert like[0.0] + 0.1 < like[0.01] + 0.1 < like[1.0] < like[5.0]
@@ -176,7 +155,7 @@ def test_every_parameter_changes_something_beside_a_mask() -> None:
     sample = repeated(tile, (64, 64), 0.3)
 
     def output(**change: Any) -> NDArray[np.float32]:
-        return masked(FftmPixel(**change), sample, (66, 78), mask_of(tile)).image
+        return masked(sample, (66, 78), tile, **change).image
 
     clustered, coherent = {"match": "cluster"}, {"search": "k-coherence", "coherence": 0.0}
     pairs: list[tuple[dict[str, Any], dict[str, Any]]] = [
@@ -191,7 +170,7 @@ def test_a_flat_sample_gives_a_flat_output() -> None:
     """If all neighborhoods are equal, the search ends and the output is flat."""
     flat = np.full((64, 64, 1), 0.4, np.float32)
     for match, search in itertools.product(MATCHES, SEARCHES):
-        made = masked(FftmPixel(match=match, search=search), flat, (70, 70), mask_of(soft_tile(7, 9, 1)))
+        made = masked(flat, (70, 70), soft_tile(7, 9, 1), match=match, search=search)
         np.testing.assert_allclose(made.image, 0.4, atol=0.002)
 
 
@@ -224,25 +203,20 @@ def test_a_tileable_output_meets_itself_without_a_seam(neighborhood: int) -> Non
     waves = np.exp(-0.5 * (np.hypot(*np.meshgrid(np.fft.fftfreq(90), np.fft.fftfreq(90))) / 0.06) ** 2)
     blobs = np.fft.ifft2(np.fft.fft2(rough) * waves).real
     sample = quantize(repeated(tile, (90, 90)) * 0.5 + (0.25 + 0.1 * blobs / blobs.std())[..., np.newaxis])
-    mask = mask_of(quantize(tile * 0.5 + 0.25))
-    ratios = {
-        tileable: np.mean(
-            [
-                seam_ratio(masked(FftmPixel(neighborhood, 1.0, tileable=tileable), sample, (60, 75), mask, k).image)
-                for k in range(4)
-            ]
-        )
-        for tileable in (False, True)
-    }
-    assert ratios[True] < 1.35
-    assert ratios[True] < 0.8 * ratios[False]
+    task = sample, (60, 75), mask_of(quantize(tile * 0.5 + 0.25))
+
+    def ratio(tileable: bool) -> float:
+        more = {"neighborhood": neighborhood, "weight": 1.0, "tileable": tileable}
+        return float(np.mean([seam_ratio(masked(*task, k, **more).image) for k in range(4)]))
+
+    assert ratio(True) < min(1.35, 0.8 * ratio(False))
 
 
 def test_a_tileable_output_of_a_perfect_texture_is_its_continuation() -> None:
     """The second pass does not change an output that is periodic already, even of a single tile."""
     tile = noise(13, 15)
     for shape in ((13, 15), (39, 60)):
-        made = masked(FftmPixel(tileable=True), repeated(tile, (60, 62)), shape, mask_of(tile))
+        made = masked(repeated(tile, (60, 62)), shape, tile, tileable=True)
         np.testing.assert_array_equal(quantize(made.image), repeated(tile, shape))
 
 
@@ -251,8 +225,8 @@ def test_a_size_that_is_no_period_is_refused_with_the_nearest_ones_that_work() -
     tile, sample = soft_tile(11, 13), repeated(soft_tile(11, 13), (64, 64), 0.05)
     mask = mask_of(tile, 1.03)
     with pytest.raises(Refused, match="nearest valid size: 68x67"):
-        masked(FftmPixel(tileable=True), sample, (64, 73), mask)
-    made = masked(FftmPixel(tileable=True), sample, (67, 68), mask)
+        masked(sample, (64, 73), mask, tileable=True)
+    made = masked(sample, (67, 68), mask, tileable=True)
     assert seam_ratio(made.extras["mask"]) < 1.1
     assert seam_ratio(mask.draw((64, 73))) > 1.5
 
@@ -264,9 +238,9 @@ def test_stripes_tile_along_themselves_at_any_length() -> None:
         np.array([[0.1, 0.0]]), np.array([[1]]), (1,), 1.0,
     )  # fmt: skip
     sample, mask = noise(30, 30, 1), TextureMask(harmonics)
-    assert masked(FftmPixel(tileable=True), sample, (17, 40), mask).image.shape == (17, 40, 1)
+    assert masked(sample, (17, 40), mask, tileable=True).image.shape == (17, 40, 1)
     with pytest.raises(Refused, match="nearest valid size: 40x17"):
-        masked(FftmPixel(tileable=True), sample, (17, 43), mask)
+        masked(sample, (17, 43), mask, tileable=True)
 
 
 def draw_points(count: int, axes: int, spread: int, seed: int) -> NDArray[np.int16]:
@@ -280,19 +254,19 @@ def distances(points: NDArray[np.int16], queries: NDArray[np.int16]) -> NDArray[
     return np.asarray((apart**2).sum(-1))
 
 
-SETS = st.tuples(st.integers(1, 120), st.integers(1, 20), st.sampled_from([0, 1, 3, 50, 5000]), st.integers(0, 999))
+SETS = st.tuples(
+    st.integers(1, 120), st.integers(1, 20), st.sampled_from([0, 1, 3, 50, 5000]), st.integers(0, 999)
+).map(lambda drawn: (draw_points(*drawn), draw_points(20, *drawn[1:3], drawn[3] + 1)))
+"""Points and queries."""
+Sets = tuple[NDArray[np.int16], NDArray[np.int16]]
 
 
 @settings(max_examples=150)
 @given(SETS, st.integers(1, 5), st.integers(1, 9), st.integers(1, 4))
-def test_the_nearest_are_those_of_brute_force(
-    drawing: tuple[int, int, int, int], k: int, leaf: int, number: int
-) -> None:
+def test_the_nearest_are_those_of_brute_force(drawn: Sets, k: int, leaf: int, number: int) -> None:
     """With eps 0 the k nearest of a group are found, ties by rank, whatever the leaves; -1 where there are fewer."""
-    count, axes, spread, seed = drawing
-    points, queries = draw_points(count, axes, spread, seed), draw_points(20, axes, spread, seed + 1)
-    rng = np.random.default_rng(seed)
-    ranks, groups = rng.permutation(count), np.sort(np.arange(count) % number)
+    (points, queries), rng = drawn, np.random.default_rng(k)
+    ranks, groups = rng.permutation(len(points)), np.sort(np.arange(len(points)) % number)
     among = rng.integers(groups.max() + 1, size=20)
     numbers, apart = KdTree.build(points, ranks, groups, leaf).nearest(queries, k, groups=among)
     for query, row in enumerate(distances(points, queries)):
@@ -305,13 +279,10 @@ def test_the_nearest_are_those_of_brute_force(
 
 @settings(max_examples=60)
 @given(SETS, st.integers(1, 9), st.integers(0, 20))
-def test_the_nearest_by_two_norms_are_those_of_brute_force(
-    drawing: tuple[int, int, int, int], leaf: int, leading: int
-) -> None:
+def test_the_nearest_by_two_norms_are_those_of_brute_force(drawn: Sets, leaf: int, leading: int) -> None:
     """With two norms the point of the least sum is found, whatever the leaves."""
-    count, axes, spread, seed = drawing
-    leading = min(leading, axes)
-    points, queries = draw_points(count, axes, spread, seed), draw_points(20, axes, spread, seed + 1)
+    points, queries = drawn
+    leading = min(leading, points.shape[1])
     numbers, _ = KdTree.build(points, leaf=leaf, leading=leading).nearest(queries)
     parts = [distances(points[:, part], queries[:, part]) for part in (slice(leading), slice(leading, None))]
     sums = sum(np.sqrt(part) for part in parts)
@@ -327,9 +298,8 @@ def test_the_papers_norms_choose_another_source() -> None:
     layers, query = np.stack([texture, mask]), np.full((1, 2), 100, np.uint8)
     pixels = np.array([8, 24])
     for norms, due in ((True, 0), (False, 1)):
-        index = NeighborhoodIndex(
-            layers, Candidates(pixels, np.arange(2)), neighborhood, AnnPixel(dimensions=0), 1.0, norms
-        )
+        candidates = Candidates(pixels, np.arange(2))
+        index = NeighborhoodIndex(layers, candidates, neighborhood, AnnPixel(dimensions=0), 1.0, norms)
         numbers, _ = index.tree.nearest(index._projection.points(query))
         assert numbers.tolist() == [[due]]
     assert FftmPixel(**FftmPixel.presets["paper"]).distance == "norms"
@@ -337,10 +307,9 @@ def test_the_papers_norms_choose_another_source() -> None:
 
 @settings(max_examples=100)
 @given(SETS, st.sampled_from([0.1, 0.5, 1.0, 3.0]))
-def test_with_eps_none_is_farther_than_it_may_be(drawing: tuple[int, int, int, int], eps: float) -> None:
+def test_with_eps_none_is_farther_than_it_may_be(drawn: Sets, eps: float) -> None:
     """What is found is at most (1 + eps) times as far as the nearest."""
-    count, axes, spread, seed = drawing
-    points, queries = draw_points(count, axes, spread, seed), draw_points(30, axes, spread, seed + 1)
+    points, queries = drawn
     _, apart = KdTree.build(points, leaf=2).nearest(queries, eps=eps)
     assert (apart[:, 0] <= distances(points, queries).min(1) * (1 + eps) ** 2).all()
 
@@ -370,10 +339,10 @@ def draw_vectors(count: int, width: int, seed: int) -> NDArray[np.uint8]:
     return np.clip(mixed, 0, 255).astype(np.uint8)
 
 
-def distances_in_gray_levels(points: NDArray[np.int16], units: int) -> NDArray[np.float64]:
+def distances_in_gray_levels(points: NDArray[Any], units: float = 1, weights: Any = 1.0) -> NDArray[np.float64]:
     """Return all distances in gray levels."""
     difference = points[:, np.newaxis].astype(np.float64) - points
-    return np.asarray(np.sqrt((difference**2).sum(-1)) / units)
+    return np.asarray(np.sqrt((difference**2 * weights).sum(-1)) / units)
 
 
 @settings(max_examples=40)
@@ -383,13 +352,8 @@ def test_all_values_keep_weighted_distances(count: int, width: int, dimensions: 
     vectors = draw_vectors(count, width, seed)
     weights = np.where(np.arange(width) % 2, weight, 1.0)
     projection = Projection.fit(vectors, weights, dimensions)
-    difference = vectors[:, np.newaxis].astype(np.float64) - vectors
-    due = np.sqrt((difference**2 * weights).sum(-1))
-    np.testing.assert_allclose(
-        distances_in_gray_levels(projection.points(vectors), projection.units),
-        due,
-        atol=1.5 * np.sqrt(width) / projection.units,
-    )
+    found, due = distances_in_gray_levels(projection.points(vectors), projection.units), (vectors, 1, weights)
+    np.testing.assert_allclose(found, distances_in_gray_levels(*due), atol=1.5 * np.sqrt(width) / projection.units)
 
 
 def test_components_keep_what_varies() -> None:
@@ -397,9 +361,10 @@ def test_components_keep_what_varies() -> None:
     vectors = draw_vectors(200, 50, 0)
     projection = Projection.fit(vectors, np.ones(50), 4)
     assert not projection.matrix[4:].any()
-    difference = vectors[:, np.newaxis].astype(np.float64) - vectors
-    due = np.sqrt((difference**2).sum(-1))
-    found = distances_in_gray_levels(projection.points(vectors), projection.units)
+    found, due = (
+        distances_in_gray_levels(projection.points(vectors), projection.units),
+        distances_in_gray_levels(vectors),
+    )
     assert (found <= due + 1).all()
     far = due > 150
     assert far.any()
@@ -415,8 +380,7 @@ def test_extremes_fit_sixteen_bits(weight: float, dimensions: int) -> None:
     vectors[3, ::2] = 255
     weights = np.where(np.arange(108) % 2, weight, 1.0)
     projection = Projection.fit(vectors, weights, dimensions)
-    exact = (
-        vectors.astype(np.int64) @ projection.matrix[:, :108].T.astype(np.int64) + projection.shift >> projection.bits
-    )
+    matrix = projection.matrix[:, :108].T.astype(np.int64)
+    exact = vectors.astype(np.int64) @ matrix + projection.shift >> projection.bits
     np.testing.assert_array_equal(projection.points(vectors), exact)
     assert np.sqrt(((exact[:, np.newaxis] - exact) ** 2).sum(-1)).max() < 32767

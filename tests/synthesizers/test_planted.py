@@ -72,7 +72,7 @@ def test_size_zero_is_the_fresh_draw(kind: str, name: str) -> None:
 def test_the_difference_grows_with_the_size(kind: str, name: str) -> None:
     """Below saturation, a larger defect differs more from the draw, on average over some seeds."""
     sizes = LARGEST.get(kind, 1.0) * np.array([0, 0.25, 0.5, 1])
-    cases = [[planted(kind, float(size), name, (100, 100), seed) for seed in range(4 if size else 1)] for size in sizes]
+    cases = [[planted(kind, float(size), name, (100, 100), seed) for seed in range(3 if size else 1)] for size in sizes]
     change = [np.mean([np.abs(image - fresh).mean() for image, _, _, fresh, _ in case]) for case in cases]
     assert change[0] == 0
     assert (np.diff(change) > 0).all(), change
