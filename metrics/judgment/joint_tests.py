@@ -197,7 +197,7 @@ def _cut_windows(plane: CoarsePlane) -> tuple[Values, Mask]:
     known = np.zeros(windows.shape[:2], bool)
     for k in range(0, len(views), _AT_ONCE):
         part = views[k : k + _AT_ONCE]
-        mean = sum(part[..., i, j] for i, j in np.ndindex(side)) / np.float32(_WIDTH**2)
+        mean = np.asarray(sum(part[..., i, j] for i, j in np.ndindex(side)) / np.float32(_WIDTH**2))
         rest = part - mean[..., np.newaxis, np.newaxis]
         windows[1 + k : 1 + k + _AT_ONCE, 1:] = rest.reshape(*part.shape[:2], -1)
     known[1:, 1:] = sliding_window_view(plane.complete, side)[::_STEP, ::_STEP].all((2, 3))

@@ -143,12 +143,12 @@ def worst_of_parallels(
         count = high - low - 2 * far - 1
         number, steps, excesses = 0.0, 0.0, 0.0
         for k in range(count):
-            x = np.uint64(low + far + 1) + np.uint64(k)
-            right, left = n[x + three] - n[x], n[x] - n[x - three]
-            pixels, on, here = min(right, left) / side, n[x + one] - n[x - one], e[x + one] - e[x - one]
-            around, room = e[x + seven] - e[x - seven], n[x + seven] - n[x - seven]
+            q = np.uint64(low + far + 1) + np.uint64(k)
+            right, left = n[q + three] - n[q], n[q] - n[q - three]
+            pixels, on, here = min(right, left) / side, n[q + one] - n[q - one], e[q + one] - e[q - one]
+            around, room = e[q + seven] - e[q - seven], n[q + seven] - n[q - seven]
             # np.divide raises no error where a line is too short.
-            step = np.divide(v[x + three] - v[x], right) - np.divide(v[x] - v[x - three], left)
+            step = np.divide(v[q + three] - v[q], right) - np.divide(v[q] - v[q - three], left)
             excess = np.divide(here, on) - np.divide(around - here, room - on)
             long = (pixels >= least) & (on >= 2 * least)
             weight = 1.0 if long else 0.0
