@@ -166,10 +166,14 @@ class Kernel(Generic[P, R]):
         of a kernel with a dozen arrays.
     inlined
         Whether numba copies its code into the kernels that call it. They are then compiled as one loop.
+    step
+        Whether only other kernels call it. It then has no machine code but theirs.
     """
 
-    def __init__(self, function: Callable[P, R], allocates: bool = True, inlined: bool = False) -> None:
-        self.function, self.allocates, self.inlined = function, allocates, inlined
+    def __init__(
+        self, function: Callable[P, R], allocates: bool = True, inlined: bool = False, step: bool = False
+    ) -> None:
+        self.function, self.allocates, self.inlined, self.step = function, allocates, inlined, step
         self._loaded: Callable[P, R] | None = None
         self._dispatcher: Any = None
         KERNELS.append(self)
@@ -181,7 +185,7 @@ class Kernel(Generic[P, R]):
         ------
         TypeError
             If an array has another type than the kernel is compiled for, or is read-only and the kernel returns
-            nothing but what it writes.
+            nothing but what it writes; if the kernel is a step of others.
         """
         return (self._loaded or self.load())(*args, **kwargs)
 
@@ -194,6 +198,8 @@ class Kernel(Generic[P, R]):
         if self._loaded is None:
             if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
                 self._loaded = self.function
+            elif self.step:
+                raise TypeError(f"{self.function.__qualname__}: only kernels call a step")
             else:
                 try:
                     self._loaded = _check_types(self.function, (_read_code(self) or self._compile()).link())
@@ -203,6 +209,8 @@ class Kernel(Generic[P, R]):
                         "compiles them, which takes up to some minutes; install numba 0.68",
                         stacklevel=2,
                     )
+                    for declared in KERNELS:
+                        declared._dispatcher = None  # compiled without machine code
                     self._loaded = self.dispatcher()
         return self._loaded
 
@@ -217,16 +225,17 @@ class Kernel(Generic[P, R]):
                 # Reassociated sums use vector instructions. Results are equal on one type of machine. Across
                 # processors, kernels that sum floats may differ in the last bit.
                 signature = find_signature(self.function)
-                options = {"fastmath": {"reassoc"}, "_nrt": self.allocates}
+                options = {"fastmath": {"reassoc"}, "_nrt": self.allocates, "no_cfunc_wrapper": True}
+                options["no_cpython_wrapper"] = self.step
                 self._dispatcher = numba.njit(signature, **options)(linked)
         return self._dispatcher
 
     def _compile(self) -> MachineCode:
         """Compile the kernel, and keep its machine code in the user's cache."""
-        with COMPILATION.timed():
+        with COMPILATION.timed(), _without_linking():
             (compiled,) = self.dispatcher().overloads.values()
+            code = MachineCode.of_compiled(compiled)
         COMPILATION.kernels.append(self.function.__module__.rpartition(".")[2])
-        code = MachineCode.of_compiled(compiled)
         with contextlib.suppress(OSError):  # without a cache, each process compiles it
             write_bytes(find_cache() / _code_name(self.function, _target()), code.to_bytes())
         return code
@@ -238,8 +247,13 @@ def kernel(function: Callable[P, R]) -> Kernel[P, R]:
 
 
 def step_kernel(function: Callable[P, R]) -> Kernel[P, R]:
-    """Declare a function that makes no arrays as a :class:`Kernel`: a step of another kernel, which calls it often."""
-    return Kernel(function, allocates=False)
+    """Declare a function that makes no arrays as a :class:`Kernel`: a step of other kernels, which alone call it."""
+    return Kernel(function, allocates=False, step=True)
+
+
+def allocating_step_kernel(function: Callable[P, R]) -> Kernel[P, R]:
+    """Declare a function that may make arrays as a :class:`Kernel`: a step of other kernels, which alone call it."""
+    return Kernel(function, step=True)
 
 
 def inlined_kernel(function: Callable[P, R]) -> Kernel[P, R]:
@@ -276,18 +290,47 @@ def load_kernels(compiling: Callable[[], None] = lambda: None) -> None:
     compiling
         Called if kernels have to be compiled, before that begins.
     """
-    needed = [declared for declared in KERNELS if not declared.inlined]
+    needed = [declared for declared in KERNELS if not (declared.inlined or declared.step)]
     if not all(map(_find_code, needed)):
         compiling()
     files: dict[str, list[Kernel[..., Any]]] = {}
     for declared in needed:
         files.setdefault(declared.function.__module__, []).append(declared)
+    by_length = sorted(files, key=lambda name: -len(inspect.getsource(sys.modules[name])))  # so that all end together
     for waits in (False, True):
-        for name in list(files):
+        for name in filter(files.__contains__, by_length):
             with _lock(name, waits) as own:
                 if own:
                     for declared in files.pop(name):
                         declared.load()
+
+
+@contextlib.contextmanager
+def _without_linking() -> Iterator[None]:
+    """Let numba optimize what it compiles, but make no machine code: it would for each function that a kernel calls."""
+    module: Any = importlib.import_module("numba.core.cpu")
+    context, library = module.CPUContext, importlib.import_module("numba.core.codegen").JITCodeLibrary
+
+    def stand_in(_: Any, library: Any, description: Any, environment: Any) -> Any:
+        library._ensure_finalized()
+        return module._dynfunc.make_function(sys, description.qualname, "", 0, environment, (library,))
+
+    def finalize(library: Any) -> None:
+        library._finalized = True
+
+    def optimize(library: Any, module: Any) -> None:
+        module.data_layout = library.codegen._data_layout
+        passes, builder = library.codegen._function_pass_manager()  # numba makes one for each declaration
+        for function in module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
+    replaced = context.get_executable, library._finalize_final_module, library._optimize_functions
+    context.get_executable, library._finalize_final_module, library._optimize_functions = stand_in, finalize, optimize
+    try:
+        yield
+    finally:
+        context.get_executable, library._finalize_final_module, library._optimize_functions = replaced
 
 
 @contextlib.contextmanager
@@ -385,7 +428,8 @@ class MachineCode:
         )
         functions = compiled.library._final_module.functions
         needed = tuple(each.name for each in functions if each.is_declaration and not each.name.startswith("llvm."))
-        description, content = compiled.fndesc, compiled.library._get_compiled_object()
+        description, codegen = compiled.fndesc, compiled.library.codegen
+        content = codegen._tm.emit_object(compiled.library._final_module)
         return cls(content, description.llvm_cpython_wrapper_name, description.env_name, constants, needed)
 
     @classmethod

@@ -377,6 +377,13 @@ def promote_neighbors(
 
 
 @inlined_kernel
+def copy_values(source: Float64x1, target: Float64x1) -> None:
+    """Copy all values of an array to another one. The check of an assignment for equal shapes compiles for a second."""
+    for i in range(source.size):
+        target[i] = source[i]
+
+
+@inlined_kernel
 def search_nearby(
     image: Float32x3,
     template: Template,
@@ -393,7 +400,7 @@ def search_nearby(
     """
     best, start, highest = state.copy(), np.zeros(6), value
     for corner in range(4):
-        start[:] = predicted
+        copy_values(predicted, start)
         dx = (rules[1] if corner % 2 else -rules[1]) / 2
         dy = (rules[1] if corner // 2 else -rules[1]) / 2
         start[0] += predicted[2] * dx + predicted[3] * dy
@@ -401,9 +408,9 @@ def search_nearby(
         other = register(image, template, window, start, predicted, rules, 4)
         if other > highest:
             highest = other
-            best[:] = start
+            copy_values(start, best)
     if highest > value:
-        state[:] = best
+        copy_values(best, state)
         value = register(image, template, window, state, predicted, rules, 4)
     return value
 
@@ -465,11 +472,11 @@ def grow_knots(
             if not predict_state(points, states, correlations, y, x, predicted):
                 if not is_known:
                     continue
-                predicted[:] = states[y, x]
+                copy_values(states[y, x], predicted)
             # Register it.
             k = phases[y, x]
             template = (values[k], rows[k], normals[k], sums[k])
-            state[:] = states[y, x] if is_known else predicted
+            copy_values(states[y, x] if is_known else predicted, state)
             value = register(image, template, window, state, predicted, rules, 8)
             if -1 < value < level:
                 # The registration may have stopped beside its maximum.
@@ -477,6 +484,6 @@ def grow_knots(
             # Keep it, or not.
             correlations[y, x] = 0
             if value >= level and is_near(state, predicted, rules[1]):
-                states[y, x] = state
+                copy_values(state, states[y, x])
                 correlations[y, x] = value
                 promote_neighbors(correlations, tried, y, x, rank, front)

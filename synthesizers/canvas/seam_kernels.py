@@ -27,6 +27,7 @@ from nrbench.jit import (
     UInt8View3,
     UInt8x1,
     UInt64x1,
+    allocating_step_kernel,
     inlined_kernel,
     kernel,
     step_kernel,
@@ -49,12 +50,13 @@ time at which this was measured; whether it waits in the queue. The number is un
 not test for negative indices."""
 
 
-@kernel
+@allocating_step_kernel
 def path_costs(error: Float64View2) -> Float64x2:
     """Return, for each pixel, the least sum of errors over 8-connected paths from the lowest row up to it. O(h w)."""
     rows, columns = error.shape
     total = np.empty((rows, columns))
-    total[rows - 1] = error[rows - 1]
+    for j in range(columns):
+        total[rows - 1, j] = error[rows - 1, j]
     for i in range(rows - 2, -1, -1):
         for j in range(columns):
             least = total[i + 1, j]
@@ -66,7 +68,7 @@ def path_costs(error: Float64View2) -> Float64x2:
     return total
 
 
-@kernel
+@allocating_step_kernel
 def follow_path(total: Float64x2, row: int, column: int) -> Int64x1:
     """Return the columns of the path of least cost from a pixel down to the lowest row, one for each row from ``row``.
 
@@ -115,7 +117,7 @@ def cheapest_path(error: Float64x2) -> Int64x1:
     return follow_path(total, 0, int(np.argmin(total[0])))[::-1].copy()
 
 
-@kernel
+@allocating_step_kernel
 def grow_trees(residual: Float64x2, terminal: Float64x1, width: int) -> UInt8x1:
     """Compute the maximum flow of a grid, and return the tree of each node at the end.
 

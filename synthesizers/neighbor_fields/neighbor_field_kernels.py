@@ -118,7 +118,7 @@ def measure_costs(field: FieldArrays) -> None:
             field.costs[i, j] = found * field.factors[v, u]
 
 
-@step_kernel
+@kernel
 def improve_matches(field: FieldArrays, draws: Float32x1, sweeps: int) -> None:
     """Improve the matches of patches by propagation and random search, and compute their costs.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Boolx2, Float32x3, Float32x4, Float64x2, Float64x4, Int32x3, Int64x3, kernel
+from nrbench.jit import Boolx2, Float32x3, Float32x4, Float64x2, Float64x4, Int32x3, Int64x3, kernel, step_kernel
 
 from ..canvas.seam_kernels import FIRST, SECOND, STAY
 
@@ -16,7 +16,7 @@ SeamRule = tuple[Int32x3, Int32x3, bool, int]
 ``power`` of :class:`~nrbench.synthesizers.patchwork.patchwork.Patchwork`."""
 
 
-@kernel
+@step_kernel
 def seam_cost(rule: SeamRule, apart: float, busy: int) -> int:
     """Return the cost of a seam on a link, from the summed differences and gradients of two patches at its pixels."""
     normalized, power = rule[2], rule[3]
@@ -25,7 +25,7 @@ def seam_cost(rule: SeamRule, apart: float, busy: int) -> int:
     return int(np.rint(UNIT * UNIT * apart * (apart if power == 2 else UNIT) / (busy + UNIT)))
 
 
-@kernel
+@step_kernel
 def feature_distance(features: Int32x3, y: int, x: int, v: int, u: int) -> float:
     """Return the Euclidean distance of the features of two pixels, (y, x) and (v, u)."""
     squares = 0
@@ -35,7 +35,7 @@ def feature_distance(features: Int32x3, y: int, x: int, v: int, u: int) -> float
     return float(np.sqrt(np.float64(squares)))
 
 
-@kernel
+@step_kernel
 def step_cost(rule: SeamRule, axis: int, y: int, x: int, v: int, u: int) -> int:
     """Return the cost of a seam between two patches on a link to the right (axis 0) or downward (axis 1).
 
@@ -56,7 +56,7 @@ def step_cost(rule: SeamRule, axis: int, y: int, x: int, v: int, u: int) -> int:
     return seam_cost(rule, apart, busy)
 
 
-@kernel
+@step_kernel
 def measure_pixels(
     rule: SeamRule, source: Int64x3, known: Boolx2, x: int, y: int, apart: Float64x2, busy: Int64x3
 ) -> None:

@@ -171,7 +171,7 @@ class NeighborhoodArrays(NamedTuple):
     texture_offsets: Int64x2
 
 
-@kernel
+@step_kernel
 def split_at_middle(values: Int16x1, order: Int64x1, start: int, stop: int, middle: int) -> None:
     """Reorder the values from ``start`` to ``stop`` so that no value before ``middle`` exceeds a later one.
 
@@ -200,7 +200,7 @@ def split_at_middle(values: Int16x1, order: Int64x1, start: int, stop: int, midd
             return
 
 
-@kernel
+@step_kernel
 def widest_axis(points: Int16x2, order: Int64x1, start: int, stop: int) -> int:
     """Return the axis with the largest variance of the points' coordinates; -1 if all points are equal."""
     count, best, axis = np.int64(stop - start), np.int64(0), -1
@@ -273,7 +273,11 @@ def build_tree(points: Int16x2, order: Int64x1, bounds: Int64x1, roots: Int64x1,
                     values[i] = points[order[i], axis]
                 split_at_middle(values, order, start, stop, middle)
                 node[AXIS] = axis
-                node[LEFT_END], node[RIGHT_START] = values[start:middle].max(), values[middle:stop].min()
+                node[LEFT_END], node[RIGHT_START] = values[start], values[middle]
+                for i in range(start, middle):
+                    node[LEFT_END] = max(node[LEFT_END], values[i])
+                for i in range(middle, stop):
+                    node[RIGHT_START] = min(node[RIGHT_START], values[i])
                 # The right part, then the left one, which is taken next and so follows its parent.
                 todo[top, 0], todo[top, 1], todo[top, 2] = middle, stop, count
                 todo[top + 1, 0], todo[top + 1, 1], todo[top + 1, 2] = start, middle, -1

@@ -26,6 +26,7 @@ from nrbench.jit import (
     UInt8View3,
     UInt8x1,
     UInt8x2,
+    allocating_step_kernel,
     inlined_kernel,
     kernel,
 )
@@ -112,7 +113,7 @@ def compare_tiles(
     return overlap, sums
 
 
-@kernel
+@allocating_step_kernel
 def product_sums(overlap: Overlap, images: UInt8x2, places: Int64x2, channels: int) -> Int64x3:
     """Compute, for each place of an image, the sums of its values, their squares, and their products with an overlap.
 
@@ -181,7 +182,7 @@ def nearest_places(places: Float64x2, images: Images, box: Int64x2) -> tuple[Int
     return nearest, inside
 
 
-@kernel
+@allocating_step_kernel
 def list_moves(start: Float64x1, radius: float, parts: int) -> Float64x2:
     """Return the places to which a tile may move, ``(n, 2)``: its own, and those of a square around it.
 
@@ -197,7 +198,7 @@ def list_moves(start: Float64x1, radius: float, parts: int) -> Float64x2:
     reach = np.int64(radius * parts + 0.5)
     side = 2 * reach + 1
     moves = np.empty((side * side + 1, 2))
-    moves[0] = start
+    moves[0, 0], moves[0, 1] = start[0], start[1]
     for m in range(side * side):
         moves[m + 1, 0] = start[0] + (m % side - reach) / parts
         moves[m + 1, 1] = start[1] + (m // side - reach) / parts
@@ -449,7 +450,7 @@ def join_tile(
     return shown
 
 
-@kernel
+@allocating_step_kernel
 def weigh_links(state: UInt8x2, table: tuple[Float32x2, Float64x2], corner: tuple[int, int], costs: Float64x3) -> None:
     """Multiply the costs of links by the mean weight of their two pixels, read from a table over the cell.
 

@@ -177,6 +177,18 @@ def test_a_kernel_may_call_a_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.usefixtures("undeclared")
+def test_only_kernels_call_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step is part of its callers' machine code and has none of its own, so a call from Python is an error."""
+    step = jit.step_kernel(squared.function)
+    monkeypatch.setitem(sum_of_squares.__globals__, "squared", step)
+    assert jit.kernel(sum_of_squares)(3.0, 4.0) == 25.0
+    with pytest.raises(TypeError, match="squared: only kernels call a step"):
+        step(3.0)
+    jit.load_kernels()
+    assert len(list(tmp_path.rglob("*.bin"))) == 1
+
+
+@pytest.mark.usefixtures("undeclared")
 def test_the_user_is_told_before_kernels_are_compiled(tmp_path: Path) -> None:
     """Loading kernels says that it compiles them the first time, and not when it reads the cache."""
     said = []
@@ -245,15 +257,20 @@ def test_machine_code_of_a_wheel_is_used(tmp_path: Path, monkeypatch: pytest.Mon
 
 @pytest.mark.usefixtures("undeclared")
 def test_machine_code_gives_what_numba_gives(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compiled and read again, machine code gives numba's sums to the last bit. Numba is used where it has changed."""
+    """Compiled and read again, machine code gives numba's sums to the last bit. Numba is used where it has changed.
+
+    Numba itself compiles as ever after a kernel was compiled, although both use the same functions.
+    """
     values = np.random.default_rng(0).random((37, 41))
-    made = [jit.kernel(sum_of_powers) for _ in range(3)]
-    exact = made[0].dispatcher()(values)
-    assert made[0](values) == exact
-    assert made[1](values) == exact and made[1]._dispatcher is None
+    made = [jit.kernel(sum_of_powers) for _ in range(5)]
+    compiled = made[0](values)
+    assert made[1].dispatcher()(values) == compiled
+    assert made[2](values) == compiled and made[2]._dispatcher is None
     monkeypatch.delattr(jit.MachineCode, "link")
-    with pytest.warns(UserWarning, match="this version of numba"):
-        assert made[2](values) == exact
+    for declared in made[3:]:
+        with pytest.warns(UserWarning, match="this version of numba"):
+            assert declared(values) == compiled
+        monkeypatch.setattr(jit, "_read_code", lambda _: None)
 
 
 @pytest.mark.usefixtures("undeclared")

@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
 from nrbench.imaging.convert import Image
+from nrbench.jit import kernel
 from nrbench.synthesizers.canvas.canvas import Mask, find_paths
 from nrbench.synthesizers.canvas.seam_kernels import (
     SOURCE,
@@ -25,6 +26,8 @@ from nrbench.synthesizers.canvas.seam_kernels import (
 sizes = st.tuples(st.integers(1, 5), st.integers(1, 5))
 seeds = st.integers(0, 10_000)
 Pixel = tuple[int, int]
+
+_grow = kernel(grow_trees.function)
 
 
 def paths_from(start: Pixel, rows: int, width: int) -> Iterator[list[Pixel]]:
@@ -89,7 +92,7 @@ def minimum_cut(links: Weights, source: Weights, sink: Weights) -> Mask:
     padded = np.pad(links, ((0, 0), (1, 1), (1, 1)))
     residual = np.stack([padded[0], np.roll(padded[0], 1, 1), padded[1], np.roll(padded[1], 1, 0)])
     terminal = np.pad(source - sink, 1)
-    tree = grow_trees(residual.reshape(4, -1), terminal.ravel(), terminal.shape[1])
+    tree = _grow(residual.reshape(4, -1), terminal.ravel(), terminal.shape[1])
     return tree.reshape(terminal.shape)[1:-1, 1:-1] == SOURCE
 
 

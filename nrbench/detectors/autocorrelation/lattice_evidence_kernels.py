@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nrbench.detectors.autocorrelation.vector_pair_kernels import count_multiples, count_rows, half_row, row_ends
-from nrbench.jit import Float64x1, Float64x2, Float64x3, Int64x2, kernel, step_kernel
+from nrbench.jit import Float64x1, Float64x2, Float64x3, Int64x2, allocating_step_kernel, kernel, step_kernel
 
 
 @kernel
@@ -57,7 +57,7 @@ def jets(spline: Float64x2, at: Float64x2) -> Float64x2:
     return out
 
 
-@kernel
+@step_kernel
 def height_at(spline: Float64x2, across: float, down: float) -> float:
     """Return the value of a cubic spline surface at a position as for :func:`jets`."""
     column, row = int(across), int(down)
@@ -141,7 +141,7 @@ def rate_added_points(
     the end of a row continues in the next one.
     """
     height, width = (spline.shape[0] + 1) // 2, spline.shape[1] - pad
-    has_coarser = np.abs(coarser).max() > 0
+    has_coarser = abs(coarser[0, 0]) + abs(coarser[0, 1]) + abs(coarser[1, 0]) + abs(coarser[1, 1]) > 0
     out = np.zeros((bases.shape[0], 3))
     for i in range(bases.shape[0]):
         x1, y1, x2, y2 = pair = bases[i, 0, 0], bases[i, 0, 1], bases[i, 1, 0], bases[i, 1, 1]
@@ -205,7 +205,7 @@ def list_multiples(basis: Float64x2, end: Float64x1) -> Int64x2:
     return out
 
 
-@kernel
+@allocating_step_kernel
 def newton_sums(
     spline: Float64x2, numbers: Int64x2, basis: Float64x2, radius: float, end: Float64x1, pad: int
 ) -> Float64x1:
@@ -273,7 +273,7 @@ def newton_sums(
     return out
 
 
-@kernel
+@allocating_step_kernel
 def solve_newton(sums: Float64x1) -> Float64x1:
     """Return a step of Newton's method by x1, x2, y1, y2 px, ``(4,)``; zeros if the surface bends upward everywhere.
 

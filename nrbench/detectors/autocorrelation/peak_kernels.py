@@ -15,6 +15,7 @@ from nrbench.jit import (
     Int32x2,
     Int64x1,
     Int64x2,
+    allocating_step_kernel,
     kernel,
     step_kernel,
 )
@@ -32,7 +33,7 @@ def root(parent: Int64x1, node: int) -> int:
     return node
 
 
-@kernel
+@step_kernel
 def neighbor_above(height: Int32x1, rows: int, columns: int, pixel: int, step: int) -> int:
     """Return one of the nine pixels around a pixel; -1 if it is outside, or does not come before the pixel.
 
@@ -49,7 +50,7 @@ def neighbor_above(height: Int32x1, rows: int, columns: int, pixel: int, step: i
     return near if height[near] > height[pixel] or (height[near] == height[pixel] and near < pixel) else -1
 
 
-@kernel
+@allocating_step_kernel
 def list_saddles() -> Boolx1:
     """Return for each set of the eight neighbors of a pixel whether it has several parts, ``(256,)``.
 
@@ -217,7 +218,7 @@ def prominences(surface: Int32x2, peaks: Int64x1, saddles: Int64x1) -> Int32x2:
     return found.reshape(surface.shape)
 
 
-@kernel
+@step_kernel
 def value_at(gamma: Float32x2, x: int, y: int) -> float:
     """Return the correlation at a whole lag (x, y) on either half-plane, given the right half, ``(2H-1, W)``."""
     middle = gamma.shape[0] // 2
@@ -374,11 +375,13 @@ class PeakGrid(NamedTuple):
     y_end: float
 
 
-@kernel
+@allocating_step_kernel
 def make_peak_grid(peaks: Float64x2) -> PeakGrid:
     """Return an empty grid that has about as many boxes as there are peaks ``(n, 2)``, n at least 1."""
     n = peaks.shape[0]
-    x_end, y_end = np.abs(peaks[:, 0]).max(), np.abs(peaks[:, 1]).max()
+    x_end, y_end = 0.0, 0.0
+    for i in range(n):
+        x_end, y_end = max(x_end, abs(peaks[i, 0])), max(y_end, abs(peaks[i, 1]))
     box = max(np.sqrt(2 * x_end * y_end / n), max(x_end, y_end) / n, 1e-6)
     columns, rows = int(2 * x_end / box) + 1, int(2 * y_end / box) + 1
     return PeakGrid(np.full((rows, columns), -1, np.int64), np.full(2 * n, -1, np.int64), box, x_end, y_end)

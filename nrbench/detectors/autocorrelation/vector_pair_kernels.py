@@ -11,7 +11,7 @@ Pair = tuple[float, float, float, float]
 """Two vectors, x1, y1, x2, y2, px."""
 
 
-@kernel
+@step_kernel
 def row_ends(pair: Pair, b: int, end_x: float, end_y: float) -> tuple[int, int]:
     """Return the first and the last integer a for which a (x1, y1) + b (x2, y2) lies within (+-end_x, +-end_y).
 
@@ -32,21 +32,21 @@ def row_ends(pair: Pair, b: int, end_x: float, end_y: float) -> tuple[int, int]:
     return int(np.ceil(low)), int(np.floor(high))
 
 
-@kernel
+@step_kernel
 def half_row(pair: Pair, b: int, end_x: float, end_y: float) -> tuple[int, int]:
     """Return :func:`row_ends` for b >= 0, without lag 0 and without one of each two opposite points."""
     first, last = row_ends(pair, b, end_x, end_y)
     return max(first, 1) if b == 0 else first, last
 
 
-@kernel
+@step_kernel
 def count_rows(pair: Pair, end_x: float, end_y: float) -> int:
     """Return the largest b of a lattice point a (x1, y1) + b (x2, y2) within (+-end_x, +-end_y), or more."""
     x1, y1, x2, y2 = pair
     return int((end_y * abs(x1) + end_x * abs(y1)) / abs(x1 * y2 - x2 * y1))
 
 
-@kernel
+@step_kernel
 def count_multiples(pair: Pair, end_x: float, end_y: float) -> int:
     """Return the number of lattice points within (+-end_x, +-end_y), without lag 0, each two opposite ones once."""
     points = 0
@@ -56,7 +56,7 @@ def count_multiples(pair: Pair, end_x: float, end_y: float) -> int:
     return points
 
 
-@kernel
+@step_kernel
 def shorten_second(pair: Pair) -> Pair:
     """Subtract the first vector from the second as often as rounding says."""
     x1, y1, x2, y2 = pair
@@ -64,7 +64,7 @@ def shorten_second(pair: Pair) -> Pair:
     return x1, y1, x2 - times * x1, y2 - times * y1
 
 
-@kernel
+@step_kernel
 def overlap_within(x: float, y: float, shape: tuple[int, int], across: float, down: float) -> float:
     """Return the area in which an image of ``shape`` and its copy at a lag overlap, within a box of the given sides."""
     return min(shape[1] - abs(x), across) * min(shape[0] - abs(y), down)
@@ -150,7 +150,7 @@ def best_pair(surface: Int32x2, candidates: Float64x2, unit: float, alpha: float
     return best
 
 
-@kernel
+@step_kernel
 def reduce_pair(pair: Pair) -> Pair:
     """Return the shortest pair that generates the same lattice (Gauss), with an angle of at most 90 degrees."""
     x1, y1, x2, y2 = pair
