@@ -141,8 +141,7 @@ def _find(examination: Examination) -> list[_Finding]:
         followed, reference = examination.followed, examination.reference
         if reference.most_misplaced <= limits.MOST_OWN:
             usual = max(float(np.linalg.norm(picture.drift, 2)) for picture in reference.pictures)
-            bad = reference.misplacement(followed)
-            found.append(_Finding("registration", followed, bad, reference.most_misplaced, usual))
+            found.append(_Finding("registration", followed, examination.misplacement, reference.most_misplaced, usual))
     own = examination.matches
     matched = own and examination.follow(own.follow)
     if matched and own and own.picture:

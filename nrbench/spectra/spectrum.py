@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy
@@ -220,24 +220,6 @@ def _kernel_transform(cycles: Array) -> Array:
     return np.asarray(TAPS * np.sinh(root) / root)
 
 
-class DirichletKernel(NamedTuple):
-    """K(f) = sum over the picture of cos(2 pi f r), r from its center: the spectrum of a wave on a finite picture.
-
-    Parameters
-    ----------
-    value
-        ``(...)``.
-    slope
-        ``(2, ...)``: derivatives by f_x, f_y.
-    curvature
-        ``(2, 2, ...)``: second derivatives.
-    """
-
-    value: Array
-    slope: Array
-    curvature: Array
-
-
 def dirichlet_sum(frequency: Array, length: int) -> Array:
     """Return sum cos(2 pi f u) over ``length`` samples u centered on 0, in closed form: sin(pi n f) / sin(pi f).
 
@@ -263,18 +245,17 @@ def pair_sums(first: Array, second: Array, length: int) -> tuple[Array, Array]:
     By the addition theorems both sines are products of those of single frequencies. They lose their digits where the
     quotient is near 0 / 0; there, it is computed for the pair.
     """
-    angles = [(np.pi * k * first[:, np.newaxis], np.pi * k * second) for k in (length, 1)]
-    pairs: list[Array] = []
-    for sign in (-1, 1):
-        value, divisor = (
-            np.hstack([np.sin(f), np.cos(f)]) @ np.stack([np.cos(g), sign * np.sin(g)]) for f, g in angles
-        )
+    pairs: list[list[Array]] = []
+    for k in (length, 1):
+        f, g = np.pi * k * first[:, np.newaxis], np.pi * k * second
+        left, cosine, sine = np.hstack([np.sin(f), np.cos(f)]), np.cos(g), np.sin(g)
+        pairs.append([left @ np.array([cosine, sign * sine]) for sign in (-1, 1)])
+    for sign, value, divisor in zip((-1, 1), *pairs, strict=True):
         i, j = np.nonzero(np.abs(divisor) < 1e-3)
         divisor[i, j] = 1.0
         value /= divisor
         value[i, j] = dirichlet_sum(first[i] + sign * second[j], length)
-        pairs.append(value)
-    return pairs[0], pairs[1]
+    return pairs[0][0], pairs[0][1]
 
 
 def pair_kernels(frequencies: Array, shape: tuple[int, int]) -> tuple[DirichletKernel, DirichletKernel]:
@@ -290,29 +271,87 @@ def pair_kernels(frequencies: Array, shape: tuple[int, int]) -> tuple[DirichletK
     shape
         (height, width) px.
     """
-    along = [_line_kernels(f, length) for f, length in zip(frequencies.T, shape[::-1], strict=True)]
-    differences, sums = (_plane_kernel(x, y) for x, y in zip(*along, strict=True))
-    return differences, sums
+    x, y = (LineKernels(f, length) for f, length in zip(frequencies.T, shape[::-1], strict=True))
+    return DirichletKernel(x, y, 0), DirichletKernel(x, y, 1)
 
 
-def _line_kernels(frequency: Array, length: int) -> tuple[Array, Array]:
-    """Return sum cos(2 pi f u) and its two derivatives by f, ``(3, n, n)``, at f_i - f_j and at f_i + f_j."""
-    u = 2 * np.pi * (np.arange(length) - (length - 1) / 2)
-    cosine, sine = np.cos(np.outer(frequency, u)), np.sin(np.outer(frequency, u))
-    values = cosine @ cosine.T, sine @ sine.T
-    slope = (sine * u) @ cosine.T
-    bends = (cosine * u**2) @ cosine.T, (sine * u**2) @ sine.T
-    return (
-        np.stack([values[0] + values[1], slope.T - slope, -bends[0] - bends[1]]),
-        np.stack([values[0] - values[1], -slope.T - slope, bends[1] - bends[0]]),
-    )
+@dataclass(frozen=True)
+class LineKernels:
+    """K(f) = sum cos(2 pi f u) along a line, u from its center, at f_i - f_j and at f_i + f_j: pairs of ``(n, n)``.
+
+    Parameters
+    ----------
+    frequency
+        ``(n,)`` cycles/px.
+    length
+        px.
+    """
+
+    frequency: Array
+    length: int
+
+    @cached_property
+    def _u(self) -> Array:
+        return np.asarray(2 * np.pi * (np.arange(self.length) - (self.length - 1) / 2), np.float64)
+
+    @cached_property
+    def _waves(self) -> tuple[Array, Array]:
+        turns = np.outer(self.frequency, self._u)
+        return np.cos(turns), np.sin(turns)
+
+    @cached_property
+    def values(self) -> tuple[Array, Array]:
+        """K."""
+        cosine, sine = self._waves
+        one, other = cosine @ cosine.T, sine @ sine.T
+        return one + other, one - other
+
+    @cached_property
+    def slopes(self) -> tuple[Array, Array]:
+        """The derivatives of K."""
+        cosine, sine = self._waves
+        slope = (sine * self._u) @ cosine.T
+        return slope.T - slope, -slope.T - slope
+
+    @cached_property
+    def bends(self) -> tuple[Array, Array]:
+        """The second derivatives of K."""
+        one, other = ((wave * self._u**2) @ wave.T for wave in self._waves)
+        return -one - other, other - one
 
 
-def _plane_kernel(x: Array, y: Array) -> DirichletKernel:
-    """Return the kernel of a picture, the product of those along its lines."""
-    mixed = x[1] * y[1]
-    return DirichletKernel(
-        x[0] * y[0],
-        np.stack([x[1] * y[0], x[0] * y[1]]),
-        np.stack([np.stack([x[2] * y[0], mixed]), np.stack([mixed, x[0] * y[2]])]),
-    )
+@dataclass(frozen=True)
+class DirichletKernel:
+    """K(f) = sum over the picture of cos(2 pi f r), r from its center: the spectrum of a wave on a finite picture.
+
+    It is the product of those along its lines. Derivatives are computed when they are first read.
+
+    Parameters
+    ----------
+    x, y
+        The kernels along the two axes.
+    which
+        0: at the differences of frequencies, 1: at their sums.
+    """
+
+    x: LineKernels
+    y: LineKernels
+    which: int
+
+    @cached_property
+    def value(self) -> Array:
+        """K, ``(n, n)``."""
+        return self.x.values[self.which] * self.y.values[self.which]
+
+    @cached_property
+    def slope(self) -> Array:
+        """Derivatives by f_x, f_y, ``(2, n, n)``."""
+        k = self.which
+        return np.array([self.x.slopes[k] * self.y.values[k], self.x.values[k] * self.y.slopes[k]])
+
+    @cached_property
+    def curvature(self) -> Array:
+        """Second derivatives, ``(2, 2, n, n)``."""
+        k = self.which
+        mixed = self.x.slopes[k] * self.y.slopes[k]
+        return np.array([[self.x.bends[k] * self.y.values[k], mixed], [mixed, self.x.values[k] * self.y.bends[k]]])
