@@ -316,7 +316,7 @@ class Integrity:
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the scores, and the picture ``broken``, which shows the cells with evidence of a joint."""
+        """Return the scores, and the picture ``broken`` of the cells with evidence of a joint, if there are any."""
         return observation.shared(_score)
 
 
@@ -343,7 +343,7 @@ def _score(observation: Observation) -> Score:
         return Score({**missing.values, "detection_power": model.joint.power - model.joint.chance}, missing.reasons)
     test = tests[worst]
     broken = np.nan_to_num(evidence[worst], nan=-np.inf) > test.limit
-    pictures = {"broken": draw_broken(observation.output, followed, broken)}
+    pictures = {"broken": draw_broken(observation.output, followed, broken)} if broken.any() else {}
     records = {"test": test.name, "limit": test.limit, "chance": test.chance, "cells": known}
     return Score(found[worst], {}, pictures, records)
 

@@ -26,6 +26,8 @@ from .registration.lattice_nodes import LatticeNodes
 
 COLORS = ((1.0, 0.6, 0.0), (0.9, 0.1, 0.1))
 """Colors of a cell that is a little out of place, and of one that is wholly out of place."""
+_LEAST_SHOWN = 0.05
+"""Amount out of place from which on a cell has a color."""
 
 
 def _distance(meaning: str, unit: str = "of s") -> Column:
@@ -102,7 +104,7 @@ class Regularity:
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the scores, and the picture ``defects``, which shows the places that are out of place in color."""
+        """Return the scores, and the picture ``defects`` of the places that are out of place, if there are any."""
         return observation.shared(_score)
 
 
@@ -172,7 +174,9 @@ def _score(observation: Observation) -> Score:
         "expected_share": worst.usual,
         "misplaced_shares": {finding.by: finding.share for finding in found},
     }
-    pictures = {"defects": draw_misplaced(observation.output, [(each.nodes, each.bad) for each in sure or found])}
+    shown = [(each.nodes, each.bad) for each in sure or found]
+    any_shown = any((bad[nodes.valid] > _LEAST_SHOWN).any() for nodes, bad in shown)
+    pictures = {"defects": draw_misplaced(observation.output, shown)} if any_shown else {}
     return Score(values, reasons, pictures, records)
 
 
@@ -240,7 +244,7 @@ def draw_misplaced(output: Image, found: Sequence[tuple[LatticeNodes, NDArray[np
             places = np.rint(2 * nodes.net.locate_pixels((height, width), top) - nodes.size).astype(np.intp)
             i, j = (place.clip(0, number - 1) for place, number in zip(places, bad.shape, strict=True))
             amount = np.maximum(amount, np.where(nodes.valid, bad, 0)[i, j])
-        marked = amount > 0.05
+        marked = amount > _LEAST_SHOWN
         return tint_places(band, marked, np.where(amount[marked, np.newaxis] < 0.5, COLORS[0], COLORS[1]))
 
     return draw_in_bands(output, draw)
