@@ -134,7 +134,8 @@ class Spectrum:
         return self._samples(rows, cols), (x[0], x[1]), (y[0], y[1])
 
     def _samples(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[Any]:
-        return self._grid[:, rows[:, :, np.newaxis] % self._grid_shape[0], cols[:, np.newaxis, :] + TAPS]
+        at = (rows % self._grid_shape[0] * self._grid.shape[1])[:, :, np.newaxis] + (cols + TAPS)[:, np.newaxis]
+        return np.moveaxis(self._grid.reshape(-1, self.channels).take(at, 0), -1, 0)
 
     def _centered_planes(self) -> Planes:
         return np.ascontiguousarray(np.moveaxis(self.planes - self.mean.astype(self.planes.dtype), 2, 0))
@@ -145,14 +146,15 @@ class Spectrum:
 
     @cached_property
     def _grid(self) -> NDArray[np.complexfloating[Any, Any]]:
-        """The doubled transform, ``(C, My, Mx // 2 + 1 + 2 TAPS)``; columns start at -TAPS, so that all taps exist."""
+        """The doubled transform, ``(My, Mx // 2 + 1 + 2 TAPS, C)``; columns start at -TAPS, so that all taps exist."""
         places = [np.arange(n) - n // 2 for n in self.shape]
         weights = [1 / _kernel_transform(place / m) for place, m in zip(places, self._grid_shape, strict=True)]
         rows, cols = (place % m for place, m in zip(places, self._grid_shape, strict=True))
         padded = np.zeros((self.channels, *self._grid_shape), self.planes.dtype)
         weighted = self._centered_planes() * np.multiply.outer(*weights).astype(self.planes.dtype)
         padded[:, rows[:, np.newaxis], cols] = weighted
-        return _extend_columns(scipy.fft.rfft2(padded, overwrite_x=True), self._grid_shape[1])
+        extended = _extend_columns(scipy.fft.rfft2(padded, overwrite_x=True), self._grid_shape[1])
+        return np.ascontiguousarray(np.moveaxis(extended, 0, 2))
 
     @property
     def _middle_offset(self) -> Array:

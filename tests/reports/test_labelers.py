@@ -1,13 +1,13 @@
-import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from label_files import write_answers
 
-from nrbench.labelling.labels import ANSWERS, QUESTIONS, LabelPage, labels_table, make_page, write_key
+from nrbench.labelling.labels import ANSWERS, QUESTIONS, labels_table, make_page, write_key
 from nrbench.plugins.forms import Column
 from nrbench.reports.statistics.frames import agreement_table
 from nrbench.reports.statistics.labelers import SUBSETS, QuestionComparison, compare_labelers, compare_orders
@@ -49,18 +49,6 @@ def _automatic_answers(run: Run, question: str) -> dict[str, str]:
     return {record.key: QUESTIONS[question].automatic_answer(record) or "yes" for record in run.cells}
 
 
-def _file(path: Path, label_page: LabelPage, answers: Sequence[str]) -> Path:
-    """Write the answers to the only question of a page."""
-    (question,) = label_page.questions
-    with path.open("w", newline="") as file:
-        rows = [
-            [item.id, question, answer, 1.0, i, "person"]
-            for i, (item, answer) in enumerate(zip(label_page.items, answers, strict=True), 1)
-        ]
-        csv.writer(file).writerows([["item", "question", "answer", "seconds", "order", "labeled_by"], *rows])
-    return path
-
-
 def _person(
     run: Run, path: Path, wrong: Callable[[int, bool], str | None], repeat: float = 0.0, question: str = "lattice"
 ) -> Path:
@@ -68,8 +56,8 @@ def _person(
     label_page = make_page(run, repeat=repeat, questions=[question])
     write_key(run.root, label_page)
     verdicts = _automatic_answers(run, question)
-    answers = [wrong(i, item.repeated) or verdicts[item.cell] for i, item in enumerate(label_page.items)]
-    return _file(path, label_page, answers)
+    answers = [[wrong(i, item.repeated) or verdicts[item.cell]] for i, item in enumerate(label_page.items)]
+    return write_answers(path, label_page, answers)
 
 
 def _compare(run: Run, *files: Path, question: str = "lattice") -> QuestionComparison:
