@@ -57,11 +57,11 @@ from nrbench.lattice.relation import lattice_error
 from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Observation, Refused, Shape, Task, Texture
 from nrbench.plugins.parameters import parse_spec
-from nrbench.running.guard import peak_bytes
 from nrbench.running.phases import score_observation
 from nrbench.running.runner import Step
 from nrbench.streams import stream
 from nrbench.suites.suite import load_suite
+from nrbench.work import peak_bytes
 
 PAPER = "rsgf:seam=blend,subpixel=false,tolerance=3,candidate_fraction=0,prefer_unused=false"
 METHODS = (
