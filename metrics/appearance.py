@@ -182,9 +182,9 @@ def _measure_light(lab: Lab, net: LatticeNet) -> Looks:
     plane, known = net.sample(lab[..., :1]), net.inside[..., np.newaxis]
     rest = np.where(known, plane - net.tile(fold_cells(plane, net.inside, net.samples)), 0)
     weight = known / net.tile(fold_cells(rest**2, net.inside, net.samples) + np.float32(limits.JND**2))
-    rest, strips = rest * weight, (net.cut_strips(1, 3), net.cut_strips(0, 3))
+    strips, (rest, weight) = (net.cut_strips(1, 3), net.cut_strips(0, 3)), ((rest * weight)[..., 0], weight[..., 0])
     parts = (row & column for row in strips[0] for column in strips[1])
-    return np.array([rest[part].sum(0) / np.maximum(weight[part].sum(0), 1e-9) for part in parts])
+    return np.array([[rest[part].sum() / max(weight[part].sum(), 1e-9)] for part in parts])
 
 
 def _mean_of_places(planes: NDArray[np.float32], known: Mask, samples: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -214,10 +214,9 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
     contrast
         (12,): the same of L*, a* and b*, and their three correlations.
     """
-    planes[~known] = 0
     means, share = average_blocks(planes, np.ascontiguousarray(known), *known.shape)
-    mean = (means[0, 0] / max(share[0, 0], 1e-9)).astype(np.float32)
-    np.subtract(planes, mean, planes, where=known[..., np.newaxis])
+    planes -= (means[0, 0] / max(share[0, 0], 1e-9)).astype(np.float32)
+    planes[~known] = 0
 
     def correlate(n1: int, n2: int) -> tuple[NDArray[np.float64], int]:
         height, width = known.shape
@@ -225,7 +224,7 @@ def _measure_spread(planes: NDArray[np.float32], known: Mask, samples: NDArray[n
         other = np.s_[: height - n1, max(-n2, 0) : width - max(n2, 0)]
         rows, (a, b) = max(_BLOCK // width, 1), (planes[one], planes[other])
         blocks = [np.s_[k : k + rows] for k in range(0, max(len(a), 1), rows)]
-        products = np.sum([np.tensordot(a[k], b[k], ((0, 1), (0, 1))).astype(np.float64) for k in blocks], 0)
+        products = np.sum([(a[k].reshape(-1, 15).T @ b[k].reshape(-1, 15)).astype(np.float64) for k in blocks], 0)
         return (products + products.T) / 2, int((known[one] & known[other]).sum())
 
     n1, n2 = (int(n) for n in samples)

@@ -25,6 +25,7 @@ from .perception.visible import draw_in_bands, tint_places
 from .registration.coarse_plane import CoarsePlane, shift_plane
 from .registration.followed import FollowedPicture
 from .registration.lattice_net import LatticeNet, Mask, Values, fold_cells, split_cells
+from .registration.node_kernels import spread_nodes
 
 _COLOR = np.array((0.7, 0.1, 0.8), np.float32)
 _SHUFFLES = 4
@@ -172,8 +173,9 @@ def _misplace(plane: CoarsePlane, mean: Values, net: LatticeNet, rng: np.random.
 
 def _unseen_noise(plane: CoarsePlane, rng: np.random.Generator) -> Values:
     """Return smooth noise that has the amplitude that is not seen on the places of the cells."""
-    steps = plane.samples // limits.PLACES
-    noise = ndimage.zoom(rng.normal(0, 1, plane.values.shape), (*steps, 1), order=1)
+    steps, shape = plane.samples // limits.PLACES, plane.values.shape
+    at = (np.linspace(0, side - 1, side * step) for side, step in zip(shape[:2], steps, strict=True))
+    noise = spread_nodes(rng.normal(0, 1, shape), *at)
     return np.asarray(noise * (limits.UNSEEN_NOISE / split_cells(noise, steps).mean((2, 3)).std()), np.float32)
 
 
@@ -314,7 +316,7 @@ class Integrity:
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the scores, and the picture ``broken``, which shows the cells with evidence of a joint."""
+        """Return the scores, and the picture ``broken`` of the cells with evidence of a joint, if there are any."""
         return observation.shared(_score)
 
 
@@ -341,7 +343,7 @@ def _score(observation: Observation) -> Score:
         return Score({**missing.values, "detection_power": model.joint.power - model.joint.chance}, missing.reasons)
     test = tests[worst]
     broken = np.nan_to_num(evidence[worst], nan=-np.inf) > test.limit
-    pictures = {"broken": draw_broken(observation.output, followed, broken)}
+    pictures = {"broken": draw_broken(observation.output, followed, broken)} if broken.any() else {}
     records = {"test": test.name, "limit": test.limit, "chance": test.chance, "cells": known}
     return Score(found[worst], {}, pictures, records)
 

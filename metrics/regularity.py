@@ -26,6 +26,8 @@ from .registration.lattice_nodes import LatticeNodes
 
 COLORS = ((1.0, 0.6, 0.0), (0.9, 0.1, 0.1))
 """Colors of a cell that is a little out of place, and of one that is wholly out of place."""
+_LEAST_SHOWN = 0.05
+"""Amount out of place from which on a cell has a color."""
 
 
 def _distance(meaning: str, unit: str = "of s") -> Column:
@@ -102,7 +104,7 @@ class Regularity:
     }
 
     def score(self, observation: Observation) -> Score:
-        """Return the scores, and the picture ``defects``, which shows the places that are out of place in color."""
+        """Return the scores, and the picture ``defects`` of the places that are out of place, if there are any."""
         return observation.shared(_score)
 
 
@@ -139,8 +141,7 @@ def _find(examination: Examination) -> list[_Finding]:
         followed, reference = examination.followed, examination.reference
         if reference.most_misplaced <= limits.MOST_OWN:
             usual = max(float(np.linalg.norm(picture.drift, 2)) for picture in reference.pictures)
-            bad = reference.misplacement(followed)
-            found.append(_Finding("registration", followed, bad, reference.most_misplaced, usual))
+            found.append(_Finding("registration", followed, examination.misplacement, reference.most_misplaced, usual))
     own = examination.matches
     matched = own and examination.follow(own.follow)
     if matched and own and own.picture:
@@ -173,7 +174,9 @@ def _score(observation: Observation) -> Score:
         "expected_share": worst.usual,
         "misplaced_shares": {finding.by: finding.share for finding in found},
     }
-    pictures = {"defects": draw_misplaced(observation.output, [(each.nodes, each.bad) for each in sure or found])}
+    shown = [(each.nodes, each.bad) for each in sure or found]
+    any_shown = any((bad[nodes.valid] > _LEAST_SHOWN).any() for nodes, bad in shown)
+    pictures = {"defects": draw_misplaced(observation.output, shown)} if any_shown else {}
     return Score(values, reasons, pictures, records)
 
 
@@ -241,6 +244,6 @@ def draw_misplaced(output: Image, found: Sequence[tuple[LatticeNodes, NDArray[np
             places = np.rint(2 * nodes.net.locate_pixels((height, width), top) - nodes.size).astype(np.intp)
             i, j = (place.clip(0, number - 1) for place, number in zip(places, bad.shape, strict=True))
             amount = np.maximum(amount, np.where(nodes.valid, bad, 0)[i, j, np.newaxis])
-        return tint_places(band, amount > 0.05, np.where(amount < 0.5, COLORS[0], COLORS[1]))
+        return tint_places(band, amount > _LEAST_SHOWN, np.where(amount < 0.5, COLORS[0], COLORS[1]))
 
     return draw_in_bands(output, draw)

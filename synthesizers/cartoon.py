@@ -65,20 +65,24 @@ class Cartoon:
         shape = task.sample.shape[:2]
         residual = np.asarray(task.sample - tile.unfold(shape), np.float64)
 
+        planes = np.moveaxis(residual, -1, 0).copy()
+
         def spread(cells: _Cells) -> float:
             label = cells.number(shape)
-            return float(_means(residual, label)[_shown(label, lattice.area)].var(0).sum())
+            return float(_means(planes, label)[_shown(label, lattice.area)].var(0).sum())
 
         cells = max(_Cells.all(tile.lattice), key=spread)
         label, row = cells.number(shape), cells.number(task.shape)
-        share, tints = np.ones((*shape, 1)), _means(residual, label)
+        share, tints = np.ones((*shape, 1)), _means(planes, label)
         for _ in range(2):
             tint = tints[label]
             moments = np.stack([(residual * tint).sum(-1), (tint**2).sum(-1)], -1).astype(np.float32)
             folded = fold(moments, tile.lattice)
             folded.values[..., 0] /= np.maximum(folded.values[..., 1], 1e-9)
             share = np.clip(folded.unfold(shape)[..., :1], 0, 2)
-            tints = _means(residual * share, label) / np.maximum(_means(share**2, label), 1e-3)
+            tints = _means(planes * share[..., 0], label) / np.maximum(
+                _means(share[np.newaxis, ..., 0] ** 2, label), 1e-3
+            )
         seen = tints[_shown(label, lattice.area)]
         drawn = task.rng.multivariate_normal(
             np.zeros(seen.shape[1]), np.atleast_2d(np.cov(seen.T)), int(row.max()) + 1, method="eigh"
@@ -124,11 +128,13 @@ class _Cells:
         y, x = np.indices(shape[:2])
         away = np.stack([x, y], -1) - self.middle
         if self.basis is None:
-            numbers = np.rint((away - self.lattice.wrap(away)) @ np.linalg.inv(self.lattice.matrix))
+            column, row = np.moveaxis(
+                np.rint((away - self.lattice.wrap(away)) @ np.linalg.inv(self.lattice.matrix)), -1, 0
+            )
         elif self.woven:
-            crossing = np.rint(away @ np.linalg.inv(self.basis)).astype(np.int64)
-            along = crossing.sum(-1) % 2
-            numbers = np.stack([np.take_along_axis(crossing, along[..., np.newaxis], -1)[..., 0], along], -1)
+            first, second = np.moveaxis(np.rint(away @ np.linalg.inv(self.basis)), -1, 0)
+            row = (first + second) % 2
+            column = np.where(row == 0, first, second)
         else:
             along, other = self.basis
             length = np.hypot(*along)
@@ -136,9 +142,9 @@ class _Cells:
             shift, height = other @ axes
             right, down = np.moveaxis(away @ axes, -1, 0)
             row = np.rint(down / height)
-            numbers = np.stack([np.rint((right - row * shift) / length), row], -1)
-        offsets = numbers.astype(np.int64) - numbers.min((0, 1)).astype(np.int64)
-        return np.asarray(np.ravel_multi_index((offsets[..., 0], offsets[..., 1]), tuple(offsets.max((0, 1)) + 1)))
+            column = np.rint((right - row * shift) / length)
+        column, row = (number.astype(np.intp) - int(number.min()) for number in (column, row))
+        return np.asarray(column * (row.max() + 1) + row)
 
     @classmethod
     def all(cls, lattice: Lattice) -> Iterator[_Cells]:
@@ -158,7 +164,7 @@ def _shown(label: NDArray[np.intp], area: float) -> NDArray[np.bool_]:
     return np.asarray(shown)
 
 
-def _means(residual: Residual, label: NDArray[np.intp]) -> Points:
-    """Return the mean of each element, ``(n, C)``."""
-    sums = [np.bincount(label.ravel(), plane.ravel()) for plane in np.moveaxis(residual, -1, 0)]
+def _means(planes: Residual, label: NDArray[np.intp]) -> Points:
+    """Return the mean of planes ``(C, H, W)`` over each element, ``(n, C)``."""
+    sums = [np.bincount(label.ravel(), plane.ravel()) for plane in planes]
     return np.stack(sums, -1) / np.maximum(np.bincount(label.ravel()), 1)[:, np.newaxis]

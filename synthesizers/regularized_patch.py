@@ -532,8 +532,8 @@ def quiet_texels(image: Image, lattice: Lattice, kind: TexelKind) -> Corners:
     places = lattice.from_cell(np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2))
     best, least = (np.array(lattice.origin), np.zeros(2), *lattice.matrix), np.inf
     for first, second in (lattice.matrix, lattice.matrix * [(1.0,), (-1.0,)]):
-        for link in _links(kind) @ np.stack([first, second]):
-            costs = _costs(variance, lattice, places, link, first, second)
+        links = _links(kind) @ np.stack([first, second])
+        for link, costs in zip(links, _costs(variance, lattice, places, links, first, second), strict=True):
             if costs.min() < least * (1 - 1e-9):
                 least = float(costs.min())
                 best = places[costs.argmin()], link, first, second
@@ -542,8 +542,8 @@ def quiet_texels(image: Image, lattice: Lattice, kind: TexelKind) -> Corners:
         step = np.array([(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 0), (0, 1), (1, -1), (1, 0), (1, 1)]) / 2**halvings
         near = corner + step @ lattice.matrix / STEPS
         links = link + (step @ np.stack([first, second]) / LINKS if kind == "hexagon" else np.zeros((1, 2)))
-        links = [each for each in links if _is_convex(each, first, second)]
-        costs = np.stack([_costs(variance, lattice, near, each, first, second) for each in links])
+        links = np.stack([each for each in links if _is_convex(each, first, second)])
+        costs = _costs(variance, lattice, near, links, first, second)
         row, column = np.unravel_index(costs.argmin(), costs.shape)
         corner, link = near[column], links[row]
     return _texel(corner, link, first, second)
@@ -574,15 +574,18 @@ def _is_convex(link: Points, first: Points, second: Points) -> bool:
 
 
 def _costs(
-    variance: Values, lattice: Lattice, places: Points, link: Points, first: Points, second: Points
+    variance: Values, lattice: Lattice, places: Points, links: Points, first: Points, second: Points
 ) -> NDArray[np.float64]:
-    """Return the sum of variances along the sides that start at a corner, for corners at ``(n, 2)`` px: ``(n,)``."""
-    sides = np.stack([link, link - first, link - second])
+    """Return the sums of variances along the sides that start at a corner.
+
+    For links ``(k, 2)`` and corners at ``(n, 2)`` px: ``(k, n)``.
+    """
+    sides = np.stack([links, links - first, links - second], 1)
     along = (np.arange(ALONG)[:, np.newaxis] + 0.5) / ALONG
-    points = (sides[:, np.newaxis] * along).reshape(-1, 2)
-    values = sample_tile(variance, lattice.to_cell(places)[:, np.newaxis] + points @ np.linalg.inv(lattice.matrix))
-    lengths = np.repeat(np.hypot(*sides.T) / ALONG, ALONG)
-    return np.asarray(values[..., 0] @ lengths)
+    points = (sides[:, :, np.newaxis] * along).reshape(len(links), 1, -1, 2) @ np.linalg.inv(lattice.matrix)
+    values = sample_tile(variance, lattice.to_cell(places)[:, np.newaxis] + points)[..., 0]
+    lengths = np.repeat(np.hypot(sides[..., 0], sides[..., 1]) / ALONG, ALONG, 1)
+    return np.stack([each @ length for each, length in zip(values, lengths, strict=True)])
 
 
 def _texel(corner: Points, link: Points, first: Points, second: Points) -> Corners:

@@ -42,6 +42,40 @@ def compare_tones(
 
 
 @kernel
+def average_known(values: Float32x2, known: Boolx2, reach: int) -> tuple[Float32x2, Float32x2]:
+    """Return the means over ``reach`` x ``reach`` places of values, ``(H, W)``, and of the known share.
+
+    Unknown values and those beyond the border are 0. ``reach`` is odd. The means are those of
+    :func:`scipy.ndimage.uniform_filter`, which filters one line at a time.
+    """
+    (height, width), half, side = known.shape, reach // 2, float(reach)
+    means, share = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    total, count = np.empty(width), np.empty(width)
+    line, shown = np.zeros(width + 2 * half), np.zeros(width + 2 * half)
+    for y in range(height):
+        total[:], count[:] = 0.0, 0.0
+        for row in range(max(y - half, 0), min(y + half + 1, height)):
+            for x in range(width):
+                weight = np.float64(known[row, x])
+                total[x] += values[row, x] * weight
+                count[x] += weight
+        for x in range(width):
+            line[half + x], shown[half + x] = (
+                np.float32(np.divide(total[x], side)),
+                np.float32(np.divide(count[x], side)),
+            )
+        total[:], count[:] = 0.0, 0.0
+        for step in range(reach):
+            own, theirs = line[step:], shown[step:]
+            for x in range(width):
+                total[x] += own[x]
+                count[x] += theirs[x]
+        for x in range(width):
+            means[y, x], share[y, x] = np.divide(total[x], side), np.divide(count[x], side)
+    return means, share
+
+
+@kernel
 def sum_products(values: Float32x3, known: Boolx2, down: int, right: int, places: int) -> tuple[Float64x4, Float64x2]:
     """Return sums of products of colors at each place of the cell, ``(3, p, p, 9)``, and the pairs, ``(p, p)``.
 

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nrbench.lattice.geometry import Points
 from nrbench.plugins.forms import Observation
@@ -106,11 +107,15 @@ class Examination:
         return match_sample(self.sample, known.lattice)
 
     @cached_property
+    def misplacement(self) -> NDArray[np.float64]:
+        """How far each node is out of place, ``(R, C)``, as the reference finds it."""
+        return self.reference.misplacement(self.followed)
+
+    @cached_property
     def misplaced(self) -> float:
         """Share of the output that is out of place beyond what the references show, in [0, 1]."""
-        bad = self.reference.misplacement(self.followed)[self.followed.valid]
         usual = self.reference.most_misplaced
-        return max(0.0, float(bad.mean()) - usual) / (1 - usual)
+        return max(0.0, float(self.misplacement[self.followed.valid].mean()) - usual) / (1 - usual)
 
 
 def examine(observation: Observation) -> Examination:

@@ -14,7 +14,7 @@ from scipy import ndimage
 from ..perception import limits
 from ..registration.coarse_plane import CoarsePlane, shift_plane
 from ..registration.lattice_net import LatticeNet, Mask, Values, split_cells
-from .element_kernels import compare_tones, sum_products
+from .element_kernels import average_known, compare_tones, sum_products
 
 Lag = tuple[int, int]
 Evidence = NDArray[np.float64]
@@ -95,10 +95,9 @@ class UnlikeTones:
             ratio, both = compare_tones(values, known, *pair.lag, pair.whole, pair.unrelated, limits.FREEDOM)
             evidence = (limits.FREEDOM + 3) / 2 * np.log(ratio) - np.tile(pair.constant, shape) / 2
             if self.reach > 1:
-                sums = ndimage.uniform_filter(np.where(both, evidence, 0), self.reach, mode="constant")
-                share = ndimage.uniform_filter(both.astype(np.float32), self.reach, mode="constant")
+                means, share = average_known(evidence, both, self.reach)
                 both &= share > 0.5
-                evidence = sums / np.maximum(share, 0.5)
+                evidence = means / np.maximum(share, 0.5)
             largest = np.where(both, np.maximum(largest, evidence), largest)
         return _largest_in_cells(largest, (limits.PLACES, limits.PLACES))
 
@@ -198,7 +197,9 @@ def _cut_windows(plane: CoarsePlane) -> tuple[Values, Mask]:
     known = np.zeros(windows.shape[:2], bool)
     for k in range(0, len(views), _AT_ONCE):
         part = views[k : k + _AT_ONCE]
-        windows[1 + k : 1 + k + _AT_ONCE, 1:] = (part - part.mean((3, 4), keepdims=True)).reshape(*part.shape[:2], -1)
+        mean = np.asarray(sum(part[..., i, j] for i, j in np.ndindex(side)) / np.float32(_WIDTH**2))
+        rest = part - mean[..., np.newaxis, np.newaxis]
+        windows[1 + k : 1 + k + _AT_ONCE, 1:] = rest.reshape(*part.shape[:2], -1)
     known[1:, 1:] = sliding_window_view(plane.complete, side)[::_STEP, ::_STEP].all((2, 3))
     return split_cells(windows, (_PER_CELL, _PER_CELL)), split_cells(known, (_PER_CELL, _PER_CELL))
 
@@ -262,7 +263,7 @@ def _measure_steps(plane: CoarsePlane, axis: int, beyond: Lag) -> tuple[Values, 
     """Return the levels of all lines across a vector, and the known ones; the other side is ``beyond`` samples off."""
     lag = (int(axis == 0) + beyond[0], int(axis == 1) + beyond[1])
     other, both = shift_plane(plane.fine, plane.known, lag)
-    squares = ((plane.fine - other) ** 2).sum(-1) * both
+    squares = sum(np.moveaxis((plane.fine - other) ** 2, -1, 0)) * both  # numpy is slow along a short last axis
     length = max(int(plane.samples[1 - axis]) // 2, 2)
     sums, share = (
         ndimage.uniform_filter1d(a.astype(np.float32), length, axis=1 - axis, mode="constant") for a in (squares, both)

@@ -23,6 +23,7 @@ from .coarse_plane import CoarsePlane
 from .lattice_net import LatticeNet, Mask, Values, find_inside, fold_cells, sample_planes, split_cells
 from .lattice_nodes import Field, LatticeNodes, Strips, find_least, node_shape
 from .net_kernels import measure_misfits
+from .node_kernels import spread_nodes
 
 
 @dataclass(frozen=True)
@@ -150,12 +151,12 @@ class FollowedPicture(LatticeNodes):
             np.clip(np.arange(cells * n) / n * 2 - self.size, 0, nodes - 1)
             for cells, n, nodes in zip(self.net.cells, self.net.samples, self.valid.shape, strict=True)
         )
-        nodes = np.concatenate([self.expected, self.in_place[..., np.newaxis]], -1)
+        nodes = np.concatenate([self.expected @ self.net.vectors, self.in_place[..., np.newaxis]], -1)
         plane, known = np.empty((len(rows), len(columns), 3), np.float32), np.empty((len(rows), len(columns)), np.bool_)
         for first, part in self._cut(0):
             band = slice(first * int(self.net.samples[0]), (first + int(part.net.cells[0])) * int(self.net.samples[0]))
-            spread = _spread_nodes(_spread_nodes(nodes, rows[band], 0), columns, 1)
-            points = part.net.points + spread[..., :2] @ self.net.vectors
+            spread = spread_nodes(nodes, rows[band], columns)
+            points = part.net.points + spread[..., :2]
             plane[band] = sample_planes(part.lab[..., :3], points)
             known[band] = (spread[..., 2] > 0.5) & part.net.contains(points)
         return plane, known
@@ -183,13 +184,6 @@ class FollowedPicture(LatticeNodes):
 def _join_bands(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Return the nodes of all bands: the last row of one is the first of the next."""
     return np.concatenate([*(part[:-1] for part in parts[:-1]), parts[-1]])
-
-
-def _spread_nodes(values: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """Return nodes ``(R, C, k)`` interpolated linearly at numbers of nodes along an axis."""
-    low = np.floor(at).astype(np.intp)
-    high, part = np.minimum(low + 1, values.shape[axis] - 1), (at - low).reshape((-1, 1, 1) if axis == 0 else (-1, 1))
-    return np.asarray(values.take(low, axis) * (1 - part) + values.take(high, axis) * part)
 
 
 def _average_windows(plane: Values, net: LatticeNet, size: int) -> tuple[Mask, Values]:

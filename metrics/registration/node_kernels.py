@@ -93,3 +93,22 @@ def grow_nodes(
             break
         grown = wider
     return grown, mean, count
+
+
+@kernel
+def spread_nodes(nodes: Float64x3, rows: Float64x1, columns: Float64x1) -> Float64x3:
+    """Return the values of nodes ``(R, C, k)``, interpolated linearly at numbers of nodes along both axes."""
+    count, length, parts = nodes.shape
+    spread, line = np.empty((len(rows), len(columns), parts)), np.empty((length, parts))
+    for y in range(len(rows)):
+        low = int(rows[y])
+        high, part = min(low + 1, count - 1), rows[y] - low
+        for c in range(length):
+            for k in range(parts):
+                line[c, k] = nodes[low, c, k] * (1 - part) + nodes[high, c, k] * part
+        for x in range(len(columns)):
+            low = int(columns[x])
+            high, part = min(low + 1, length - 1), columns[x] - low
+            for k in range(parts):
+                spread[y, x, k] = line[low, k] * (1 - part) + line[high, k] * part
+    return spread

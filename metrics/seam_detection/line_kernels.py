@@ -119,57 +119,53 @@ def worst_of_parallels(
 
     The factor is that of a normal distribution, whose mean absolute departure is (2 / pi)^(1/2) standard deviations.
     """
-    leans, width = value.shape
-    side, far = 3, 6
-    worst = np.zeros((2, 4))
-    sums = np.zeros((3, width + 1))
-    departures = np.zeros((2, width))
-    raw = np.zeros((2, width))
-    known = np.zeros(width, np.bool_)
+    (leans, width), side, far = value.shape, 3, 6
+    one, three, seven = np.uint64(1), np.uint64(side), np.uint64(far + 1)  # no index is negative: loops of vectors
+    worst, sums, departures, raw = (
+        np.zeros((2, 4)),
+        np.zeros((3, width + 1)),
+        np.zeros((2, width)),
+        np.zeros((2, width)),
+    )
+    known, (v, e, n) = np.zeros(width), sums
     for lean in range(leans):
         shown = np.flatnonzero(length[lean])  # beyond a margin, columns without pixels have no lines
         low, high = max(shown[0] - far - side, 0), min(shown[-1] + far + side + 2, width)
         # Sums from the left give the sum over any run of columns as a difference.
+        brightness, gradient, pixels = 0.0, 0.0, 0.0
         sums[:, low] = 0
         for x in range(low, high):
-            sums[0, x + 1] = sums[0, x] + value[lean, x]
-            sums[1, x + 1] = sums[1, x] + energy[lean, x]
-            sums[2, x + 1] = sums[2, x] + length[lean, x]
+            brightness += value[lean, x]
+            gradient += energy[lean, x]
+            pixels += length[lean, x]
+            v[x + 1], e[x + 1], n[x + 1] = brightness, gradient, pixels
         # Step and excess of each line that is long enough, and the means of their scaled values.
-        number = 0
-        mean = np.zeros(2)
-        for x in range(low + far + 1, high - far):
-            right, left = sums[2, x + side] - sums[2, x], sums[2, x] - sums[2, x - side]
-            pixels = min(right, left) / side
-            on = sums[2, x + 1] - sums[2, x - 1]
-            known[x] = pixels >= least and on >= 2 * least
-            if not known[x]:
-                continue
-            step = (sums[0, x + side] - sums[0, x]) / right - (sums[0, x] - sums[0, x - side]) / left
-            here = sums[1, x + 1] - sums[1, x - 1]
-            around = sums[1, x + 1 + far] - sums[1, x - 1 - far]
-            room = sums[2, x + 1 + far] - sums[2, x - 1 - far]
-            raw[0, x] = step
-            raw[1, x] = here / on - (around - here) / (room - on)
-            departures[0, x] = step * np.sqrt(pixels)
-            departures[1, x] = raw[1, x] * np.sqrt(on / 2)
-            number += 1
-            mean[0] += departures[0, x]
-            mean[1] += departures[1, x]
+        count = high - low - 2 * far - 1
+        number, steps, excesses = 0.0, 0.0, 0.0
+        for k in range(count):
+            q = np.uint64(low + far + 1) + np.uint64(k)
+            right, left = n[q + three] - n[q], n[q] - n[q - three]
+            pixels, on, here = min(right, left) / side, n[q + one] - n[q - one], e[q + one] - e[q - one]
+            around, room = e[q + seven] - e[q - seven], n[q + seven] - n[q - seven]
+            # np.divide raises no error where a line is too short.
+            step = np.divide(v[q + three] - v[q], right) - np.divide(v[q] - v[q - three], left)
+            excess = np.divide(here, on) - np.divide(around - here, room - on)
+            long = (pixels >= least) & (on >= 2 * least)
+            weight = 1.0 if long else 0.0
+            scaled = step * np.sqrt(pixels) if long else 0.0, excess * np.sqrt(on / 2) if long else 0.0
+            raw[0, k], raw[1, k], known[k], (departures[0, k], departures[1, k]) = step, excess, weight, scaled
+            number, steps, excesses = number + weight, steps + scaled[0], excesses + scaled[1]
         if number == 0:
             continue
-        mean /= number
         # The line that departs most from its parallels.
         for kind in range(2):
-            usual, most, at = 0.0, 0.0, 0
-            for x in range(low + far + 1, high - far):
-                if known[x]:
-                    departure = abs(departures[kind, x] - mean[kind])
-                    usual += departure
-                    if departure > most:
-                        most, at = departure, x
-            strength = most / (usual / number * 1.2533141373155001 + floors[kind])
+            own, mean, usual = departures[kind], (excesses if kind else steps) / number, 0.0
+            for k in range(count):
+                departure = abs(own[k] - mean) * known[k]
+                own[k], usual = departure, usual + departure
+            at = own[:count].argmax()
+            strength = own[at] / (usual / number * 1.2533141373155001 + floors[kind])
             if strength > worst[kind, 0]:
-                worst[kind, 0], worst[kind, 1], worst[kind, 2] = strength, lean, at
+                worst[kind, 0], worst[kind, 1], worst[kind, 2] = strength, lean, low + far + 1 + at
                 worst[kind, 3] = abs(raw[kind, at])
     return worst

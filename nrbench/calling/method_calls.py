@@ -227,14 +227,15 @@ def check_source(source: SourceMap, image: Image, sample: Image) -> None:
 
 def _count_wrong(source: SourceMap, image: Image, sample: Image) -> int:
     """Return how many pixels of some rows are copies that differ from their sources."""
-    known = np.isfinite(source).all(-1)
-    x, y, weight = np.moveaxis(source[known], -1, 0)
+    x, y, weight = np.moveaxis(source.reshape(-1, 3), 1, 0).copy()
+    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(weight)
     inside = (x >= -0.5) & (x <= sample.shape[1] - 0.5) & (y >= -0.5) & (y <= sample.shape[0] - 0.5)
-    if not (inside & (weight > 0) & (weight <= 1 + 1e-6)).all():
+    if (known & ~(inside & (weight > 0) & (weight <= 1 + 1e-6))).any():
         raise InvalidOutput("returned a source map that points outside the sample, or has weights outside (0, 1]")
-    copy = (weight > 1 - 1e-6) & (x == np.rint(x)) & (y == np.rint(y))
-    pixels = sample[y[copy].astype(int), x[copy].astype(int)]
-    return int((np.abs(image[known][copy] - pixels) > COPY_TOLERANCE).any(-1).sum())
+    copies = np.flatnonzero(known & (weight > 1 - 1e-6) & (x == np.rint(x)) & (y == np.rint(y)))
+    pixels = sample[y[copies].astype(np.intp), x[copies].astype(np.intp)]
+    apart = np.abs(image.reshape(-1, image.shape[2])[copies] - pixels) > COPY_TOLERANCE
+    return int(apart.any(1).sum())
 
 
 _ROWS = 256

@@ -268,7 +268,7 @@ class Period:
     @property
     def height(self) -> float:
         """Mean of the curve at the multiples."""
-        return float(np.mean(self.heights))
+        return float(np.add.reduce(self.heights)) / len(self.heights)
 
     @property
     def contrast(self) -> float:

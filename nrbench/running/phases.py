@@ -12,7 +12,6 @@ import json
 import os
 import tempfile
 import traceback
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -26,12 +25,12 @@ from nrbench import plugins
 from nrbench.calling.bent_samples import SampleSurvey, survey_sample, synthesize_in_geometry
 from nrbench.calling.method_calls import InvalidOutput, checked_synthesis, is_picture, prepare_method
 from nrbench.errors import BadInput, describe_error, storage_fault
-from nrbench.imaging.convert import MIN_SIDE, Image, quantize
+from nrbench.imaging.convert import MIN_SIDE, Image, as_image, quantize
 from nrbench.imaging.masks import Mask
 from nrbench.jit import find_cache
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.vertices import Vertex
-from nrbench.pictures.files import read_image, read_mask, write_image
+from nrbench.pictures.files import read_map, read_mask, write_image
 from nrbench.plugins.forms import (
     Again,
     Column,
@@ -214,9 +213,8 @@ def render(folder: Path, send: Send) -> None:
 
 
 def _read_stored(path: Path, smallest: int = MIN_SIDE) -> Image:
-    """Read a picture of the run. What is to say about the file that it comes from, the plan has said."""
-    with warnings.catch_warnings(action="ignore"):
-        return read_image(path, smallest)
+    """Read a picture of the run, which is sRGB. What is to say about the file that it comes from, the plan has said."""
+    return as_image(read_map(path)[0], f"picture {path}", smallest)
 
 
 def _read_known(where: CellFolder, sample: Image) -> Mask | None:

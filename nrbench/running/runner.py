@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from types import FrameType
 from typing import TypeVar
@@ -32,7 +32,7 @@ from nrbench.running.phases import Request, read_output, read_texture
 from nrbench.running.supervisor import RunRequest, Supervisor, third_party
 from nrbench.runs.records import Run
 from nrbench.runs.store import FAILED, CellFolder, Result, RunDirectory
-from nrbench.storage import remove, temporary_folder, write_json, write_text
+from nrbench.storage import remove, temporary_folder, write_bytes, write_json, write_text
 from nrbench.suites.cell import Cell, Recipe, hash_content, reader_of
 from nrbench.suites.plan import Plan, PlannedSample, make_plan
 from nrbench.suites.suite import Suite
@@ -355,9 +355,15 @@ def _with_lattice(cell: Cell, result: Result) -> Cell:
 
 
 def _write_sample(where: CellFolder, sample: PlannedSample) -> None:
-    write_image(where.sample, sample.image())
+    write_bytes(where.sample, _encode_sample(sample))
     if sample.known is not None:
         write_image(where.known, sample.known[..., None].astype("float32"))
+
+
+@lru_cache(maxsize=4)  # the cells of a few samples follow each other
+def _encode_sample(sample: PlannedSample) -> bytes:
+    with temporary_folder() as folder:
+        return write_image(folder / "sample.png", sample.image()).read_bytes()
 
 
 def _prepare(where: CellFolder, cell: Cell, sample: PlannedSample) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy
@@ -134,7 +134,8 @@ class Spectrum:
         return self._samples(rows, cols), (x[0], x[1]), (y[0], y[1])
 
     def _samples(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[Any]:
-        return self._grid[:, rows[:, :, np.newaxis] % self._grid_shape[0], cols[:, np.newaxis, :] + TAPS]
+        at = (rows % self._grid_shape[0] * self._grid.shape[1])[:, :, np.newaxis] + (cols + TAPS)[:, np.newaxis]
+        return np.moveaxis(self._grid.reshape(-1, self.channels).take(at, 0), -1, 0)
 
     def _centered_planes(self) -> Planes:
         return np.ascontiguousarray(np.moveaxis(self.planes - self.mean.astype(self.planes.dtype), 2, 0))
@@ -145,14 +146,15 @@ class Spectrum:
 
     @cached_property
     def _grid(self) -> NDArray[np.complexfloating[Any, Any]]:
-        """The doubled transform, ``(C, My, Mx // 2 + 1 + 2 TAPS)``; columns start at -TAPS, so that all taps exist."""
+        """The doubled transform, ``(My, Mx // 2 + 1 + 2 TAPS, C)``; columns start at -TAPS, so that all taps exist."""
         places = [np.arange(n) - n // 2 for n in self.shape]
         weights = [1 / _kernel_transform(place / m) for place, m in zip(places, self._grid_shape, strict=True)]
         rows, cols = (place % m for place, m in zip(places, self._grid_shape, strict=True))
         padded = np.zeros((self.channels, *self._grid_shape), self.planes.dtype)
         weighted = self._centered_planes() * np.multiply.outer(*weights).astype(self.planes.dtype)
         padded[:, rows[:, np.newaxis], cols] = weighted
-        return _extend_columns(scipy.fft.rfft2(padded, overwrite_x=True), self._grid_shape[1])
+        extended = _extend_columns(scipy.fft.rfft2(padded, overwrite_x=True), self._grid_shape[1])
+        return np.ascontiguousarray(np.moveaxis(extended, 0, 2))
 
     @property
     def _middle_offset(self) -> Array:
@@ -220,24 +222,6 @@ def _kernel_transform(cycles: Array) -> Array:
     return np.asarray(TAPS * np.sinh(root) / root)
 
 
-class DirichletKernel(NamedTuple):
-    """K(f) = sum over the picture of cos(2 pi f r), r from its center: the spectrum of a wave on a finite picture.
-
-    Parameters
-    ----------
-    value
-        ``(...)``.
-    slope
-        ``(2, ...)``: derivatives by f_x, f_y.
-    curvature
-        ``(2, 2, ...)``: second derivatives.
-    """
-
-    value: Array
-    slope: Array
-    curvature: Array
-
-
 def dirichlet_sum(frequency: Array, length: int) -> Array:
     """Return sum cos(2 pi f u) over ``length`` samples u centered on 0, in closed form: sin(pi n f) / sin(pi f).
 
@@ -263,18 +247,17 @@ def pair_sums(first: Array, second: Array, length: int) -> tuple[Array, Array]:
     By the addition theorems both sines are products of those of single frequencies. They lose their digits where the
     quotient is near 0 / 0; there, it is computed for the pair.
     """
-    angles = [(np.pi * k * first[:, np.newaxis], np.pi * k * second) for k in (length, 1)]
-    pairs: list[Array] = []
-    for sign in (-1, 1):
-        value, divisor = (
-            np.hstack([np.sin(f), np.cos(f)]) @ np.stack([np.cos(g), sign * np.sin(g)]) for f, g in angles
-        )
+    pairs: list[list[Array]] = []
+    for k in (length, 1):
+        f, g = np.pi * k * first[:, np.newaxis], np.pi * k * second
+        left, cosine, sine = np.hstack([np.sin(f), np.cos(f)]), np.cos(g), np.sin(g)
+        pairs.append([left @ np.array([cosine, sign * sine]) for sign in (-1, 1)])
+    for sign, value, divisor in zip((-1, 1), *pairs, strict=True):
         i, j = np.nonzero(np.abs(divisor) < 1e-3)
         divisor[i, j] = 1.0
         value /= divisor
         value[i, j] = dirichlet_sum(first[i] + sign * second[j], length)
-        pairs.append(value)
-    return pairs[0], pairs[1]
+    return pairs[0][0], pairs[0][1]
 
 
 def pair_kernels(frequencies: Array, shape: tuple[int, int]) -> tuple[DirichletKernel, DirichletKernel]:
@@ -290,29 +273,87 @@ def pair_kernels(frequencies: Array, shape: tuple[int, int]) -> tuple[DirichletK
     shape
         (height, width) px.
     """
-    along = [_line_kernels(f, length) for f, length in zip(frequencies.T, shape[::-1], strict=True)]
-    differences, sums = (_plane_kernel(x, y) for x, y in zip(*along, strict=True))
-    return differences, sums
+    x, y = (LineKernels(f, length) for f, length in zip(frequencies.T, shape[::-1], strict=True))
+    return DirichletKernel(x, y, 0), DirichletKernel(x, y, 1)
 
 
-def _line_kernels(frequency: Array, length: int) -> tuple[Array, Array]:
-    """Return sum cos(2 pi f u) and its two derivatives by f, ``(3, n, n)``, at f_i - f_j and at f_i + f_j."""
-    u = 2 * np.pi * (np.arange(length) - (length - 1) / 2)
-    cosine, sine = np.cos(np.outer(frequency, u)), np.sin(np.outer(frequency, u))
-    values = cosine @ cosine.T, sine @ sine.T
-    slope = (sine * u) @ cosine.T
-    bends = (cosine * u**2) @ cosine.T, (sine * u**2) @ sine.T
-    return (
-        np.stack([values[0] + values[1], slope.T - slope, -bends[0] - bends[1]]),
-        np.stack([values[0] - values[1], -slope.T - slope, bends[1] - bends[0]]),
-    )
+@dataclass(frozen=True)
+class LineKernels:
+    """K(f) = sum cos(2 pi f u) along a line, u from its center, at f_i - f_j and at f_i + f_j: pairs of ``(n, n)``.
+
+    Parameters
+    ----------
+    frequency
+        ``(n,)`` cycles/px.
+    length
+        px.
+    """
+
+    frequency: Array
+    length: int
+
+    @cached_property
+    def _u(self) -> Array:
+        return np.asarray(2 * np.pi * (np.arange(self.length) - (self.length - 1) / 2), np.float64)
+
+    @cached_property
+    def _waves(self) -> tuple[Array, Array]:
+        turns = np.outer(self.frequency, self._u)
+        return np.cos(turns), np.sin(turns)
+
+    @cached_property
+    def values(self) -> tuple[Array, Array]:
+        """K."""
+        cosine, sine = self._waves
+        one, other = cosine @ cosine.T, sine @ sine.T
+        return one + other, one - other
+
+    @cached_property
+    def slopes(self) -> tuple[Array, Array]:
+        """The derivatives of K."""
+        cosine, sine = self._waves
+        slope = (sine * self._u) @ cosine.T
+        return slope.T - slope, -slope.T - slope
+
+    @cached_property
+    def bends(self) -> tuple[Array, Array]:
+        """The second derivatives of K."""
+        one, other = ((wave * self._u**2) @ wave.T for wave in self._waves)
+        return -one - other, other - one
 
 
-def _plane_kernel(x: Array, y: Array) -> DirichletKernel:
-    """Return the kernel of a picture, the product of those along its lines."""
-    mixed = x[1] * y[1]
-    return DirichletKernel(
-        x[0] * y[0],
-        np.stack([x[1] * y[0], x[0] * y[1]]),
-        np.stack([np.stack([x[2] * y[0], mixed]), np.stack([mixed, x[0] * y[2]])]),
-    )
+@dataclass(frozen=True)
+class DirichletKernel:
+    """K(f) = sum over the picture of cos(2 pi f r), r from its center: the spectrum of a wave on a finite picture.
+
+    It is the product of those along its lines. Derivatives are computed when they are first read.
+
+    Parameters
+    ----------
+    x, y
+        The kernels along the two axes.
+    which
+        0: at the differences of frequencies, 1: at their sums.
+    """
+
+    x: LineKernels
+    y: LineKernels
+    which: int
+
+    @cached_property
+    def value(self) -> Array:
+        """K, ``(n, n)``."""
+        return self.x.values[self.which] * self.y.values[self.which]
+
+    @cached_property
+    def slope(self) -> Array:
+        """Derivatives by f_x, f_y, ``(2, n, n)``."""
+        k = self.which
+        return np.array([self.x.slopes[k] * self.y.values[k], self.x.values[k] * self.y.slopes[k]])
+
+    @cached_property
+    def curvature(self) -> Array:
+        """Second derivatives, ``(2, 2, n, n)``."""
+        k = self.which
+        mixed = self.x.slopes[k] * self.y.slopes[k]
+        return np.array([[self.x.bends[k] * self.y.values[k], mixed], [mixed, self.x.values[k] * self.y.bends[k]]])

@@ -276,6 +276,14 @@ def match_distribution(field: Table, sample: NDArray[np.float64], rng: np.random
     for _ in range(_BASES):
         for axis in np.linalg.qr(rng.standard_normal((channels, channels)))[0]:
             along = points @ axis
-            old, new = np.quantile(along[: size[0]], _LEVELS), np.quantile(target @ axis, _LEVELS)
+            old, new = _read_quantiles(along[: size[0]]), _read_quantiles(target @ axis)
             points += np.interp(along, old, new - old)[:, np.newaxis] * axis
     return np.asarray(points[size[0] :].reshape(field.shape))
+
+
+def _read_quantiles(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the quantiles of values at :data:`_LEVELS`, as :func:`numpy.quantile` does, but by a sort: faster."""
+    place = _LEVELS * (len(values) - 1)
+    first, ranked = place.astype(np.intp), np.sort(values)
+    low, high, share = ranked[first], ranked[first + 1], place - first
+    return np.where(share >= 0.5, high - (high - low) * (1 - share), low + (high - low) * share)

@@ -73,10 +73,14 @@ class ElementCopies:
     own: Table | None = None
 
     @cached_property
+    def _corner(self) -> Numbers:
+        """The first cell of the box of the sample's cells."""
+        return np.asarray(self.elements.cells(self.rest.shape[:2])[0, 0])
+
+    @cached_property
     def whole(self) -> list[Numbers]:
         """The cells in which the sample shows each element whole, ``(n, 2)`` each, at most 256."""
-        corner = self.elements.cells(self.rest.shape[:2])[0, 0]
-        cells = [np.argwhere(c.shown >= WHOLE) + corner for c in self.elements.mean_colors(self.rest)]
+        cells = [np.argwhere(c.shown >= WHOLE) + self._corner for c in self.elements.mean_colors(self.rest)]
         return [c if len(c) <= _MOST else np.random.default_rng(0).permutation(c)[:_MOST] for c in cells]
 
     @cached_property
@@ -193,7 +197,7 @@ class ElementCopies:
         """Return the colors that the rest holds of instances, ``(n, C)``."""
         if self.own is None:
             return 0.0
-        at = np.clip(cells - self.elements.cells(self.rest.shape[:2])[0, 0], 0, np.array(self.own.shape[1:3]) - 1)
+        at = np.clip(cells - self._corner, 0, np.array(self.own.shape[1:3]) - 1)
         return np.asarray(self.own[k, at[..., 0], at[..., 1]])
 
     def colors_of(self, drawn: Numbers) -> Table:
@@ -202,8 +206,7 @@ class ElementCopies:
 
     def _compare_colors(self, k: int, own: Table, new: Table, exact: bool) -> NDArray[np.float64]:
         """Return minus the log-likelihoods ``(m, n)`` that m new colors belong to n whole instances of an element."""
-        corner = self.elements.cells(self.rest.shape[:2])[0, 0]
-        whole = own[tuple((self.whole[k] - corner).T)]
+        whole = own[tuple((self.whole[k] - self._corner).T)]
         apart = scipy.spatial.distance.cdist(new, whole, "sqeuclidean")
         width = _EXACT if exact else _ALIKE
         return np.asarray(apart / (2 * width**2 * max(float(whole.var(0).sum()), 1e-12)))
@@ -244,34 +247,40 @@ class ElementCopies:
         around = list(self.outlines.shares.within(size, (-pad, top - pad)))
         ranks = len(around)
         shares, index = np.zeros((ranks, *size)), np.zeros((3, ranks, *size), np.int64)
-        for rank, (at, share, label, cell) in enumerate(around):
-            shares[rank, at], index[:, rank, at] = share, (label, *(cell - corner).T)
+        flat_shares, flat_index = shares.reshape(ranks, -1), index.reshape(3, ranks, -1)
+        pixels = [np.flatnonzero(at) for at, *_ in around]
+        for rank, (_, share, label, cell) in enumerate(around):
+            flat_shares[rank, pixels[rank]], flat_index[:, rank, pixels[rank]] = share, (label, *(cell - corner).T)
         row, column, _ = self.elements.places(size, (-pad, top - pad))
         copies = np.zeros((ranks, *size, self.rest.shape[2]))
+        flat_copies = copies.reshape(ranks, -1, self.rest.shape[2])
         sources = np.zeros((max(ranks, FURTHER + 1), *size, 3), np.float32)
         last = np.array(self.rest.shape[1::-1]) - 1
-        for rank, (at, _, label, cell) in enumerate(around):
+        for rank, (at, (_, _, label, cell)) in enumerate(zip(pixels, around, strict=True)):
             step = drawn[label, *(cell - corner).T] - cell
-            place = np.argwhere(at)[:, ::-1] + (-pad, top - pad) + step @ self.elements.lattice.matrix
-            sources[rank, at, :2] = last - np.abs(last - np.abs(place))  # mirrored at the edges, as the splines are
-            for channel, plane in enumerate(self._splines):
-                copies[rank, at, channel] = strength * _interpolate(plane, place)
+            pixel = np.stack([at % size[1] - pad, at // size[1] + (top - pad)], -1)
+            place = pixel + step @ self.elements.lattice.matrix
+            # mirrored at the edges, as the splines are
+            sources[rank].reshape(-1, 3)[at, :2] = last - np.abs(last - np.abs(place))
+            copied = np.stack([strength * _interpolate(plane, place) for plane in self._splines], -1)
             if self.own is not None:
-                copies[rank, at] = np.clip(copies[rank, at], *self._find_range(place))
+                copied = np.clip(copied, *self._find_range(place))
             if colors is not None:
                 laid = np.zeros((len(place), self.rest.shape[2]))
                 for other in range(ranks):
-                    shown = shares[other, at] > 0
-                    k, i, j = index[:, other, at][:, shown]
-                    source = step[shown] + np.stack([i, j], -1) + corner
+                    seen = np.flatnonzero(flat_shares[other, at] > 0)
+                    k, i, j = flat_index[:, other, at[seen]]
+                    source = step[seen] + np.stack([i, j], -1) + corner
                     color = colors[k, i, j] - self._read_own(k, source)
-                    laid[shown] += self.outlines.read(k, source, place[shown])[:, np.newaxis] * color
-                copies[rank, at] += laid * self.outlines.gain[row[at], column[at]]
+                    laid[seen] += self.outlines.read(k, source, place[seen])[:, np.newaxis] * color
+                copied += laid * self.outlines.gain[row.ravel()[at], column.ravel()[at]]
+            flat_copies[rank, at] = copied
         weight = _cut_seams(copies, shares, np.asarray(np.ravel_multi_index(tuple(index), drawn.shape[:3])))
-        inner, sources[:ranks, ..., 2] = np.s_[pad : size[0] - pad, pad : size[1] - pad], weight
-        order = np.argsort(-sources[..., 2], 0, kind="stable")[: FURTHER + 1]
-        shown = np.take_along_axis(sources, order[..., np.newaxis], 0)[:, *inner]
-        return np.asarray((copies * weight[..., np.newaxis]).sum(0)[inner]), np.moveaxis(shown, 0, 2)
+        sources[:ranks, ..., 2], inner = weight, np.s_[:, pad : size[0] - pad, pad : size[1] - pad]
+        parts = sources[inner]
+        order = np.argsort(-parts[..., 2], axis=0, kind="stable")[: FURTHER + 1]
+        shown = np.take_along_axis(parts, order[..., np.newaxis], 0)
+        return np.asarray((copies[inner] * weight[*inner, np.newaxis]).sum(0)), np.moveaxis(shown, 0, 2)
 
 
 def _interpolate(plane: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:

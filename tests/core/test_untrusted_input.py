@@ -23,6 +23,7 @@ import PIL.ImageCms
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from label_files import write_answers
 
 from nrbench import plugins, run
 from nrbench.datasets_procedural.images import read_rendered, read_truth
@@ -278,9 +279,8 @@ def cell_files() -> tuple[Path, list[Path]]:
     made = run("core", out=root, options=Options(jobs=0), **words)
     page = make_page(made)
     write_key(root, page)
-    rows = [f"{item.id},lattice,yes,1.5,{order},person" for order, item in enumerate(page.items, 1)]
-    (root / "answers.csv").write_text("\n".join(["item,question,answer,seconds,order,labeled_by", *rows]))
-    assert len(read_labels(made, [root / "answers.csv"]))
+    answers = write_answers(root / "answers.csv", page, [["yes"] * len(page.questions)] * len(page.items))
+    assert len(read_labels(made, [answers]))
     return root, sorted(file for file in root.rglob("*") if file.suffix in (".json", ".npz", ".png", ".csv"))
 
 

@@ -5,12 +5,12 @@ import csv
 import itertools
 import json
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from commands import call
+from label_files import write_answers
 
 from nrbench.errors import BadInput
 from nrbench.labelling.labels import (
@@ -31,18 +31,6 @@ from nrbench.labelling.labels import (
 from nrbench.pictures.files import read_image
 from nrbench.runs.records import CellRecord, Run
 from nrbench.streams import pixels_hash
-
-
-def _answer(path: Path, label_page: LabelPage, answers: Sequence[Sequence[str]]) -> Path:
-    """Write a file with the answers to all questions about each item, as a page saves it."""
-    rows = [
-        [item.id, question, answer, 1.5, i, "person"]
-        for i, (item, said) in enumerate(zip(label_page.items, answers, strict=True), 1)
-        for question, answer in zip(label_page.questions, said, strict=True)
-    ]
-    with path.open("w", newline="") as file:
-        csv.writer(file).writerows([["item", "question", "answer", "seconds", "order", "labeled_by"], *rows])
-    return path
 
 
 def _verdicts(run: Run, label_page: LabelPage) -> list[list[str]]:
@@ -153,7 +141,7 @@ def test_answers_come_back(run: Run, tmp_path: Path) -> None:
     label_page = make_page(run, repeat=0.25)
     write_key(run.root, label_page)
     said = [[ANSWERS[(i + i * k) % 3] for k in range(3)] for i in range(len(label_page.items))]
-    path = _answer(tmp_path / "ada.csv", label_page, said)
+    path = write_answers(tmp_path / "ada.csv", label_page, said)
     path.write_text("\ufeff" + "\n".join(path.read_text().splitlines()[:-2]), "utf-8")
     labels = read_labels(run, [path])
     assert set(labels["labeler"]) == {"ada"}
@@ -195,7 +183,7 @@ def test_a_bad_file_is_one_line_and_exit_2(content: str, run: Run, capsys: pytes
 def test_answers_to_another_run_are_refused(run: Run, tmp_path: Path) -> None:
     """Without a page of this run, or with the answers to another, the error says what to do."""
     label_page = make_page(run)
-    path = _answer(tmp_path / "p.csv", label_page, _verdicts(run, label_page))
+    path = write_answers(tmp_path / "p.csv", label_page, _verdicts(run, label_page))
     with pytest.raises(BadInput, match="make one by `nrbench label"):
         read_labels(run, [path])
     write_key(run.root, make_page(run, seed=7))
@@ -235,7 +223,7 @@ def test_report_takes_the_files_after_labels(run: Run, capsys: pytest.CaptureFix
     for seed, name in enumerate("ab"):
         label_page = make_page(run, seed=seed)
         write_key(run.root, label_page)
-        _answer(Path(f"{name}.csv"), label_page, _verdicts(run, label_page))
+        write_answers(Path(f"{name}.csv"), label_page, _verdicts(run, label_page))
     assert call("report run --format html,csv --labels a.csv b.csv") == 0
     with Path("run/tables/agreement.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from turned_lattices import turned
 
 from nrbench.errors import BadInput
 from nrbench.lattice.geometry import Lattice, hermite_matrices, integers_within, reduce_bases
@@ -18,11 +19,10 @@ HEXAGONAL = Lattice((20.0, 0.0), (10.0, 10 * math.sqrt(3)))
 def lattices(draw: st.DrawFn) -> Lattice:
     """Draw a lattice of moderate shape, in any direction, with any origin."""
     length, ratio = draw(st.floats(4, 40)), draw(st.floats(0.4, 2.5))
-    turn, angle = draw(st.floats(0, 2 * math.pi)), draw(st.floats(0.3, math.pi - 0.3))
+    degrees, angle = draw(st.floats(0, 360)), draw(st.floats(0.3, math.pi - 0.3))
     origin = draw(st.tuples(st.floats(-50, 50), st.floats(-50, 50)))
-    t1 = length * math.cos(turn), length * math.sin(turn)
-    t2 = length * ratio * math.cos(turn + angle), length * ratio * math.sin(turn + angle)
-    return Lattice(t1, t2, origin)
+    basis = length * np.array([(1, 0), (ratio * math.cos(angle), ratio * math.sin(angle))])
+    return Lattice.from_basis(turned(Lattice.from_basis(basis), degrees).matrix, origin)
 
 
 @st.composite
@@ -35,8 +35,7 @@ def unimodular(draw: st.DrawFn) -> np.ndarray:
 
 def rebased(lattice: Lattice, change: np.ndarray, origin: tuple[float, float] = (0.0, 0.0)) -> Lattice:
     """Return the lattice of another basis."""
-    t1, t2 = (change @ lattice.matrix).tolist()
-    return Lattice(tuple(t1), tuple(t2), origin)
+    return Lattice.from_basis(change @ lattice.matrix, origin)
 
 
 @given(lattices(), unimodular())
@@ -75,26 +74,26 @@ def test_the_reduced_basis_is_short_and_nearly_orthogonal(lattice: Lattice) -> N
     assert 60 - 1e-4 <= angle <= 90 + 1e-4
 
 
-TIED = [
-    Lattice((20, 0), (0, 20)),
-    Lattice((20, 0), (0, 30)),
-    HEXAGONAL,
-    Lattice((20, 0), (10, 12)),
-    Lattice((20, 0), (10, 30)),
-]
+KINDS = {
+    Lattice((20, 0), (0, 20)): "square",
+    Lattice((20, 0), (0, 30)): "rectangular",
+    HEXAGONAL: "hexagonal",
+    Lattice((20, 0), (10, 12)): "rhombic",
+    Lattice((20, 0), (10, 30)): "rhombic",
+}
+TIED = [*KINDS]
+"""Lattices with equally short vectors."""
 
 
 @given(st.sampled_from(TIED), unimodular(), st.floats(0, 360))
 def test_the_canonical_basis_is_the_lattices_own(lattice: Lattice, change: np.ndarray, degrees: float) -> None:
     """Lattices with equally short vectors have one canonical basis, whatever the basis given, and it is reduced."""
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    t1, t2 = (lattice.matrix @ [[c, s], [-s, c]]).tolist()
-    turned = Lattice(tuple(t1), tuple(t2))
-    one, other = turned.canonical(), rebased(turned, change).canonical()
+    given = turned(lattice, degrees)
+    one, other = given.canonical(), rebased(given, change).canonical()
     np.testing.assert_allclose(one.matrix, other.matrix, atol=1e-9)
-    np.testing.assert_allclose(np.hypot(*one.matrix.T), np.hypot(*turned.reduced().matrix.T), rtol=1e-9)
+    np.testing.assert_allclose(np.hypot(*one.matrix.T), np.hypot(*given.reduced().matrix.T), rtol=1e-9)
     a, b = one.matrix
-    assert one.is_equivalent(turned) and -1e-6 <= a @ b <= a @ a / 2 + 1e-6
+    assert one.is_equivalent(given) and -1e-6 <= a @ b <= a @ a / 2 + 1e-6
 
 
 @given(
@@ -180,29 +179,19 @@ def test_points_are_all_lattice_points_within_the_image(lattice: Lattice) -> Non
 
 @pytest.mark.parametrize(
     ("lattice", "kind"),
-    [
-        (Lattice((20, 0), (0, 20)), "square"),
-        (Lattice((20, 0), (0, 30)), "rectangular"),
-        (HEXAGONAL, "hexagonal"),
-        (Lattice((20, 0), (10, 12)), "rhombic"),
-        (Lattice((20, 0), (10, 30)), "rhombic"),
-        (Lattice((20, 0), (6, 19.08)), "rhombic"),
-        (Lattice((20, 0), (4, 30)), "parallelogram"),
-    ],
+    [*KINDS.items(), (Lattice((20, 0), (6, 19.08)), "rhombic"), (Lattice((20, 0), (4, 30)), "parallelogram")],
 )
-@pytest.mark.parametrize("turn", [0.0, 0.3, 1.9])
-def test_the_kind_is_that_of_the_symmetry(lattice: Lattice, kind: str, turn: float) -> None:
+@pytest.mark.parametrize("degrees", [0.0, 17.0, 109.0])
+def test_the_kind_is_that_of_the_symmetry(lattice: Lattice, kind: str, degrees: float) -> None:
     """Known lattices have their Bravais class, in any basis and direction."""
-    rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
-    t1, t2 = (np.array([[2, 1], [1, 1]]) @ lattice.matrix @ rotation).tolist()
-    assert Lattice(tuple(t1), tuple(t2)).kind == kind
+    assert rebased(turned(lattice, degrees), np.array([[2, 1], [1, 1]])).kind == kind
 
 
 @given(st.sampled_from(TIED), unimodular(), st.floats(-0.004, 0.004), st.floats(-0.004, 0.004))
 def test_the_kind_survives_a_basis_and_a_small_move(lattice: Lattice, change: np.ndarray, x: float, y: float) -> None:
     """Moving one vector's tip by less than half the tolerance changes no kind, seen from any basis."""
     moved = lattice.matrix + np.array([(0, 0), (x, y)]) * lattice.s
-    assert rebased(Lattice(tuple(moved[0]), tuple(moved[1])), change).kind == lattice.kind
+    assert rebased(Lattice.from_basis(moved), change).kind == lattice.kind
 
 
 @pytest.mark.parametrize(("along", "kind"), [(0.3, "rectangular"), (0.99, "rhombic"), (0.49, "rectangular")])
@@ -235,10 +224,9 @@ def test_no_lattice_without_two_directions(t1: object, t2: object, hint: str) ->
 
 def test_the_command_lines_form_is_checked() -> None:
     """Too few numbers are refused, with an example."""
-    with pytest.raises(BadInput, match="x1,y1,x2,y2"):
-        Lattice.parse("1,2,3")
-    with pytest.raises(BadInput, match="or six"):
-        Lattice.parse("30,0,0,20,5")
+    for text, hint in (("1,2,3", "x1,y1,x2,y2"), ("30,0,0,20,5", "or six")):
+        with pytest.raises(BadInput, match=hint):
+            Lattice.parse(text)
 
 
 @pytest.mark.parametrize("text", ["32,0,0,24", "32.5,-1,2,24,7.25,3"])
@@ -254,13 +242,12 @@ CORNER = st.floats(-25, 25)
 SIZE = st.floats(0, 30)
 
 
-@given(st.floats(3, 30), st.floats(0, 0.5), st.floats(1, 3), st.floats(0, 6.3), CORNER, CORNER, SIZE, SIZE)
+@given(st.floats(3, 30), st.floats(0, 0.5), st.floats(1, 3), st.floats(0, 360), CORNER, CORNER, SIZE, SIZE)
 def test_every_point_in_the_box_is_found_once(
-    length: float, lean: float, ratio: float, turn: float, x: float, y: float, w: float, h: float
+    length: float, lean: float, ratio: float, degrees: float, x: float, y: float, w: float, h: float
 ) -> None:
     """Brute force gives the same integers; points outside the box are outside by a rounding error of the step."""
-    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    basis = length * np.array([[1, 0], [lean, ratio]]) @ rotation
+    basis = turned(Lattice((length, 0), (length * lean, length * ratio)), degrees).matrix
     low, high = np.array([x, y]), np.array([x + w, y + h])
     integers = {tuple(numbers) for numbers in integers_within(basis, low, high).tolist()}
     assert len(integers) == len(integers_within(basis, low, high))
@@ -329,11 +316,10 @@ def test_noise_does_not_turn_the_reported_basis(lattice: Lattice) -> None:
     """Of any basis and direction, noise of 0.1 px in the vectors leaves the basis that detectors report, in 98 %."""
     rng, kept = np.random.default_rng(0), []
     for degrees in (0.0, 30.0, 45.0, *rng.uniform(0, 180, 77)):
-        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-        turned = lattice.matrix @ [[c, s], [-s, c]]
-        known = Lattice.from_basis(turned).oriented().matrix
+        given = turned(lattice, degrees)
+        known = given.oriented().matrix
         for change in ([[1, 0], [0, 1]], [[0, 1], [-1, 2]], [[-1, -1], [2, 1]]):
-            basis = Lattice.from_basis(change @ (turned + rng.normal(0, 0.1, (2, 2)))).oriented().matrix
+            basis = Lattice.from_basis(change @ (given.matrix + rng.normal(0, 0.1, (2, 2)))).oriented().matrix
             kept.append(np.abs(basis - known).max() < 1)
             assert np.linalg.det(basis) > 0 and basis[0, 0] > 0
     assert np.mean(kept) > 0.98

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from turned_lattices import turned
 
 from nrbench.lattice.geometry import Lattice
 from nrbench.lattice.relation import lattice_error, relate
@@ -15,8 +16,7 @@ SHEAR = st.integers(-3, 3)
 
 def times(change: object, offset: object = 0.0, lattice: Lattice = TRUTH) -> Lattice:
     """Return the lattice whose basis is an integer change of ``lattice``'s, plus an offset in px."""
-    t1, t2 = (np.array(change) @ lattice.matrix + offset).tolist()
-    return Lattice(tuple(t1), tuple(t2))
+    return Lattice.from_basis(np.array(change) @ lattice.matrix + offset)
 
 
 @given(SHEAR, SHEAR, SHEAR)
@@ -49,12 +49,9 @@ def test_drift_adds_up_over_the_shape() -> None:
     """1 % too long along x is 3 px over 300 px; a turn by 1 degree moves the far corner by its arc."""
     wider = Lattice((27.573, 0.0), (13.7865, 12.2))
     assert lattice_error(wider, TRUTH, SHAPE).drift == pytest.approx(3.0)
-    turn = math.radians(1)
-    rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
-    t1, t2 = (TRUTH.matrix @ rotation).tolist()
-    error = lattice_error(Lattice(tuple(t1), tuple(t2)), TRUTH, SHAPE)
+    error = lattice_error(turned(TRUTH, 1), TRUTH, SHAPE)
     assert error.angle == pytest.approx(1.0)
-    assert error.drift == pytest.approx(2 * math.sin(turn / 2) * math.hypot(*SHAPE))
+    assert error.drift == pytest.approx(2 * math.sin(math.radians(0.5)) * math.hypot(*SHAPE))
 
 
 def test_random_lattices_are_wrong() -> None:
@@ -62,9 +59,9 @@ def test_random_lattices_are_wrong() -> None:
     rng = np.random.default_rng(0)
     labels = []
     for _ in range(400):
-        t1, t2 = rng.uniform(-40, 40, (2, 2))
-        if abs(t1[0] * t2[1] - t1[1] * t2[0]) > 100:
-            labels.append(lattice_error(Lattice(tuple(t1), tuple(t2)), TRUTH, SHAPE).relation)
+        basis = rng.uniform(-40, 40, (2, 2))
+        if abs(np.linalg.det(basis)) > 100:
+            labels.append(lattice_error(Lattice.from_basis(basis), TRUTH, SHAPE).relation)
     assert labels.count("wrong") > 0.98 * len(labels)
 
 
@@ -184,8 +181,5 @@ def test_a_relation_gives_the_lattice_back(a: int, b: int, d: int, i: int, j: in
 
 def test_unrelated_lattices_have_no_relation() -> None:
     """A lattice turned by 20 degrees, and one 7 % longer, are not made of the other's vectors."""
-    turn = math.radians(20)
-    rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
-    t1, t2 = (TRUTH.matrix @ rotation).tolist()
-    assert relate(Lattice(tuple(t1), tuple(t2)), TRUTH) is None
+    assert relate(turned(TRUTH, 20), TRUTH) is None
     assert relate(times([[1.07, 0], [0, 1]]), TRUTH) is None

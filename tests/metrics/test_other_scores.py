@@ -152,23 +152,25 @@ def use(source: SourceMap | None) -> Score:
     return score
 
 
+def copy_map(height: int, width: int) -> SourceMap:
+    """Return the map of a copy of the sample's upper left part."""
+    y, x = np.indices((height, width), np.float32)
+    return np.stack([x, y, np.ones_like(x)], -1)
+
+
 def blocks(side: int, count: int, seed: int = 0) -> SourceMap:
     """Return the map of ``count`` x ``count`` square patches from random places."""
     rng = np.random.default_rng(seed)
-    source = np.ones((side * count, side * count, 3), np.float32)
-    y, x = np.indices((side, side))
-    for row in range(count):
-        for column in range(count):
-            part = source[row * side : (row + 1) * side, column * side : (column + 1) * side]
-            part[..., 0] = x + rng.integers(48 - side + 1)
-            part[..., 1] = y + rng.integers(32 - side + 1)
+    source = np.tile(copy_map(side, side), (count, count, 1))
+    for row, column in np.ndindex(count, count):
+        part = source[row * side : (row + 1) * side, column * side : (column + 1) * side]
+        part[..., :2] += rng.integers((48 - side + 1, 32 - side + 1))
     return source
 
 
 def test_a_plain_copy_is_one_run() -> None:
     """In a copy of the sample the runs are as long as its sides, and all of it is used evenly."""
-    y, x = np.indices((32, 48))
-    values = use(np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)).values
+    values = use(copy_map(32, 48)).values
     assert values["mean_copy_length"] == pytest.approx(2 * 32 * 48 / (32 + 48))
     assert values["used"] == 1
     assert values["entropy"] == pytest.approx(1)
@@ -210,8 +212,7 @@ def test_missing_scores_have_reasons() -> None:
 
 def test_pixels_without_a_source_break_runs() -> None:
     """Pixels of unknown source divide a copy, and do not count as used."""
-    y, x = np.indices((16, 21))
-    source = np.stack([x, y, np.ones_like(x)], -1).astype(np.float32)
+    source = copy_map(16, 21)
     source[:, 10] = np.nan
     score = use(source)
     assert score.values["mean_copy_length"] == pytest.approx(2 * 320 / (2 * 16 + 20))

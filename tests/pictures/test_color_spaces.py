@@ -76,28 +76,17 @@ def profile_of(matrix: NDArray[Any] | None, *curves: bytes) -> bytes:
     if matrix is None:
         tags[b"kTRC"] = curves[0]
     else:
-        tags |= {
-            name + b"XYZ": xyz(column)
-            for name, column in zip((b"r", b"g", b"b"), (d50 @ np.linalg.inv(matrix)).T, strict=True)
-        }
-        tags |= {name + b"TRC": curve for name, curve in zip((b"r", b"g", b"b"), (curves * 3)[:3], strict=True)}
+        columns = (d50 @ np.linalg.inv(matrix)).T
+        for name, column, curve in zip((b"r", b"g", b"b"), columns, (curves * 3)[:3], strict=True):
+            tags |= {name + b"XYZ": xyz(column), name + b"TRC": curve}
     table, body, start = b"", b"", 132 + 12 * len(tags)
     for name, data in tags.items():
         data += bytes(-len(data) % 4)
         table += name + struct.pack(">II", start + len(body), len(data))
         body += data
     head = bytearray(128)
-    struct.pack_into(
-        ">I4sI4s4s4s",
-        head,
-        0,
-        start + len(body),
-        b"",
-        0x02400000,
-        b"mntr",
-        b"GRAY" if matrix is None else b"RGB ",
-        b"XYZ ",
-    )
+    kind = b"GRAY" if matrix is None else b"RGB "
+    struct.pack_into(">I4sI4s4s4s", head, 0, start + len(body), b"", 0x02400000, b"mntr", kind, b"XYZ ")
     head[36:40] = b"acsp"
     head[68:80] = np.rint(d50.sum(1) * 65536).astype(">i4").tobytes()
     return bytes(head) + struct.pack(">I", len(tags)) + table + body
@@ -151,10 +140,8 @@ def test_png_becomes_srgb(tmp_path: Path, name: str) -> None:
 
 def test_gamma_with_primaries(tmp_path: Path) -> None:
     """The chunks gAMA and cHRM together describe a space, here Adobe RGB."""
-    chunks = (
-        (b"gAMA", struct.pack(">I", 45471)),
-        (b"cHRM", struct.pack(">8I", *(round(1e5 * each) for each in ADOBE_XY))),
-    )
+    primaries = struct.pack(">8I", *(round(1e5 * each) for each in ADOBE_XY))
+    chunks = (b"gAMA", struct.pack(">I", 45471)), (b"cHRM", primaries)
     values = (LIGHT @ TO_ADOBE.T) ** 0.45471
     np.testing.assert_allclose(_read(tmp_path / "a.png", png(values, *chunks, bits=16)), COLORS, atol=2e-4)
 
@@ -250,9 +237,8 @@ SAME = {
 def test_srgb_is_left_alone(tmp_path: Path, name: str, bits: int) -> None:
     """A file that says in whatever way that it is sRGB reads as its very values."""
     due = np.rint(COLORS * (2**bits - 1)) / np.float32(2**bits - 1)
-    np.testing.assert_array_equal(
-        _read(tmp_path / "a.png", png(COLORS, *SAME[name], bits=bits)), due.astype(np.float32)
-    )
+    image = _read(tmp_path / "a.png", png(COLORS, *SAME[name], bits=bits))
+    np.testing.assert_array_equal(image, due.astype(np.float32))
 
 
 def test_profile_of_jpeg_2000(tmp_path: Path) -> None:
@@ -266,12 +252,8 @@ def test_profile_of_jpeg_2000(tmp_path: Path) -> None:
     size = int.from_bytes(content[header : header + 4], "big") + len(new) - length
     parts = content[:header] + struct.pack(">I", size), content[header + 4 : box], new, content[box + length :]
     np.testing.assert_allclose(_read(tmp_path / "b.jp2", b"".join(parts)), COLORS, atol=2 / 255)
-    lab = PIL.ImageCms.profileToProfile(
-        PIL.Image.fromarray(np.rint(255 * COLORS).astype(np.uint8)),
-        PIL.ImageCms.createProfile("sRGB"),
-        PIL.ImageCms.createProfile("LAB"),
-        outputMode="LAB",
-    )
+    picture = PIL.Image.fromarray(np.rint(255 * COLORS).astype(np.uint8))
+    lab = PIL.ImageCms.profileToProfile(picture, *map(PIL.ImageCms.createProfile, ("sRGB", "LAB")), outputMode="LAB")
     lab.save(tmp_path / "a.tif", icc_profile=LAB_PROFILE)
     image = _read(tmp_path / "a.tif", (tmp_path / "a.tif").read_bytes())
     assert np.abs(image - COLORS).mean() < 2 / 255  # eight bits of L*a*b*
@@ -311,9 +293,8 @@ def test_colors_that_srgb_lacks_are_named(tmp_path: Path) -> None:
 
 def test_boxes_of_avif(tmp_path: Path) -> None:
     """An AVIF is read, and its box of color codes counts."""
-    PIL.Image.fromarray(np.rint(255 * COLORS).astype(np.uint8)).save(
-        tmp_path / "a.avif", quality=100, subsampling="4:4:4"
-    )
+    picture = PIL.Image.fromarray(np.rint(255 * COLORS).astype(np.uint8))
+    picture.save(tmp_path / "a.avif", quality=100, subsampling="4:4:4")
     content = (tmp_path / "a.avif").read_bytes()
     np.testing.assert_allclose(_read(tmp_path / "a.avif", content), COLORS, atol=4 / 255)
     assert content.count(b"colrnclx\0\1\0\x0d") == 1
@@ -333,4 +314,4 @@ def test_the_judge_sees_one_wall_in_two_spaces(tmp_path: Path) -> None:
     made = [
         nrbench.synthesize("tiling", tmp_path / name, (96, 96), brick.lattice).image for name in ("p3.png", "srgb.png")
     ]
-    np.testing.assert_allclose(made[0], made[1], atol=2.1 / 255)
+    np.testing.assert_allclose(*made, atol=2.1 / 255)

@@ -53,20 +53,17 @@ def make_claims(make_cell: Make, make_run: Make) -> Make:
             "name": "tiny",
             "lattice": ["given"],
             "texture": [{"name": name, "dataset": "brick"} for name in names],
-            "claim": [
-                {
-                    "name": "blocks",
-                    "quote": "Larger blocks & less randomness.",
-                    "source": "a paper",
-                    "score": score,
-                    "axis": "block, px",
-                    "series": [{"name": "rsgf", "levels": [24, 40], "methods": [SMALL, LARGE]}],
-                    "expect": [{"series": "rsgf", "at": 40, **expected}],
-                    **claim,
-                }
-            ],
         }
-        return make_run(cells, suite={"content": content})
+        stated = {
+            "name": "blocks",
+            "quote": "Larger blocks & less randomness.",
+            "source": "a paper",
+            "score": score,
+            "axis": "block, px",
+            "series": [{"name": "rsgf", "levels": [24, 40], "methods": [SMALL, LARGE]}],
+            "expect": [{"series": "rsgf", "at": 40, **expected}],
+        }
+        return make_run(cells, suite={"content": {**content, "claim": [{**stated, **claim}]}})
 
     return make
 
@@ -85,16 +82,10 @@ def noise(i: int) -> float:
 @pytest.mark.parametrize(
     ("gap", "relation", "outcome"),
     [
-        (-0.3, "less", "held"),
-        (0.3, "less", "failed"),
-        (0.0, "less", "undecided"),
-        (0.3, "greater", "held"),
-        (-0.3, "greater", "failed"),
-        (0.0, "equal", "held"),
-        (0.3, "equal", "failed"),
-        (0.1, "equal", "undecided"),
+        (-0.3, "less", "held"), (0.3, "less", "failed"), (0.0, "less", "undecided"), (0.3, "greater", "held"),
+        (-0.3, "greater", "failed"), (0.0, "equal", "held"), (0.3, "equal", "failed"), (0.1, "equal", "undecided"),
     ],
-)
+)  # fmt: skip
 def test_a_difference_decides_a_claim(make_claims: Make, gap: float, relation: str, outcome: str) -> None:
     """The interval of the paired difference lies on the stated side, on the other, or on both."""
     expect = {"relation": relation, "other_at": 24, **({"margin": 0.1} if relation == "equal" else {})}
@@ -109,11 +100,10 @@ def test_a_difference_decides_a_claim(make_claims: Make, gap: float, relation: s
 def test_a_rate_is_compared_with_a_number(make_claims: Make) -> None:
     """Ten textures that are all preserved are more than half, with Wilson's interval; five of ten are not."""
     expect = {"relation": "less", "value": 0.5}
-    assert only(make_claims(lambda *_: True, expect, "regularity.preserved")).outcome == "failed"
-    assert only(make_claims(lambda *_: False, expect, "regularity.preserved")).outcome == "held"
-    mixed = only(make_claims(lambda _, i: i % 2 == 0, expect, "regularity.preserved"))
-    assert mixed.outcome == "undecided"
-    assert [one.value for one in mixed.series[0].estimates] == [0.5, 0.5]
+    for share, outcome in ((0, "held"), (0.5, "undecided"), (1, "failed")):
+        result = only(make_claims(lambda _, i, n=10 * share: i < n, expect, "regularity.preserved"))
+        assert result.outcome == outcome
+        assert [one.value for one in result.series[0].estimates] == [share, share]
 
 
 def test_one_failed_expectation_fails_the_claim(make_claims: Make) -> None:
@@ -199,10 +189,8 @@ def compare(run: Run) -> PublishedComparison:
 
 def test_the_published_rates_are_those_that_the_report_prints() -> None:
     """Table 2: 100 % for all four methods. Table 3: 53 %, 95 %, 86 % and 23 %. Image quilting: two of six."""
-    for method in METHODS[:4]:
-        assert _published_rate(method, 3, 7) == 1
-    rates = [round(100 * _published_rate(method, 8, 45)) for method in METHODS[:4]]
-    assert rates == [53, 95, 86, 23]
+    assert [_published_rate(method, 3, 7) for method in METHODS[:4]] == [1] * 4
+    assert [round(100 * _published_rate(method, 8, 45)) for method in METHODS[:4]] == [53, 95, 86, 23]
     assert _published_rate("quilting", 3, 45) == 2 / 6
 
 
@@ -295,12 +283,6 @@ def test_random_pairing_keeps_what_descriptions_explain(make_report: Make) -> No
     assert published.kappa.value == pytest.approx(published.chance[0], abs=1e-9)
 
 
-def read_table_3(run: Run, directory: Path) -> str:
-    """Return table 3 as CSV, with its title."""
-    (path,) = (path for path in CsvTables().write(run, directory) if path.name == "published_table_3.csv")
-    return f"Table 3\n{path.read_text('utf-8')}"
-
-
 def test_types_two_and_three_stand_below_type_one(make_report: Make, make_cell: Make) -> None:
     """Textures of types II and III that are no analogue have a row each below table 3, without a published rate."""
     run = make_report(lambda *_: True, methods=("quilting", "patch-based"))
@@ -329,10 +311,11 @@ def test_every_report_shows_the_comparison(make_report: Make, tmp_path: Path) ->
     assert "Table 3: near-regular textures" in page
     names = {path.name for path in CsvTables().write(run, tmp_path)}
     assert {"published.csv", "published_rates.csv", "published_classes.csv"} <= names
-    (path,) = (path for path in LatexTables().write(run, tmp_path) if path.name == "published.tex")
-    text = path.read_text("utf-8")
+    LatexTables().write(run, tmp_path)
+    text = (tmp_path / "published.tex").read_text("utf-8")
     assert text.count(r"\begin{table}") == 3
     assert r"\shortstack[l]{success rate,\\preserved/total} & \shortstack{53\% (20/38)\\50\% (19/38)}" in text
-    for words in (page, MarkdownTables().render(run), TextTable(width=200).render(run), read_table_3(run, tmp_path)):
+    tables = "Table 3\n" + (tmp_path / "published_table_3.csv").read_text("utf-8")
+    for words in (page, MarkdownTables().render(run), TextTable(width=200).render(run), tables):
         assert "success rate" in words and "50% (19/38)" in words and "Table 3" in words
     assert r"45 & cans & \nrbLost{} \nrbLost{} & \nrbPreserved{} \nrbLost{}" in text

@@ -1,26 +1,22 @@
-import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from label_files import write_answers
 
-from nrbench.labelling.labels import ANSWERS, QUESTIONS, LabelPage, labels_table, make_page, write_key
+from nrbench.labelling.labels import ANSWERS, QUESTIONS, labels_table, make_page, write_key
 from nrbench.plugins.forms import Column
 from nrbench.reports.statistics.frames import agreement_table
-from nrbench.reports.statistics.labelers import (
-    SUBSETS,
-    QuestionComparison,
-    compare_labelers,
-    compare_orders,
-)
+from nrbench.reports.statistics.labelers import SUBSETS, QuestionComparison, compare_labelers, compare_orders
 from nrbench.runs.records import Run
 
 from .conftest import COLUMNS
 
 Make = Callable[..., Any]
+OTHER = {"yes": "no", "no": "yes"}
 
 
 @pytest.fixture(scope="module")
@@ -53,31 +49,15 @@ def _automatic_answers(run: Run, question: str) -> dict[str, str]:
     return {record.key: QUESTIONS[question].automatic_answer(record) or "yes" for record in run.cells}
 
 
-def _file(path: Path, label_page: LabelPage, answers: Sequence[str]) -> Path:
-    """Write the answers to the only question of a page."""
-    (question,) = label_page.questions
-    with path.open("w", newline="") as file:
-        rows = [
-            [item.id, question, answer, 1.0, i, "person"]
-            for i, (item, answer) in enumerate(zip(label_page.items, answers, strict=True), 1)
-        ]
-        csv.writer(file).writerows([["item", "question", "answer", "seconds", "order", "labeled_by"], *rows])
-    return path
-
-
 def _person(
-    run: Run,
-    path: Path,
-    wrong: Callable[[int, bool], str | None],
-    repeat: float = 0.0,
-    question: str = "lattice",
+    run: Run, path: Path, wrong: Callable[[int, bool], str | None], repeat: float = 0.0, question: str = "lattice"
 ) -> Path:
     """Write the answers of a person who repeats the verdicts unless ``wrong(number, again)`` gives another answer."""
     label_page = make_page(run, repeat=repeat, questions=[question])
     write_key(run.root, label_page)
     verdicts = _automatic_answers(run, question)
-    answers = [wrong(i, item.repeated) or verdicts[item.cell] for i, item in enumerate(label_page.items)]
-    return _file(path, label_page, answers)
+    answers = [[wrong(i, item.repeated) or verdicts[item.cell]] for i, item in enumerate(label_page.items)]
+    return write_answers(path, label_page, answers)
 
 
 def _compare(run: Run, *files: Path, question: str = "lattice") -> QuestionComparison:
@@ -98,13 +78,9 @@ def test_full_agreement_is_one(judged: Run, tmp_path: Path) -> None:
 def test_known_kappa(judged: Run, tmp_path: Path) -> None:
     """A person who reverses 10 of 40 balanced verdicts has 0.75 equal answers and kappa 0.5."""
     verdicts = _automatic_answers(judged, "lattice")
-    label_page = make_page(judged, repeat=0, questions=["lattice"])
-    turned = {"yes": "no", "no": "yes"}
-    kinds = {word: [i for i, item in enumerate(label_page.items) if verdicts[item.cell] == word] for word in turned}
-    chosen = {*kinds["yes"][:5], *kinds["no"][:5]}
-    path = _person(
-        judged, tmp_path / "a.csv", lambda i, again: turned[verdicts[label_page.items[i].cell]] if i in chosen else None
-    )
+    known = [verdicts[item.cell] for item in make_page(judged, repeat=0, questions=["lattice"]).items]
+    chosen = {i for word in OTHER for i in [i for i, one in enumerate(known) if one == word][:5]}
+    path = _person(judged, tmp_path / "a.csv", lambda i, again: OTHER[known[i]] if i in chosen else None)
     comparison = _compare(judged, path)
     assert comparison.with_verdict[0].kappa.value == pytest.approx(0.5)
     assert comparison.with_verdict[0].table == [[15, 5, 0], [5, 15, 0], [0, 0, 0]]
@@ -113,8 +89,7 @@ def test_known_kappa(judged: Run, tmp_path: Path) -> None:
 
 def test_cannot_say_lowers_kappa_but_not_kappa_of_the_decided(judged: Run, tmp_path: Path) -> None:
     """Five times "cannot say" lowers kappa; over items that both decide it stays 1; the disputes come as not plain."""
-    path = _person(judged, tmp_path / "a.csv", lambda i, again: "cannot say" if i < 5 else None)
-    comparison = _compare(judged, path)
+    comparison = _compare(judged, _person(judged, tmp_path / "a.csv", lambda i, again: "cannot say" if i < 5 else None))
     one = comparison.with_verdict[0]
     assert one.kappa.value is not None and one.kappa.value < 1
     assert one.decided.value == 1.0
@@ -123,11 +98,10 @@ def test_cannot_say_lowers_kappa_but_not_kappa_of_the_decided(judged: Run, tmp_p
 
 def test_self_agreement_counts_second_showings_only(judged: Run, tmp_path: Path) -> None:
     """A person who reverses all second answers agrees with every verdict and never with themself."""
-    other = {"yes": "no", "no": "yes"}
     verdicts = _automatic_answers(judged, "lattice")
-    label_page = make_page(judged, repeat=0.5, questions=["lattice"])
-    answers = lambda i, again: other[verdicts[label_page.items[i].cell]] if again else None  # noqa: E731
-    comparison = _compare(judged, _person(judged, tmp_path / "a.csv", answers, repeat=0.5))
+    known = [verdicts[item.cell] for item in make_page(judged, repeat=0.5, questions=["lattice"]).items]
+    path = _person(judged, tmp_path / "a.csv", lambda i, again: OTHER[known[i]] if again else None, repeat=0.5)
+    comparison = _compare(judged, path)
     assert comparison.with_verdict[0].equal == 1.0
     assert (comparison.selves[0].n, comparison.selves[0].equal) == (20, 0.0)
 
@@ -135,12 +109,8 @@ def test_self_agreement_counts_second_showings_only(judged: Run, tmp_path: Path)
 def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
     """Three people give the verdict with each person, every pair of people, and the means of both."""
     rng = np.random.default_rng(0)
-    files = [
-        _person(
-            judged, tmp_path / f"{name}.csv", lambda i, again: ANSWERS[rng.integers(2)] if rng.random() < 0.4 else None
-        )
-        for name in "abc"
-    ]
+    answer = lambda i, again: ANSWERS[rng.integers(2)] if rng.random() < 0.4 else None  # noqa: E731
+    files = [_person(judged, tmp_path / f"{name}.csv", answer) for name in "abc"]
     comparison = compare_labelers(judged, files)
     table = agreement_table(comparison)
     assert set(table["question"]) == {"lattice"}
@@ -151,17 +121,17 @@ def test_several_people_have_a_mean(judged: Run, tmp_path: Path) -> None:
     assert len(labels_table(judged, files)) == 120
 
 
-def _answers_by_method(judged: Run, path: Path, answers: Mapping[str, str]) -> Path:
-    """Write the answers of a person who answers the question ``more`` by the method."""
-    methods = {record.key: record.method for record in judged.cells}
+def _answers_by_method(judged: Run, path: Path, *answers: str) -> Path:
+    """Write the answers of a person who answers the question ``more`` by the method, m0 to m3."""
+    methods = {record.key: int(record.method[1]) for record in judged.cells}
     label_page = make_page(judged, repeat=0, questions=["more"])
     return _person(judged, path, lambda i, again: answers[methods[label_page.items[i].cell]], question="more")
 
 
 def test_more_of_the_same_is_compared_by_rank(judged: Run, tmp_path: Path) -> None:
     """The order of the methods by quality and by the share of yes gives tau, whatever the level of both."""
-    best = _answers_by_method(judged, tmp_path / "a.csv", {"m0": "yes", "m1": "yes", "m2": "no", "m3": "no"})
-    worst = _answers_by_method(judged, tmp_path / "b.csv", {"m0": "no", "m1": "no", "m2": "no", "m3": "yes"})
+    best = _answers_by_method(judged, tmp_path / "a.csv", "yes", "yes", "no", "no")
+    worst = _answers_by_method(judged, tmp_path / "b.csv", "no", "no", "no", "yes")
     one, other, both = _compare(judged, best, worst, question="more").ranks[::3]
     assert (one.ordered.value, other.ordered.value) == (1.0, 0.0)
     assert (one.first, one.second, one.n, one.tau.n) == ("judge", "a", 40, 10)
@@ -175,15 +145,13 @@ def test_more_of_the_same_is_compared_by_rank(judged: Run, tmp_path: Path) -> No
 
 def test_answers_that_cannot_be_said_are_no_part_of_the_order(judged: Run, tmp_path: Path) -> None:
     """A method about which nobody decides has no place in the order; if nothing is left, there is no number."""
-    some = _answers_by_method(judged, tmp_path / "a.csv", {"m0": "yes", "m1": "cannot say", "m2": "no", "m3": "no"})
-    one = _compare(judged, some, question="more").ranks[0]
-    assert one.n == 30 and one.ordered.value == 1.0
-    none = _answers_by_method(judged, tmp_path / "b.csv", dict.fromkeys(("m0", "m1", "m2", "m3"), "cannot say"))
-    one = _compare(judged, none, question="more").ranks[0]
-    assert (one.n, one.tau.value, one.ordered.value) == (0, None, None)
-    same = _answers_by_method(judged, tmp_path / "c.csv", dict.fromkeys(("m0", "m1", "m2", "m3"), "yes"))
-    one = _compare(judged, same, question="more").ranks[0]
-    assert (one.n, one.tau.n, one.tau.value) == (40, 0, None)
+    some = _answers_by_method(judged, tmp_path / "a.csv", "yes", "cannot say", "no", "no")
+    none = _answers_by_method(judged, tmp_path / "b.csv", *["cannot say"] * 4)
+    same = _answers_by_method(judged, tmp_path / "c.csv", *["yes"] * 4)
+    ranks = [_compare(judged, answers, question="more").ranks[0] for answers in (some, none, same)]
+    assert [one.n for one in ranks] == [30, 0, 40]
+    assert [one.ordered.value for one in ranks[:2]] == [1.0, None]
+    assert [one.tau.value for one in ranks[1:]] == [None, None] and ranks[2].tau.n == 0
 
 
 def test_orders_of_parts_of_the_outputs() -> None:
@@ -203,8 +171,7 @@ def test_orders_of_parts_of_the_outputs() -> None:
 
 def test_more_of_the_same_has_no_kappa_with_the_judge(judged: Run, tmp_path: Path) -> None:
     """There is no automatic answer, so no kappa and no disagreement; two people still have a kappa."""
-    answers = {"m0": "yes", "m1": "yes", "m2": "no", "m3": "no"}
-    files = [_answers_by_method(judged, tmp_path / f"{name}.csv", answers) for name in "ab"]
+    files = [_answers_by_method(judged, tmp_path / f"{name}.csv", "yes", "yes", "no", "no") for name in "ab"]
     comparison = _compare(judged, *files, question="more")
     assert comparison.with_verdict == [] and comparison.disagreements == []
     assert comparison.between[0].kappa.value == 1.0
@@ -214,11 +181,8 @@ def test_more_of_the_same_has_no_kappa_with_the_judge(judged: Run, tmp_path: Pat
 
 def test_questions_are_compared_one_by_one(judged: Run, tmp_path: Path) -> None:
     """People who answered different questions are compared only on the questions that they answered."""
-    files = [
-        _person(judged, tmp_path / "a.csv", lambda i, again: None, question="lattice"),
-        _person(judged, tmp_path / "b.csv", lambda i, again: None, question="lattice"),
-        _person(judged, tmp_path / "c.csv", lambda i, again: "no" if i < 4 else None, question="more"),
-    ]
+    files = [_person(judged, tmp_path / f"{name}.csv", lambda i, again: None) for name in "ab"]
+    files.append(_person(judged, tmp_path / "c.csv", lambda i, again: "no" if i < 4 else None, question="more"))
     comparison = compare_labelers(judged, files)
     assert comparison is not None and list(comparison.questions) == ["lattice", "more"]
     assert list(comparison.labelers) == ["a", "b", "c"] and comparison.outputs == 40

@@ -118,26 +118,26 @@ def test_columns_of_choice(every_ending: Run) -> None:
         TextTable(columns=("second",)).render(every_ending)
 
 
-def test_nothing_in_a_name_is_markup() -> None:
-    """Links, pictures, emphasis, code, HTML, mentions and addresses read as they are."""
-    assert escape_markdown("[a](b) ![c](d) *e* _f_ `g` <h> i|j @k") == (
-        r"\[a\](b) !\[c\](d) \*e\* \_f\_ \`g\` \<h\> i\|j \@k"
-    )
-    assert escape_markdown("http://x www.y") == r"http\://x www\.y"
-    assert escape_markdown("a\nb\x1b[1m") == "a b"
+@pytest.mark.parametrize(
+    ("escape", "text", "escaped"),
+    [
+        (escape_markdown, "[a](b) ![c](d) *e* _f_", r"\[a\](b) !\[c\](d) \*e\* \_f\_"),
+        (escape_markdown, "`g` <h> i|j @k", r"\`g\` \<h\> i\|j \@k"),
+        (escape_markdown, "http://x www.y", r"http\://x www\.y"),
+        (escape_markdown, "a\nb\x1b[1m", "a b"),
+        (escape_latex, "a_b & 50% of $x #1 {y}", r"a\_b \& 50\% of \$x \#1 \{y\}"),
+        (escape_latex, "~^\\", r"\textasciitilde{}\textasciicircum{}\textbackslash{}"),
+        (escape_latex, "a\n\x1b[31mb\tc", "a b c"),
+        (escape_latex, "--", "{-}{-}"),
+    ],
+)
+def test_nothing_in_a_name_is_markup(escape: Callable[[str], str], text: str, escaped: str) -> None:
+    """Links, emphasis, code, HTML, mentions, addresses and commands read as they are; line breaks and escapes go."""
+    assert escape(text) == escaped
 
 
 def _write_latex(run: Run, directory: Path, **options: Any) -> dict[str, str]:
     return {path.stem: path.read_text("utf-8") for path in LatexTables(**options).write(run, directory)}
-
-
-def test_special_characters_are_escape_latex() -> None:
-    """Special characters are escaped; line breaks and terminal escapes are removed."""
-    assert escape_latex("a_b & 50% of $x #1 {y} ~^\\") == (
-        r"a\_b \& 50\% of \$x \#1 \{y\} \textasciitilde{}\textasciicircum{}\textbackslash{}"
-    )
-    assert escape_latex("a\n\x1b[31mb\tc") == "a b c"
-    assert escape_latex("--") == "{-}{-}"
 
 
 def test_latex_widths_are_checked(make_run: Make, tmp_path: Path) -> None:
@@ -278,9 +278,8 @@ def test_latex_is_as_approved(golden_run: Run, tmp_path: Path) -> None:
 
 def test_csv_is_as_approved(golden_run: Run, tmp_path: Path) -> None:
     """The summary has the approved words, and the approved numbers up to rounding."""
-    text = next(path for path in CsvTables().write(golden_run, tmp_path) if path.name == "summary.csv").read_text(
-        "utf-8"
-    )
+    CsvTables().write(golden_run, tmp_path)
+    text = (tmp_path / "summary.csv").read_text("utf-8")
     pd.testing.assert_frame_equal(pd.read_csv(StringIO(text)), pd.read_csv(StringIO(_check("summary.csv", text))))
 
 

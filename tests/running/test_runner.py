@@ -95,7 +95,6 @@ def first(whole: Run, tmp_path: Path) -> Run:
 
 
 @pytest.mark.usefixtures("warm_workers")
-@pytest.mark.usefixtures("warm_workers")
 def test_workers_and_order_change_nothing(whole: Run, tmp_path: Path) -> None:
     """With two workers, and in the reverse order, all outputs and scores have the bytes of this process."""
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from skimage.color import rgb2ypbpr
+from turned_lattices import turned
 
 from nrbench import plugins
 from nrbench.imaging.convert import Image, quantize
@@ -15,13 +16,9 @@ from nrbench.plugins.parameters import parse_spec
 from nrbench.spectra.harmonics import WaveAnalysis
 from nrbench.synthesizers.masks.texture_mask import TextureMask
 
-TURNED = math.radians(7)
-FRACTIONAL = Lattice(
-    (21.37 * math.cos(TURNED), 21.37 * math.sin(TURNED)), (-18.81 * math.sin(TURNED), 18.81 * math.cos(TURNED))
-)
-
 OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
 UPRIGHT = Lattice((21.37, 0), (0, 18.81))
+FRACTIONAL = turned(UPRIGHT, 7)
 BOND = Lattice((27.3, 0), (13.65, 12.2))
 
 

@@ -178,14 +178,9 @@ def test_deformed_gaps_meet_on_a_bent_sample() -> None:
     assert steps[1] < steps[0] / 2
 
 
-def grid(count: int, step: int) -> np.ndarray:
-    """Return the places (x, y) of a square grid."""
-    return np.stack(np.meshgrid(np.arange(count), np.arange(count)), -1).reshape(-1, 2) * step
-
-
 def test_patches_that_do_not_overlap_are_used_in_turn() -> None:
     """Of nine separate places none is drawn again before all have been drawn, in a random order."""
-    places, orders = grid(3, 10), set()
+    places, orders = 10 * np.array([*np.ndindex(3, 3)]), set()
     for seed in range(5):
         sampler = PlaceSampler(np.random.default_rng(seed), 10, prefer_unused=True)
         rounds = [[tuple(sampler.draw(places)) for _ in places] for _ in range(REMEMBERED // 9)]
@@ -196,7 +191,7 @@ def test_patches_that_do_not_overlap_are_used_in_turn() -> None:
 
 def test_the_first_draw_is_uniform_and_all_are_without_preference() -> None:
     """Each place is drawn equally often: in first draws, and in all draws without preference."""
-    places = grid(3, 4)
+    places = 4 * np.array([*np.ndindex(3, 3)])
     first = [PlaceSampler(np.random.default_rng(k), 10, prefer_unused=True).draw(places) for k in range(1800)]
     sampler = PlaceSampler(np.random.default_rng(0), 10, prefer_unused=False)
     later = [sampler.draw(places) for _ in range(1800)]
@@ -242,9 +237,8 @@ def test_blocks_follow_a_small_sample() -> None:
     icon = quantize(waves((48, 48), FRACTIONAL))
     made = synthesize(Rsgf(), icon, (90, 90), FRACTIONAL)
     assert made.image.shape == (90, 90, 3) and "the sample allows no larger ones" in made.note
-    np.testing.assert_array_equal(
-        synthesize(Rsgf(), quantize(waves((128, 128), FRACTIONAL)), (90, 90), FRACTIONAL).image,
-        synthesize(Rsgf(block=40, border=10), quantize(waves((128, 128), FRACTIONAL)), (90, 90), FRACTIONAL).image,
-    )
+    sample = quantize(waves((128, 128), FRACTIONAL))
+    made, given = (synthesize(one, sample, (90, 90), FRACTIONAL) for one in (Rsgf(), Rsgf(block=40, border=10)))
+    np.testing.assert_array_equal(made.image, given.image)
     with pytest.raises(Refused):
         synthesize(Rsgf(block=40), icon, (90, 90), FRACTIONAL)

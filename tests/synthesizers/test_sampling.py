@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
+from synthesis_cases import UPRIGHT
+from turned_lattices import turned
 
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
@@ -118,8 +120,7 @@ def test_all_equal_places_are_found_and_no_others() -> None:
 @given(coordinate, coordinate, st.floats(0, 90))
 def test_places_are_equal_by_the_lattice_and_round_into_the_room(x: float, y: float, degrees: float) -> None:
     """For any rotated lattice each place differs by a lattice vector and is inside, and none is missing."""
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    lattice = Lattice((21.37 * c, 21.37 * s), (-18.81 * s, 18.81 * c))
+    lattice = turned(UPRIGHT, degrees)
     places = EqualPlaces(lattice, (69, 89)).find_places((x, y))
     np.testing.assert_allclose(lattice.wrap(places - (x, y)), 0, atol=1e-8)
     pixels = nearest_pixels(places, (69, 89))

@@ -12,6 +12,7 @@ from nrbench.synthesizers.masks.texture_mask import MaskParameters, TextureMask
 
 STRENGTH = {"color": 0.3, "intensity": 0.2, "noise": 0.03}
 Y, X = np.indices((128, 128))
+find_mask = MaskParameters().find_mask
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
@@ -32,7 +33,7 @@ def draw_texture(model: str, seed: int, far: int = 1) -> tuple[Texture, Image]:
 @cache
 def find_own_mask(model: str, seed: int) -> TextureMask:
     """Return the mask of :func:`draw_texture`'s sample, found without a lattice."""
-    return MaskParameters().find_mask(draw_texture(model, seed)[1])
+    return find_mask(draw_texture(model, seed)[1])
 
 
 def gray(values: np.ndarray, noise: float = 0.0) -> Image:
@@ -45,7 +46,7 @@ def gray(values: np.ndarray, noise: float = 0.0) -> Image:
 def test_the_mask_is_the_ideal_image_and_not_the_departures(model: str) -> None:
     """The mask correlates with the ideal image, in the sample and far away; the rest of the sample does not."""
     texture, sample = draw_texture(model, 21, far=8)
-    mask = MaskParameters().find_mask(sample)
+    mask = find_mask(sample)
     near, far = mask.draw((128, 128)), mask.draw((1024, 1024))
     assert correlation(near, texture.ideal[:128, :128]) > 0.97
     assert correlation(far, texture.ideal) > 0.95
@@ -58,7 +59,7 @@ def test_a_given_lattice_is_where_it_starts() -> None:
     """From a lattice with an error of 1.5 % and another basis, the search finds the same mask as without a lattice."""
     texture, sample = draw_texture("brick", 22)
     (a, b), stretch = texture.lattice.matrix, np.diag([1.015, 0.99])
-    given = MaskParameters().find_mask(sample, Lattice.from_basis(np.stack([a + b, b]) @ stretch))
+    given = find_mask(sample, Lattice.from_basis(np.stack([a + b, b]) @ stretch))
     own = find_own_mask("brick", 22)
     assert given.lattice is not None and given.lattice.is_equivalent(texture.lattice, 0.02)
     np.testing.assert_allclose(given.draw((128, 128)), own.draw((128, 128)), atol=0.02)
@@ -87,7 +88,7 @@ def test_windows_are_of_one_picture() -> None:
 def test_noise_has_no_regular_part(spectrum: str, seed: int) -> None:
     """Textures without a lattice, whatever their spectrum, are refused."""
     with pytest.raises(Refused, match="no regular part"):
-        MaskParameters().find_mask(quantize(nrbench.texture("noise", seed=seed, spectrum=spectrum).image))
+        find_mask(quantize(nrbench.texture("noise", seed=seed, spectrum=spectrum).image))
 
 
 @pytest.mark.parametrize("seed", [6, 8])
@@ -96,12 +97,12 @@ def test_less_than_a_tile_has_no_regular_part(seed: int) -> None:
     known = {"width": 127.3, "height": 117.1, "gap": 3.1, "color": 0.2, "intensity": 0.15, "noise": 0.03}
     texture = nrbench.texture("jigsaw", (160, 160), seed, **known)
     with pytest.raises(Refused, match="no regular part"):
-        MaskParameters().find_mask(quantize(texture.image))
+        find_mask(quantize(texture.image))
 
 
 def test_a_single_wave_makes_a_mask() -> None:
     """One cosine, noisy, is one group of one wave; it has no lattice, and a tile for stripes at a slant."""
-    mask = MaskParameters().find_mask(gray(0.5 + 0.2 * np.cos(2 * np.pi * (0.0625 * X + 0.025 * Y)), 0.1))
+    mask = find_mask(gray(0.5 + 0.2 * np.cos(2 * np.pi * (0.0625 * X + 0.025 * Y)), 0.1))
     assert mask.harmonics.groups == (1,) and mask.lattice is None
     np.testing.assert_allclose(np.abs(mask.harmonics.frequencies), [[0.0625, 0.025]], atol=2e-4)
     assert mask.find_period(0.3) == (16, 40)
@@ -109,9 +110,7 @@ def test_a_single_wave_makes_a_mask() -> None:
 
 def test_two_gratings_have_a_lattice() -> None:
     """Two crossed cosines are two groups, and their lattice is dual to both."""
-    mask = MaskParameters().find_mask(
-        gray(0.5 + 0.1 * np.cos(2 * np.pi * X / 14.3) + 0.1 * np.cos(2 * np.pi * Y / 20.7), 0.02)
-    )
+    mask = find_mask(gray(0.5 + 0.1 * np.cos(2 * np.pi * X / 14.3) + 0.1 * np.cos(2 * np.pi * Y / 20.7), 0.02))
     assert mask.lattice is not None and mask.lattice.is_equivalent(Lattice((14.3, 0.0), (0.0, 20.7)), 0.01)
 
 
@@ -119,7 +118,7 @@ def test_two_gratings_have_a_lattice() -> None:
 def test_pinstripes_are_one_group(period: float) -> None:
     """Lines 1.5 px wide and far apart are one fundamental with many harmonics; their tile is free along them."""
     lines = np.mean([(X + step) % period < 1.5 for step in np.linspace(-0.5, 0.5, 21)], 0)
-    mask = MaskParameters().find_mask(gray(0.3 + 0.3 * lines, 0.03))
+    mask = find_mask(gray(0.3 + 0.3 * lines, 0.03))
     assert mask.harmonics.groups == (1,) and len(mask.harmonics.frequencies) > 8
     assert 1 / np.abs(mask.harmonics.fundamentals).max() == pytest.approx(period, abs=0.1)
     tile = mask.find_period(0.5)
@@ -129,7 +128,7 @@ def test_pinstripes_are_one_group(period: float) -> None:
 def test_two_lattices_have_a_common_tile() -> None:
     """Squares over hexagons are two groups of two; the tile of both is five squares wide, beyond the sample."""
     texture = nrbench.texture("overlap", shape=(160, 160), seed=5, period=36.6, color=0.15, intensity=0.1, noise=0.02)
-    mask = MaskParameters().find_mask(quantize(texture.image))
+    mask = find_mask(quantize(texture.image))
     assert mask.harmonics.groups[:2] == (2, 2)
     tile = mask.find_period(1.0)
     assert tile is not None and np.abs(np.subtract(tile, 183)).max() <= 1
@@ -139,10 +138,10 @@ def test_constant_channels_stay_constant() -> None:
     """Channels without a wave keep their mean; a constant image is refused."""
     sample = np.full((128, 128, 3), 0.5, np.float32)
     sample[..., 0] += (0.3 * np.cos(0.4 * X) * np.cos(0.3 * Y)).astype(np.float32)
-    picture = MaskParameters().find_mask(sample).draw((64, 64), (500.0, 0.0))
+    picture = find_mask(sample).draw((64, 64), (500.0, 0.0))
     np.testing.assert_allclose(picture[..., 1:], 0.5, atol=1e-3)
     with pytest.raises(Refused):
-        MaskParameters().find_mask(np.full((64, 64, 3), 0.4, np.float32))
+        find_mask(np.full((64, 64, 3), 0.4, np.float32))
 
 
 @pytest.mark.parametrize("levels", [(0.5, None, None), (None, 0.25, 0.75), (0.0, None, 1.0)])
@@ -153,15 +152,15 @@ def test_channels_that_show_nothing_change_nothing(levels: tuple[float | None, .
     for channel, level in enumerate(levels):
         if level is not None:
             sample[..., channel] = level
-    mask = MaskParameters().find_mask(quantize(sample))
+    mask = find_mask(quantize(sample))
     assert mask.lattice.is_equivalent(texture.lattice, 0.1)
 
 
 def test_gray_stored_as_color_has_the_mask_of_gray() -> None:
     """The mask of three equal channels is the mask of one channel, three times."""
     sample = draw_texture("brick", 23)[1][:96, :96].mean(2, keepdims=True)
-    single = MaskParameters().find_mask(quantize(sample)).draw((64, 64))
-    triple = MaskParameters().find_mask(quantize(np.repeat(sample, 3, 2))).draw((64, 64))
+    single = find_mask(quantize(sample)).draw((64, 64))
+    triple = find_mask(quantize(np.repeat(sample, 3, 2))).draw((64, 64))
     np.testing.assert_allclose(triple, np.repeat(single, 3, 2), atol=2e-3)
 
 
@@ -169,14 +168,14 @@ def test_gray_stored_as_color_has_the_mask_of_gray() -> None:
 def test_a_lattice_that_the_sample_does_not_show_is_left_aside(side: float) -> None:
     """A lattice that is too fine for pixels, or is repeated less than twice, is ignored."""
     sample = draw_texture("brick", 24)[1]
-    given = MaskParameters().find_mask(sample, Lattice((side, 0), (0, side)))
+    given = find_mask(sample, Lattice((side, 0), (0, side)))
     np.testing.assert_array_equal(given.draw((40, 40)), find_own_mask("brick", 24).draw((40, 40)))
 
 
 def test_the_lattice_is_that_of_the_strongest_group() -> None:
     """A given lattice that explains little of the sample comes after the one that explains most."""
     texture, sample = draw_texture("brick", 24)
-    mask = MaskParameters().find_mask(sample, Lattice((13.3, 2.1), (-4.0, 17.7)))
+    mask = find_mask(sample, Lattice((13.3, 2.1), (-4.0, 17.7)))
     assert mask.lattice.is_equivalent(texture.lattice, 0.3)
 
 
@@ -204,7 +203,7 @@ def test_small_and_odd_samples_are_refused_or_masked(shape: tuple[int, int], kin
         "step": (x > 3).astype(float),
     }[kind]
     try:
-        mask = MaskParameters().find_mask(gray(values))
+        mask = find_mask(gray(values))
     except Refused:
         return
     assert np.isfinite(mask.draw((50, 70), (1e4, -1e4))).all()
@@ -214,7 +213,7 @@ def test_small_and_odd_samples_are_refused_or_masked(shape: tuple[int, int], kin
 def test_what_threads_have_in_common_by_chance_is_no_larger_tile(color: float, seed: int) -> None:
     """The lattice is the weave's, though some of its threads' colors nearly repeat after five rows."""
     texture = nrbench.texture("weave", shape=(128, 128), seed=seed, color=color, intensity=color / 2, noise=0.03)
-    mask = MaskParameters().find_mask(quantize(texture.image))
+    mask = find_mask(quantize(texture.image))
     assert mask.lattice.is_equivalent(texture.lattice, 0.1)
 
 
@@ -236,13 +235,9 @@ def mask_of(*bases: list[tuple[float, float]]) -> TextureMask:
     return TextureMask(waves)
 
 
-def test_a_lattice_has_its_own_rectangle() -> None:
-    """The rectangle of a running bond is one brick wide and two courses high, up to rounding."""
+def test_rectangles_of_a_lattice_and_of_stripes() -> None:
+    """That of a running bond is one brick by two courses, up to rounding; along stripes any length is a period."""
     assert mask_of([(27.3, 0.0), (13.65, 12.2)]).find_period() == (27, 24)
-
-
-def test_stripes_leave_a_side_free() -> None:
-    """Along stripes any length is a period: that side is as long as the other."""
     assert mask_of([(0.0, 16.2)]).find_period() == (16, 16)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from turned_lattices import turned
 
 from nrbench.lattice.geometry import Integers, Lattice, Points
 from nrbench.plugins.forms import Refused
@@ -25,16 +26,13 @@ def pixels_of(frame: TileFrame) -> Points:
 
 
 @settings(max_examples=40)
-@given(st.floats(8, 40), st.floats(0, math.pi), st.floats(0.7, 1.4), st.floats(1.05, 2.1), st.sampled_from([0.02, 0.1]))
+@given(st.floats(8, 40), st.floats(0, 180), st.floats(0.7, 1.4), st.floats(1.05, 2.1), st.sampled_from([0.02, 0.1]))
 def test_periods_are_lattice_vectors_at_nearly_a_right_angle(
-    length: float, turn: float, ratio: float, angle: float, tolerance: float
+    length: float, degrees: float, ratio: float, angle: float, tolerance: float
 ) -> None:
     """Whatever the lattice: it is refused, or the tile's sides are its vectors, nearly at right angles."""
     other = ratio * length
-    lattice = Lattice(
-        (length * math.cos(turn), length * math.sin(turn)),
-        (other * math.cos(turn + angle), other * math.sin(turn + angle)),
-    )
+    lattice = turned(Lattice((length, 0), (other * math.cos(angle), other * math.sin(angle))), degrees)
     try:
         frame = find_tile_frame(lattice, SHAPE, tolerance)
     except Refused as refusal:
@@ -51,14 +49,14 @@ def test_periods_are_lattice_vectors_at_nearly_a_right_angle(
 
 
 def test_the_scaled_image_covers_the_sample_and_no_more() -> None:
-    """Its pixels lie on the sample up to its last row and column; turned, the corners of its box lie outside."""
+    """Its pixels lie on the sample up to its last row and column; slanted, the corners of its box lie outside."""
     upright = find_tile_frame(Lattice((21.37, 0), (0, 18.81)), SHAPE, 0.1)
     at = upright.to_sample(pixels_of(upright))
     assert upright.first == (0, 0) and upright.holds(pixels_of(upright), SHAPE).all()
     assert (np.array([149, 127]) - at[-1, -1] < upright.steps.max()).all()
-    turned = find_tile_frame(Lattice((20, 6), (-6, 20)), SHAPE, 0.1)
-    inside = turned.holds(pixels_of(turned), SHAPE)
-    assert inside.sum() == pytest.approx(149 * 127 / abs(np.linalg.det(turned.steps)), rel=0.01) and not inside.all()
+    slanted = find_tile_frame(Lattice((20, 6), (-6, 20)), SHAPE, 0.1)
+    inside = slanted.holds(pixels_of(slanted), SHAPE)
+    assert inside.sum() == pytest.approx(149 * 127 / abs(np.linalg.det(slanted.steps)), rel=0.01) and not inside.all()
 
 
 def test_a_period_just_under_a_whole_number_is_that_number() -> None:
@@ -75,13 +73,6 @@ HEXAGON = Lattice((20.0, 0.0), (10.0, 10 * math.sqrt(3)))
 def size(rectangle: Integers, lattice: Lattice) -> list[float]:
     """Return the lengths, px, of the two lattice vectors."""
     return [float(length) for length in np.hypot(*(rectangle @ lattice.matrix).T)]
-
-
-def turned(lattice: Lattice, degrees: float) -> Lattice:
-    """Return the lattice turned about the origin."""
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    t1, t2 = (lattice.matrix @ [[c, s], [-s, c]]).tolist()
-    return Lattice(tuple(t1), tuple(t2))
 
 
 @given(BASIS)
@@ -123,8 +114,7 @@ def test_the_rectangle_is_the_smallest_within_tolerance(
 def test_the_rectangle_does_not_depend_on_the_basis(i: int, j: int, angle: float) -> None:
     """Another basis and origin give the same sides, by other integers for the same vectors."""
     lattice = turned(HEXAGON, angle)
-    t1, t2 = (np.array([[1, i], [0, 1]]) @ [[1, 0], [j, 1]] @ lattice.matrix).tolist()
-    other = Lattice(tuple(t1), tuple(t2), (3.0, 9.0))
+    other = Lattice.from_basis(np.array([[1, i], [0, 1]]) @ [[1, 0], [j, 1]] @ lattice.matrix, (3.0, 9.0))
     for search in (find_upright_rectangle, find_free_rectangle):
         ours, theirs = search(lattice, 0.7, 300), search(other, 0.7, 300)
         assert (ours is None) == (theirs is None)

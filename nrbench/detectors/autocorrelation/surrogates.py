@@ -57,10 +57,13 @@ def phase_randomized(image: NDArray[np.float32], rng: np.random.Generator, count
     height, width = image.shape[:2]
     torus = [scipy.fft.next_fast_len(2 * n, real=True) for n in (height, width)]
     spectra = scipy.fft.rfft2(np.moveaxis(image - image.mean((0, 1)), 2, 0), torus)
+    scale = np.float32(1 / (torus[0] * torus[1]))
     for _ in range(count):
         noise = scipy.fft.rfft2(rng.standard_normal(torus, np.float32))
         turns = noise / np.sqrt(np.maximum(noise.real**2 + noise.imag**2, np.float32(1e-12)))
-        planes = scipy.fft.irfft2(spectra * turns, torus, overwrite_x=True)[:, :height, :width]
+        # the inverse transform of one quarter alone, scaled at the end as that of the torus would be
+        columns = scipy.fft.ifft(spectra * turns, axis=1, norm="forward", overwrite_x=True)[:, :height]
+        planes = scipy.fft.irfft(columns, torus[1], norm="forward")[:, :, :width] * scale
         yield np.ascontiguousarray(np.moveaxis(planes, 0, 2))
 
 
