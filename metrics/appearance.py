@@ -159,15 +159,15 @@ class _Maps:
         inside = np.concatenate([part.contains(part.points, border) for part in thin.parts()])
         strips = thin.cut_strips(1, rows), thin.cut_strips(0, columns)
         known = [inside & row & column for row in strips[0] for column in strips[1]]
-        planes = thin.sample(self.detail, 0.5)
+        planes = thin.sample(self.detail, inside, 0.5)
         found = {"detail": np.array([_mean_of_places(planes, part, samples) for part in known])}
         if not kept:
             vars(self).pop("detail")
         planes = np.empty((*inside.shape, 15), np.float32)
-        thin.sample(self.levels, 0.5, planes[..., :12])
+        thin.sample(self.levels, inside, 0.5, planes[..., :12])
         if not kept:
             vars(self).pop("levels")
-        thin.sample(self.lab[..., :3], 1.0, planes[..., 12:])
+        thin.sample(self.lab[..., :3], inside, 1.0, planes[..., 12:])
         spreads = [_measure_spread(planes.copy() if kept else planes, part, samples) for part in known]
         found["surface"], found["contrast"] = (np.array(each) for each in zip(*spreads, strict=True))
         return found | {"tones": np.log(_cut_means(self.plateaus, rows, columns) + limits.PLATEAUS) / 2}
@@ -179,7 +179,7 @@ def _measure_light(lab: Lab, net: LatticeNet) -> Looks:
     Each place of the cell is weighed by the inverse of its variance: joints and gaps, which have no tints, show the
     light best.
     """
-    plane, known = net.sample(lab[..., :1]), net.inside[..., np.newaxis]
+    plane, known = net.sample(lab[..., :1], net.inside), net.inside[..., np.newaxis]
     rest = np.where(known, plane - net.tile(fold_cells(plane, net.inside, net.samples)), 0)
     weight = known / net.tile(fold_cells(rest**2, net.inside, net.samples) + np.float32(limits.JND**2))
     strips, (rest, weight) = (net.cut_strips(1, 3), net.cut_strips(0, 3)), ((rest * weight)[..., 0], weight[..., 0])
@@ -276,7 +276,9 @@ class LooksModel:
         """Return how far the features of a picture lie from their means, of each kind."""
         maps = _Maps(lab)
         net = LatticeNet((lab.shape[0], lab.shape[1]), self.net.vectors, self.net.origin)
-        halves = [part.half_cells(sample_planes(maps.looks, part.points), part.inside) for part in net.parts()]
+        halves = [
+            part.half_cells(sample_planes(maps.looks, part.points, part.inside), part.inside) for part in net.parts()
+        ]
         means, share = (np.concatenate(each) for each in zip(*halves, strict=True))
         found = {name: _window_means(means, share, size) - self.means["whole"] for name, size in _SIZES.items()}
         quarters, whole = _cut_means(maps.looks, 2, 2), _cut_means(maps.looks, 1, 1)
@@ -325,7 +327,7 @@ def _cut_means(planes: NDArray[Any], rows: int, columns: int) -> Looks:
 
 def _learn_looks(maps: Sequence[_Maps], net: LatticeNet, sample_shape: Shape, from_sample: bool) -> LooksModel:
     """Learn how a texture looks from the features of fresh draws, or of its sample alone."""
-    planes = [sample_planes(each.looks, net.points) for each in maps]
+    planes = [sample_planes(each.looks, net.points, net.inside) for each in maps]
     windows = {name: _group_windows(planes, net, size, from_sample) for name, size in _SIZES.items()}
     every = [each.measure_parts(net) for each in maps]
     means = {name: np.mean([whole[name][0] for whole in every], 0) for name in every[0]}

@@ -385,6 +385,6 @@ def draw_broken(output: Image, followed: FollowedPicture, broken: Mask) -> Image
     def draw(band: Image, top: int) -> Image:
         cells = np.floor(followed.net.locate_pixels(band.shape[:2], top) - phase[:, np.newaxis, np.newaxis])
         i, j = (cell.clip(0, number - 1) for cell, number in zip(cells.astype(np.intp), broken.shape, strict=True))
-        return tint_places(band, broken[i, j, np.newaxis], _COLOR)
+        return tint_places(band, broken[i, j], _COLOR)
 
     return draw_in_bands(output, draw)

@@ -140,8 +140,8 @@ def _rate_repetition(tiles: Tiles, population: Population) -> tuple[float, float
     near = distances < limit * scale
     share, count = float(near.mean()), max(len(tiles.features), 3)
     most = chance + population.allow_twins(count)
-    _, number = np.unique(lags, return_inverse=True)
-    pairs, twins = np.bincount(number), np.bincount(number, near)
+    pairs = np.bincount(lags)
+    pairs, twins = pairs[pairs > 0], np.bincount(lags, near)[pairs > 0]
     usual = np.maximum((1 + most) / 2, most + limits.ARRANGED_DEVIATIONS * np.sqrt(most * (1 - most) / pairs))
     often = (pairs >= limits.RETURNING) & (usual < 1)
     excess = np.maximum(twins - usual * pairs, 0) / np.maximum(1 - usual, 1e-9)

@@ -239,11 +239,12 @@ def draw_misplaced(output: Image, found: Sequence[tuple[LatticeNodes, NDArray[np
 
     def draw(band: Image, top: int) -> Image:
         height, width = band.shape[:2]
-        amount = np.zeros((height, width, 1))
+        amount = np.zeros((height, width))
         for nodes, bad in found:
             places = np.rint(2 * nodes.net.locate_pixels((height, width), top) - nodes.size).astype(np.intp)
             i, j = (place.clip(0, number - 1) for place, number in zip(places, bad.shape, strict=True))
-            amount = np.maximum(amount, np.where(nodes.valid, bad, 0)[i, j, np.newaxis])
-        return tint_places(band, amount > _LEAST_SHOWN, np.where(amount < 0.5, COLORS[0], COLORS[1]))
+            amount = np.maximum(amount, np.where(nodes.valid, bad, 0)[i, j])
+        marked = amount > _LEAST_SHOWN
+        return tint_places(band, marked, np.where(amount[marked, np.newaxis] < 0.5, COLORS[0], COLORS[1]))
 
     return draw_in_bands(output, draw)

@@ -247,6 +247,6 @@ _ROUGHLY = 0.2
 def _first_model(labs: Sequence[Lab], net: LatticeNet) -> CellModel:
     """Return the mean cell of pictures that are not straightened, with one variance everywhere."""
     net = replace(net, shape=(labs[0].shape[0], labs[0].shape[1]))
-    planes = [sample_planes(lab[..., :3], net.points) for lab in labs]
+    planes = [sample_planes(lab[..., :3], net.points, net.inside) for lab in labs]
     mean = np.asarray(np.mean([fold_cells(plane, net.inside, net.samples) for plane in planes], 0))
     return CellModel(mean, np.full_like(mean, 100))

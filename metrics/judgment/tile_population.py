@@ -75,13 +75,13 @@ class Tiles:
         return [square_distances(windows, windows) for windows, _ in self.quarters]
 
     def compare_windows(self) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        """Return the mean squared difference of all pairs of windows, and a number for the lag of each pair."""
-        distances, lags = [], []
+        """Return the mean squared difference of all pairs of windows, and a number for the lag of each."""
+        distances, lags, (rows, columns) = [], [], self.plane.whole.shape
         for part, ((_, cells), square) in enumerate(zip(self.quarters, self._square_distances, strict=True)):
             first, second = np.triu_indices(len(cells), 1)
             distances.append(square[first, second])
             lag = cells[second] - cells[first]
-            lags.append((lag[:, 0] * 4096 + lag[:, 1]) * 4 + part)
+            lags.append(((lag[:, 0] + rows) * 2 * columns + lag[:, 1] + columns) * 4 + part)
         return np.concatenate(distances), np.concatenate(lags).astype(np.intp)
 
     def scatter_twins(self, limit: float) -> float:

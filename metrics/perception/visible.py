@@ -78,9 +78,9 @@ def draw_in_bands(output: Image, draw: Callable[[Image, int], Image]) -> Image:
 
 
 def tint_places(image: Image, marked: NDArray[np.bool_], tint: NDArray[Any]) -> Image:
-    """Return an image in faint gray, with the marked places, ``(H, W, 1)``, in a color, (3,) or ``(H, W, 3)``."""
-    faint, at = np.repeat((1 - _DIM + _DIM * gray(image))[..., np.newaxis], 3, 2), marked[..., 0]
-    faint[at] = (1 - _DIM) * faint[at] + _DIM * np.broadcast_to(tint, faint.shape)[at]
+    """Return an image in faint gray, with n marked places, ``(H, W)``, in a color, (3,), or in colors, ``(n, 3)``."""
+    faint = np.repeat((1 - _DIM + _DIM * gray(image))[..., np.newaxis], 3, 2)
+    faint[marked] = (1 - _DIM) * faint[marked] + _DIM * tint
     return np.asarray(np.clip(faint, 0, 1), np.float32)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -212,10 +212,8 @@ def _sum_windows(a: Values, samples: NDArray[np.intp], size: int) -> Values:
     """Return the sums over ``size`` x ``size`` cells that begin at each point, in the order of a net."""
     (height, width), (n1, n2) = a.shape[-2:], samples
     rows, columns = height - (size - 1) * n1, width - (size - 1) * n2
-    total = np.zeros((*a.shape[:-2], rows, columns), np.float32)
-    for i, j in np.ndindex(size, size):
-        total += a[..., i * n1 : i * n1 + rows, j * n2 : j * n2 + columns]
-    return total
+    cells = (a[..., i * n1 : i * n1 + rows, j * n2 : j * n2 + columns] for i, j in np.ndindex(size, size))
+    return reduce(np.add, cells)
 
 
 def _weigh_points(model: CellModel, size: int) -> Values:

@@ -116,7 +116,7 @@ class LatticeNet:
     def cut_strips(self, axis: int, count: int) -> list[Mask]:
         """Return the points of each of ``count`` strips of the picture, side by side along x (axis 0) or y (axis 1)."""
         edges = np.linspace(0, self.shape[1 - axis], count + 1)
-        places = (part.points[..., axis] for part in self.parts())
+        places = (np.ascontiguousarray(part.points[..., axis]) for part in self.parts())
         found = [[(place >= low) & (place < high) for low, high in pairwise(edges)] for place in places]
         return [np.concatenate(own) for own in zip(*found, strict=True)]
 
@@ -152,13 +152,13 @@ class LatticeNet:
         """Yield the nets of all bands."""
         return (self.cut(*band) for band in self.bands())
 
-    def sample(self, planes: Values, scale: float = 1.0, into: Values | None = None) -> Values:
-        """Return the values of planes ``(H, W, C)`` at all points, times a scale; ``into`` is filled with them."""
+    def sample(self, planes: Values, known: Mask, scale: float = 1.0, into: Values | None = None) -> Values:
+        """Return the values of planes ``(H, W, C)`` at known points, times a scale; ``into`` is filled with them."""
         planes, first = np.ascontiguousarray(planes), 0
         found = np.empty((*self.cells * self.samples, planes.shape[-1]), np.float32) if into is None else into
         for part in self.parts():
             last = first + int(part.cells[0] * self.samples[0])
-            found[first:last], first = sample_planes(planes, part.points * scale), last
+            found[first:last], first = sample_planes(planes, part.points * scale, known[first:last]), last
         return found
 
     def spread(self, cells: NDArray[Any]) -> NDArray[Any]:
@@ -176,10 +176,11 @@ def find_inside(points: Points, shape: Shape) -> Mask:
     return np.asarray((x >= 0) & (x <= shape[1] - 1) & (y >= 0) & (y <= shape[0] - 1))
 
 
-def sample_planes(planes: Values, points: Points) -> Values:
-    """Return the values of planes ``(H, W, C)`` at points (x, y), interpolated linearly."""
+def sample_planes(planes: Values, points: Points, known: Mask | None = None) -> Values:
+    """Return the values of planes ``(H, W, C)`` at points (x, y), interpolated linearly; 0 where they are not known."""
     places = np.ascontiguousarray(points, np.float64).reshape(-1, 2)
-    found = interpolate_pixels(np.ascontiguousarray(planes), places)
+    counted = np.ones(len(places), np.bool_) if known is None else known.ravel()
+    found = interpolate_pixels(np.ascontiguousarray(planes), places, counted)
     return found.reshape(*points.shape[:-1], planes.shape[-1])
 
 

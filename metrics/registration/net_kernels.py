@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from nrbench.jit import Boolx2, Float32x2, Float32x3, Float32x4, Float64x2, Float64x3, Int64x2, Int64x3, kernel
+from nrbench.jit import Boolx1, Boolx2, Float32x2, Float32x3, Float32x4, Float64x2, Float64x3, Int64x2, Int64x3, kernel
 
 
 @kernel
-def interpolate_pixels(planes: Float32x3, points: Float64x2) -> Float32x2:
-    """Return the values of planes ``(H, W, C)`` at points (x, y), ``(n, 2)``, interpolated linearly, as ``(n, C)``.
+def interpolate_pixels(planes: Float32x3, points: Float64x2, known: Boolx1) -> Float32x2:
+    """Return the values of planes ``(H, W, C)`` at known points (x, y), ``(n, 2)``, interpolated linearly, ``(n, C)``.
 
-    Points beyond the border have the values of the nearest pixel. The values are those of
+    Unknown points have the values 0, and those beyond the border the ones of the nearest pixel. The values are those of
     :func:`scipy.ndimage.map_coordinates`, which takes one plane at a time and calculates each weight anew.
     """
     height, width, channels = planes.shape
-    found, pixels = np.empty((len(points), channels), np.float32), planes.reshape(height * width, channels)
+    found, pixels = np.zeros((len(points), channels), np.float32), planes.reshape(height * width, channels)
     for n in range(len(points)):
+        if not known[n]:
+            continue
         x, y = min(max(points[n, 0], 0.0), width - 1.0), min(max(points[n, 1], 0.0), height - 1.0)
         left, top = min(int(x), width - 2), min(int(y), height - 2)
         u, v = x - left, y - top
