@@ -294,7 +294,7 @@ class LineKernels:
 
     @cached_property
     def _waves(self) -> tuple[Array, Array, Array]:
-        u = 2 * np.pi * (np.arange(self.length) - (self.length - 1) / 2)
+        u = np.asarray(2 * np.pi * (np.arange(self.length) - (self.length - 1) / 2), np.float64)
         turns = np.outer(self.frequency, u)
         return u, np.cos(turns), np.sin(turns)
 
