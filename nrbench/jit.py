@@ -325,12 +325,15 @@ def _without_linking() -> Iterator[None]:
             if not function.is_declaration:
                 passes.run(function, builder)
 
-    replaced = context.get_executable, library._finalize_final_module, library._optimize_functions
-    context.get_executable, library._finalize_final_module, library._optimize_functions = stand_in, finalize, optimize
-    try:
-        yield
-    finally:
-        context.get_executable, library._finalize_final_module, library._optimize_functions = replaced
+    lock = importlib.import_module("numba.core.compiler_lock").global_compiler_lock
+    with lock:  # another thread may compile a function of its own
+        replaced = context.get_executable, library._finalize_final_module, library._optimize_functions
+        context.get_executable, library._finalize_final_module = stand_in, finalize
+        library._optimize_functions = optimize
+        try:
+            yield
+        finally:
+            context.get_executable, library._finalize_final_module, library._optimize_functions = replaced
 
 
 @contextlib.contextmanager
