@@ -63,8 +63,10 @@ ifeq ($(shell uname -sm),Linux x86_64)
 	rm -rf nrbench/machine_code build/lib
 endif
 
+# An older pip takes twice as long.
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --no-compile --upgrade pip
 
 $(VENV)/.installed: $(VENV)/bin/python pyproject.toml $(SOURCES)
 	rm -rf build

@@ -185,8 +185,9 @@ def test_an_init_file_holds_imports_only() -> None:
 
 
 def test_every_package_is_declared_for_the_wheel() -> None:
-    """``pyproject.toml`` lists exactly the packages there are, so that a wheel lacks none."""
+    """``pyproject.toml`` lists the packages and their folders of templates, so that a wheel lacks none."""
     there = {name for name, file in modules().items() if file.name == "__init__.py"}
+    there |= {f"{name}.templates" for name in there if (modules()[name].parent / "templates").is_dir()}
     assert set(PROJECT["tool"]["setuptools"]["packages"]) == there
 
 
