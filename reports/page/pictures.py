@@ -139,10 +139,6 @@ class PictureStore:
         x, y = worst_place(pixels, [_keep_pixels(layer) for layer in layers], side) or middle
         return PagePicture(_webp(pixels[y : y + side, x : x + side], _QUALITY, effort=2), side, side)
 
-    def empty(self) -> PictureStore:
-        """Return a store of the same page without pictures, for another thread or process."""
-        return PictureStore(self.directory, self.single_file)
-
     def add(self, other: PictureStore) -> None:
         """Add the pictures of another store of the page."""
         self._made.update(other._made)
