@@ -13,7 +13,7 @@ from pathlib import Path
 
 from unit import cpu_unit
 
-from nrbench.running.guard import cpu_seconds
+from nrbench.work import cpu_seconds
 
 FOLDER = Path(__file__).parent
 BENCHMARKS = {

@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
-from pydantic import ConfigDict
 
 from nrbench.jit import COMPILATION
 
@@ -41,7 +40,7 @@ class Spent:
         By how much it raised the peak memory of its process, MiB.
     """
 
-    __pydantic_config__ = ConfigDict(allow_inf_nan=False)
+    __pydantic_config__ = {"allow_inf_nan": False}  # read by pydantic, which takes long to import
     seconds: float = 0.0
     cpu_seconds: float = 0.0
     peak_mib: float = 0.0

@@ -122,14 +122,15 @@ def cluster_colors(colors: Float64x2, first: int, count: int, rounds: int) -> tu
     for k in range(count):
         for c in range(3):
             centers[k, c] = colors[far, c]
+        far = 0
         for n in range(len(colors)):
             square = 0.0
             for c in range(3):
                 square += (colors[n, c] - centers[k, c]) ** 2
             squares[n] = min(squares[n], square)
-        far = int(squares.argmax())
+            far = n if squares[n] > squares[far] else far
     for _ in range(rounds):
-        sums, changed = np.zeros((count, 3)), False
+        sums, changed, empty = np.zeros((count, 3)), False, count
         counts[:] = 0
         for n in range(len(colors)):
             least, label = np.inf, 0
@@ -141,10 +142,11 @@ def cluster_colors(colors: Float64x2, first: int, count: int, rounds: int) -> tu
                     least, label = square, k
             changed |= label != labels[n]
             labels[n] = label
+            empty -= counts[label] == 0
             counts[label] += 1
             for c in range(3):
                 sums[label, c] += colors[n, c]
-        if counts.min() == 0 or not changed:
+        if empty > 0 or not changed:
             break
         for k in range(count):
             for c in range(3):

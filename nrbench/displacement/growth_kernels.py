@@ -19,6 +19,7 @@ from nrbench.jit import (
     Float64x2,
     Float64x3,
     Int64x2,
+    allocating_step_kernel,
     inlined_kernel,
     kernel,
 )
@@ -216,7 +217,7 @@ def move_state(state: Float64x1, move: Float64x1) -> None:
     state[5] += yx * move[3] + yy * move[5]
 
 
-@kernel
+@allocating_step_kernel
 def register(
     image: Float32x3,
     template: Template,

@@ -293,32 +293,30 @@ class LineKernels:
     length: int
 
     @cached_property
-    def _u(self) -> Array:
-        return np.asarray(2 * np.pi * (np.arange(self.length) - (self.length - 1) / 2), np.float64)
-
-    @cached_property
-    def _waves(self) -> tuple[Array, Array]:
-        turns = np.outer(self.frequency, self._u)
-        return np.cos(turns), np.sin(turns)
+    def _waves(self) -> tuple[Array, Array, Array]:
+        u = np.asarray(2 * np.pi * (np.arange(self.length) - (self.length - 1) / 2), np.float64)
+        turns = np.outer(self.frequency, u)
+        return u, np.cos(turns), np.sin(turns)
 
     @cached_property
     def values(self) -> tuple[Array, Array]:
         """K."""
-        cosine, sine = self._waves
+        _, cosine, sine = self._waves
         one, other = cosine @ cosine.T, sine @ sine.T
         return one + other, one - other
 
     @cached_property
     def slopes(self) -> tuple[Array, Array]:
         """The derivatives of K."""
-        cosine, sine = self._waves
-        slope = (sine * self._u) @ cosine.T
+        u, cosine, sine = self._waves
+        slope = (sine * u) @ cosine.T
         return slope.T - slope, -slope.T - slope
 
     @cached_property
     def bends(self) -> tuple[Array, Array]:
         """The second derivatives of K."""
-        one, other = ((wave * self._u**2) @ wave.T for wave in self._waves)
+        u, *waves = self._waves
+        one, other = ((wave * u**2) @ wave.T for wave in waves)
         return -one - other, other - one
 
 

@@ -194,7 +194,7 @@ def begin_figures(run: Run, pictures: PictureStore) -> list[Future[Made]]:
 
 
 def _make_figures(records: Sequence[CellRecord], titles: Sequence[str], pictures: PictureStore, start: int) -> Made:
-    own = pictures.empty()
+    own = PictureStore(pictures.directory, pictures.single_file)
     return [_output_figure(record, titles, own) for record in records[start : start + _BATCH]], own
 
 

@@ -8,7 +8,7 @@ import io
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache, lru_cache, wraps
+from functools import lru_cache, wraps
 from pathlib import Path
 
 import numpy as np
@@ -112,8 +112,7 @@ class PictureStore:
         marks, below = _keep_pixels(layer), _keep_pixels(output)
         if marks.shape != below.shape:
             return None
-        marked = find_marks(marks, below)
-        return _draw_marks(marks, marked) if marked.any() else _no_marks(marked.shape)
+        return PagePicture(_webp(_marks(marks, below), _LAYER_QUALITY), marks.shape[1], marks.shape[0])
 
     @_once
     def source_map(self, source: Path) -> PagePicture | None:
@@ -138,10 +137,6 @@ class PictureStore:
         middle = (width - side) // 2, (height - side) // 2
         x, y = worst_place(pixels, [_keep_pixels(layer) for layer in layers], side) or middle
         return PagePicture(_webp(pixels[y : y + side, x : x + side], _QUALITY, effort=2), side, side)
-
-    def empty(self) -> PictureStore:
-        """Return a store of the same page without pictures, for another thread or process."""
-        return PictureStore(self.directory, self.single_file)
 
     def add(self, other: PictureStore) -> None:
         """Add the pictures of another store of the page."""
@@ -183,19 +178,14 @@ def _webp(pixels: Pixels, quality: int, effort: int = 0, lossless: bool = False)
     return file.getvalue()
 
 
-def _draw_marks(layer: Pixels, marked: NDArray[np.bool_]) -> PagePicture:
-    """Return a metric's picture with an alpha channel that hides what is not marked."""
+def _marks(layer: Pixels, output: Pixels) -> Pixels:
+    """Return a metric's picture with an alpha channel that hides what is gray or equal to the output."""
+    marked = find_marks(layer, output)
     shown = np.empty((*marked.shape, 4), np.uint8)
     for channel in range(3):  # planes are several times faster than pixels
         np.multiply(layer[..., channel], marked, out=shown[..., channel])
     np.multiply(marked, np.uint8(_SHADE), out=shown[..., 3])
-    return PagePicture(_webp(shown, _LAYER_QUALITY), marked.shape[1], marked.shape[0])
-
-
-@cache
-def _no_marks(shape: tuple[int, int]) -> PagePicture:
-    """Return a picture without marks; most outputs have one, and coding takes time."""
-    return _draw_marks(np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.bool_))
+    return shown
 
 
 def _place_colors(places: NDArray[np.float32]) -> Pixels:

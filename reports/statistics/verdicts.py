@@ -139,6 +139,10 @@ def tabulate_cells(run: Run) -> pd.DataFrame:
         a quality. ``regularity.score`` is NaN where the verdict is undecided: there no fault was found because none
         could have been detected.
     """
+    return run.shared(_tabulate_cells).copy()
+
+
+def _tabulate_cells(run: Run) -> pd.DataFrame:
     content: dict[str, Any] = {
         "texture": [record.texture for record in run.cells],
         "replicate": [record.replicate for record in run.cells],

@@ -58,8 +58,8 @@ def group_colors(color: InstanceColors) -> Numbers | None:
     )
     tree = scipy.cluster.hierarchy.linkage(colors, "ward")
     best, found = -np.inf, None
-    for groups in range(2, min(_MOST_CLASSES, count // 2) + 1):
-        label = scipy.cluster.hierarchy.cut_tree(tree, [groups])[:, 0]
+    numbers = range(2, min(_MOST_CLASSES, count // 2) + 1)
+    for groups, label in zip(numbers, scipy.cluster.hierarchy.cut_tree(tree, numbers).T, strict=True):
         size = np.bincount(label)
         means = np.stack([colors[label == k].mean(0) for k in range(groups)])
         within = float(((colors - means[label]) ** 2).sum())

@@ -21,7 +21,7 @@ from nrbench.jit import (
 )
 
 
-@kernel
+@step_kernel
 def root(parent: Int64x1, node: int) -> int:
     """Return the root of a node's tree in a union-find forest, and halve the path to it.
 
@@ -225,7 +225,7 @@ def value_at(gamma: Float32x2, x: int, y: int) -> float:
     return float(gamma[middle - y, -x]) if x < 0 else float(gamma[middle + y, x])
 
 
-@kernel
+@step_kernel
 def vertex(before: float, middle: float, after: float) -> float:
     """Return the position of the vertex of the parabola through samples at -1, 0 and 1; 0 if 0 is no maximum."""
     bend = 2 * middle - before - after
