@@ -275,7 +275,7 @@ class LooksModel:
     def depart(self, lab: Lab) -> dict[str, Looks]:
         """Return how far the features of a picture lie from their means, of each kind."""
         maps = _Maps(lab)
-        net = LatticeNet((lab.shape[0], lab.shape[1]), self.net.vectors, self.net.origin)
+        net = self.net.over((lab.shape[0], lab.shape[1]))
         halves = [
             part.half_cells(sample_planes(maps.looks, part.points, part.inside), part.inside) for part in net.parts()
         ]

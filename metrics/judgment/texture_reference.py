@@ -119,7 +119,8 @@ class TextureReference:
 
     def follow(self, lab: Lab, drift: Points | float = 0.0) -> FollowedPicture:
         """Follow the lattice, stretched and turned by a drift ``(2, 2)``, through an output."""
-        net = replace(self.net, shape=(lab.shape[0], lab.shape[1]), known=None).stretch(drift)
+        net = self.net.over((lab.shape[0], lab.shape[1]))
+        net = net.stretch(drift) if np.any(drift) else net
         picture = self.pictures[0]
         if (net.cells <= picture.size).any():
             raise CannotTell("undecided: the output shows fewer than three cells along a lattice vector")

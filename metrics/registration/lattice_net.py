@@ -124,6 +124,20 @@ class LatticeNet:
         """Repeat a cell ``(n1, n2, ...)`` over the whole net."""
         return np.tile(cell, (*self.cells, *(1,) * (cell.ndim - 2)))
 
+    @cached_property
+    def _others(self) -> dict[Shape, LatticeNet]:
+        return {}
+
+    def over(self, shape: Shape) -> LatticeNet:
+        """Return the net over another picture, all of which counts; the last one is kept with its points for the next.
+
+        Most outputs of a texture have one shape.
+        """
+        if shape not in self._others:
+            self._others.clear()
+            self._others[shape] = replace(self, shape=shape, known=None)
+        return self._others[shape]
+
     def stretch(self, drift: Points | float) -> LatticeNet:
         """Return the net stretched and turned by a drift, ``(2, 2)``, with as many samples of each cell as before."""
         net = replace(self, vectors=self.vectors @ (np.eye(2) + drift))

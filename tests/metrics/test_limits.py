@@ -17,6 +17,7 @@ ALLOWED = {
     "_COLOR": "color of a picture",
     "_DIM": "colors of a picture",
     "_DISTANCES": "where the parts of an element are sampled",
+    "_LEAST_SHOWN": "what a picture marks",
     "_LEAST_SHARE": "how much of a cell must be known",
     "_ROUGHLY": "the first of several rounds of an estimate",
     "_WITHOUT_LATTICE": "side of a window where there is no cell",
