@@ -22,7 +22,6 @@ from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.cartoon import Cartoon
 
 from .conftest import Case, case, scored
-from .edits import blur, light_half
 
 appearance = partial(scored, Appearance)
 
@@ -72,7 +71,7 @@ def test_planted_faults_are_seen(own: Case, kind: str, size: float, most: float)
 
 def test_each_part_sees_its_own_fault(own: Case) -> None:
     """Light from one side changes quarters most, and a tint of everything the whole."""
-    lit = np.clip(light_half(own.fresh()), 0, 1)
+    lit = own.edited("step of light", 0.16)
     tinted = np.clip(own.fresh() + np.array((0.08, 0.0, -0.08), np.float32), 0, 1)
     sided, whole = (appearance(own.observe(quantize(image))).values for image in (lit, tinted))
     assert sided["quarters"] > 1.2 and sided["quarters"] > whole["quarters"]
@@ -137,7 +136,7 @@ def test_a_blurred_hole_lacks_detail(own: Case) -> None:
     """A blurred part of two cells is seen by sample and lattice alone."""
     holed, side = np.array(own.fresh()), int(2 * np.linalg.norm(own.lattice.matrix, axis=1).max())
     before = unplanted(own, False)
-    holed[60 : 60 + side, 60 : 60 + side] = blur(own.fresh(), 6)[60 : 60 + side, 60 : 60 + side]
+    holed[60 : 60 + side, 60 : 60 + side] = gaussian_filter(own.fresh(), (6, 6, 0))[60 : 60 + side, 60 : 60 + side]
     after = appearance(own.observe(quantize(holed), model=False)).values
     assert before["lack"] < 1.15 and after["lack"] > 1.5 and after["score"] == 0
 
@@ -169,14 +168,14 @@ def test_equal_neighbors_lack_nothing() -> None:
     output = _wall(inks)
     sample = Texture(_wall(rng.integers(0, 3, (16, 8))), lattice, (lattice,))
     hole = output.copy()
-    hole[100:140, 100:150] = blur(output, 4)[100:140, 100:150]
+    hole[100:140, 100:150] = gaussian_filter(output, (4, 4, 0))[100:140, 100:150]
     whole, holed = (appearance(Observation(sample.image, image, sample)).values["lack"] for image in (output, hole))
     assert whole < 1 < 1.3 < holed
 
 
 def test_stronger_blur_is_farther(own: Case) -> None:
     """The distance of the whole grows with the blur, from .6 to 4 px."""
-    found = [appearance(own.observe(quantize(blur(own.fresh(), sigma)))).values for sigma in (0.6, 1.2, 2.4, 4.0)]
+    found = [appearance(own.observe(own.edited("blur, px", sigma))).values for sigma in (0.6, 1.2, 2.4, 4.0)]
     assert np.all(np.diff([values["whole"] for values in found]) > 0)
     assert found[-1]["score"] == 0
 

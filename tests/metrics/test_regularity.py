@@ -19,8 +19,7 @@ from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Task
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 
-from .conftest import Case, case, scored
-from .edits import resample
+from .conftest import Case, case, edit, scored
 
 regularity = partial(scored, Regularity)
 
@@ -88,8 +87,8 @@ def test_one_displaced_tile_is_found_where_it_is(name: str) -> None:
 def test_a_stretch_is_reported_and_forgiven_up_to_its_uncertainty() -> None:
     """A stretch of 1 % and a turn of half a degree are drift and no fault; one of 8 % is another lattice."""
     own = case("hexagon")
-    stretched = regularity(own.observe(quantize(resample(own.fresh(), scale=1.01)))).values
-    turned = regularity(own.observe(quantize(resample(own.fresh(), degrees=0.5)))).values
+    stretched = regularity(own.observe(own.edited("larger, share", 0.01))).values
+    turned = regularity(own.observe(own.edited("turned, degrees", 0.5))).values
     assert stretched["drift"] == pytest.approx(1, abs=0.15) and stretched["score"] >= 0.97
     assert turned["drift"] == pytest.approx(100 * np.radians(0.5), abs=0.15) and turned["score"] >= 0.97
     assert stretched["lattice_area_ratio"] == pytest.approx(1.02, abs=0.005)
@@ -100,7 +99,7 @@ def test_an_output_is_judged_by_the_lattice_that_it_declares() -> None:
     """A declared drift of 4 % keeps the lattice, also by a supercell; false declarations do not count."""
     own, (t1, t2) = case("hexagon"), case("hexagon").lattice.matrix
     true, shape = own.lattice, (192, 192)
-    output = quantize(resample(own.fresh(), scale=1.04))
+    output = own.edited("larger, share", 0.04)
     made = 1.04 * t1, 1.04 * t2
     for declared, preserved in ((made, True), ((made[0] + made[1], 2 * made[1]), True), ((t1, t2), False)):
         observation = replace(own.observe(output), lattice_used=Lattice.from_basis(np.stack(declared)))
@@ -129,7 +128,7 @@ def test_a_perfect_wallpaper_of_rounded_periods_is_preserved(model: Model) -> No
 def test_a_stretched_output_is_judged_by_any_basis_of_its_declared_lattice(own: Case) -> None:
     """Fresh draws stretched by 1.045 or .96 are in place on the declared lattice, however skewed, for all perils."""
     for factor in (1.045, 0.96):
-        output = quantize(resample(own.fresh(), scale=factor))
+        output = own.edited("larger, share", factor - 1)
         used = Lattice.from_basis(np.array([[1, 0], [20, 1]]) @ own.lattice.matrix * factor)
         assert declared_drift(used, own.lattice, (192, 192)) == pytest.approx((factor - 1) * np.eye(2), abs=1e-6)
         observation = replace(own.observe(output), lattice_used=used)
@@ -146,7 +145,7 @@ def test_a_declared_lattice_excuses_no_fault(own: Case) -> None:
     for factor in (0.96, 1.045):
         used = Lattice.from_basis(own.lattice.matrix * factor)
         assert regularity(replace(own.observe(slipped), lattice_used=used)).values == plain
-        drifted = replace(own.observe(quantize(resample(slipped, scale=factor))), lattice_used=used)
+        drifted = replace(own.observe(edit(slipped, own.lattice, "larger, share", factor - 1)), lattice_used=used)
         assert regularity(drifted).values["score"] < 0.4
 
 
