@@ -23,13 +23,13 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from edits import EDITS, Scene
+from edits import apply_edit
 from PIL import Image as Pillow
 from PIL import ImageDraw
 from studies import read_options
 from validation import SIZE, Subject, plant, planted_subject, print_table, show, subjects
 
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import Image
 from nrbench.streams import stream
 
 LABELS = Path(__file__).parent / "labels" / "doses.csv"
@@ -72,8 +72,7 @@ def edited_draws(subject: Subject) -> Iterator[tuple[str, float, Image]]:
     for edit, doses in DOSES.items():
         for dose in doses:
             rng = np.random.default_rng(zlib.crc32(f"{subject.name} {edit} {dose}".encode()))
-            edited = EDITS[edit][0](Scene(picture, subject.vectors, rng), dose)
-            yield edit, dose, quantize(np.ascontiguousarray(np.clip(edited, 0, 1), np.float32))
+            yield edit, dose, apply_edit(edit, dose, picture, subject.vectors, rng)
 
 
 def planted_draws() -> Iterator[tuple[str, float, Subject, Image]]:

@@ -209,10 +209,15 @@ EDITS: Mapping[str, tuple[Edit, tuple[float, ...], tuple[float, ...]]] = {
 """Each edit with the doses that nobody sees and those that everybody sees."""
 
 
+def apply_edit(name: str, dose: float, picture: Image, vectors: Plane, rng: np.random.Generator) -> Image:
+    """Return a picture with an edit, rounded to 8 bits."""
+    edited = EDITS[name][0](Scene(picture, vectors, rng), dose)
+    return quantize(np.ascontiguousarray(edited.clip(0, 1), np.float32))
+
+
 def edit_picture(picture: Image, vectors: Plane, seen: bool) -> Iterator[tuple[str, float, Image]]:
     """Yield name, dose and picture of all edits that are seen, or of all that are not."""
-    for name, (edit, unseen_doses, seen_doses) in EDITS.items():
+    for name, (_, unseen_doses, seen_doses) in EDITS.items():
         for dose in seen_doses if seen else unseen_doses:
             rng = np.random.default_rng(zlib.crc32(f"{name} {dose}".encode()))
-            edited = edit(Scene(picture, vectors, rng), dose)
-            yield name, dose, quantize(np.ascontiguousarray(np.clip(edited, 0, 1), np.float32))
+            yield name, dose, apply_edit(name, dose, picture, vectors, rng)

@@ -250,7 +250,8 @@ def planted_subject(seed: int, textures: str = "tints") -> tuple[float, Subject]
         kinds += [Wallpaper(width=rng.uniform(24, 36), height=rng.uniform(24, 36), motif=seed, **flat)]
         share, model = 1.0, kinds[place]
     else:
-        model = at_share(kinds[place], mix, share)
+        departures = dict(zip(("color", "intensity", "noise"), 3 * mix * (1, 1, 0.3), strict=True))
+        model = at_share(kinds[place], departures, share)
     if textures == "inks":
         model = replace(model, inks=2 + seed % 3)
     if textures == "material":
@@ -259,13 +260,12 @@ def planted_subject(seed: int, textures: str = "tints") -> tuple[float, Subject]
     return share, subject_of(Recipe(name, asdict(model), seed, f"{name}-{textures}-{seed}", 0, (128, 128)))
 
 
-def at_share(model: Model, mix: NDArray[np.float64], share: float) -> Model:
-    """Return the model with departures in the proportions ``mix``, as strong as the regular share allows."""
+def at_share(model: Model, departures: Mapping[str, float], share: float, steps: int = 25) -> Model:
+    """Return the model with departures of these proportions, as strong as the regular share allows."""
     low, high, found = 0.0, 1.0, model
-    for _ in range(25):
+    for _ in range(steps):
         level = (low + high) / 2
-        color, intensity, noise = (float(min(1, level * part)) for part in 3 * mix * (1, 1, 0.3))
-        found = replace(model, color=color, intensity=intensity, noise=noise)
+        found = replace(model, **{name: min(1.0, level * float(part)) for name, part in departures.items()})
         low, high = (level, high) if found.regular_share > share else (low, level)
     return found
 

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 from studies import read_options
+from validation import at_share
 
 from nrbench import plugins
-from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.wallpaper import GROUPS, Wallpaper
 from nrbench.imaging.convert import quantize
 from nrbench.imaging.wallpaper_group import find_wallpaper_group
@@ -32,16 +32,6 @@ DEPARTURES = (
 IDEALS = ("brick", "weave", "hexagon", "squares", "basket", "scales", "mat", "plaid", "pavement", "windows", "carpet")
 
 
-def at_share(model: Model, departures: dict[str, float], share: float) -> Model:
-    """Return the model with departures as strong as a regular share allows."""
-    low, high = 0.0, 1.0
-    for _ in range(7):
-        level = (low + high) / 2
-        found = replace(model, **{name: level * strength for name, strength in departures.items()})
-        low, high = (level, high) if found.regular_share > share else (low, level)
-    return found
-
-
 def draw(seed: int) -> Iterator[tuple[str, float, Texture]]:
     """Yield group, regular share and texture of each model of a seed."""
     rng = np.random.default_rng(seed)
@@ -52,7 +42,7 @@ def draw(seed: int) -> Iterator[tuple[str, float, Texture]]:
         model = replace(model, intensity=0, slant=slant if group in ("p1", "p2") else 0.0)
         departures = DEPARTURES[(seed + number) % len(DEPARTURES)]
         side = round(rng.uniform(4, 7) * max(np.hypot(*vector) for vector in model.vectors))
-        texture = at_share(model, departures, share).render((side, side), np.random.default_rng(seed))
+        texture = at_share(model, departures, share, 7).render((side, side), np.random.default_rng(seed))
         yield group, share, texture
 
 

@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 import PIL.Image
 import PIL.ImageDraw
-from edits import EDITS, Plane, Scene
+from edits import EDITS, Plane, apply_edit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtri
@@ -418,9 +418,8 @@ class Specimen:
 
     def edit(self, name: str) -> Image:
         """Return a fresh draw with an edit that everybody sees."""
-        edit, _, doses = EDITS[name]
-        scene = Scene(self.output(), self.lattice("synthesis").matrix, self.stream("synthesis", name))
-        return quantize(np.ascontiguousarray(edit(scene, doses[-1]).clip(0, 1), np.float32))
+        vectors, rng = self.lattice("synthesis").matrix, self.stream("synthesis", name)
+        return apply_edit(name, EDITS[name][2][-1], self.output(), vectors, rng)
 
     def judge(self, by: str, output: Image | None, least: float = 0.0, most: float = 1.0, **labels: Any) -> list[Row]:
         """Return how an output is judged, with its bounds; nothing if there is no output."""

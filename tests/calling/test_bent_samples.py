@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from bent_pictures import TILT, bent
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -31,12 +32,6 @@ from nrbench.lattice.geometry import Lattice, Points
 from nrbench.plugins.forms import FoundLattice, Geometry, Task, Texture, find_lattice
 from nrbench.plugins.registry import NamedDetector
 from nrbench.synthesizers.tiling import Tiling
-
-
-def bent(model: str = "brick", bend: float = 0.5, seed: int = 0, side: int = 192, **departures: float) -> Texture:
-    """Return a texture with rounded pixels."""
-    texture = nrbench.texture(model, shape=(side, side), seed=seed, bend=bend, **departures)
-    return replace(texture, image=quantize(texture.image))
 
 
 @dataclass(frozen=True)
@@ -163,7 +158,7 @@ def seen_on(name: str, kind: str) -> Texture:
     places = pixel_places(224, 224)
     x, y = np.moveaxis(places - 111.5, -1, 0)
     if kind == "perspective":
-        places = map_points(np.array([[1, 0, 0], [0, 1, 0], [1.2e-3, 6e-4, 1]]), places)
+        places = map_points(TILT, places)
     elif kind == "cylinder":
         places = np.stack([150 * np.arcsin(x / 150), y], -1) + 180
     else:

@@ -1,6 +1,5 @@
 """Whether a picture is bent has one answer: for the command line, the Python functions, the methods and the judge."""
 
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -8,23 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import call
+from bent_pictures import tilted
+from commands import answer_json
 
 import nrbench
 from nrbench import plugins
 from nrbench.calling.bent_samples import survey_sample
 from nrbench.cli import lattice_detection
 from nrbench.displacement import bent_detection
-from nrbench.displacement.deformation_field import map_points
 from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.mean_tile import interpolate
 from nrbench.pictures.files import read_image, write_image
 from nrbench.plugins.forms import Again, Observation, Shape, Task, Texture
 
 SIDE = 192
-TILT = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.2e-3, 6e-4, 1.0]])
-
-
 Case = tuple[Texture, Again | None]
 """A texture, and its fresh draws, which the judge has of a model."""
 
@@ -41,13 +36,6 @@ def model(name: str, **departures: float) -> Case:
     return texture, again
 
 
-def tilted() -> Case:
-    """Return a picture of a weave in perspective."""
-    points = np.stack(np.meshgrid(*2 * [np.arange(float(SIDE))]), -1)
-    drawn = nrbench.texture("weave", shape=(SIDE, SIDE), seed=0)
-    return Texture(interpolate(drawn.image, map_points(TILT, points)), drawn.lattice), None
-
-
 def noise(side: int = 72) -> Case:
     """Return a picture without a lattice."""
     return Texture(np.random.default_rng(3).random((side, side, 1), np.float32), None, kind="stochastic"), None
@@ -62,7 +50,7 @@ MODELS = ("brick", "weave", "hexagon")
 PICTURES: dict[str, tuple[Callable[[], Case], bool]] = {
     "weave": (partial(model, "weave"), False),
     **{f"{name}, bent": (partial(model, name, bend=0.5), True) for name in MODELS},
-    "in perspective": (tilted, True),
+    "in perspective": (lambda: (tilted(SIDE), None), True),
     "jitter": (partial(model, "hexagon", jitter=0.3), False),
     "noise": (noise, False),
     "grain": (grain, False),
@@ -91,8 +79,7 @@ def test_all_agree_on_what_is_bent(name: str, capsys: pytest.CaptureFixture[str]
     truth, again = make()
     write_image(Path("picture.png"), quantize(truth.image))
     image = read_image(Path("picture.png"))
-    assert call("lattice picture.png --straighten out.png --json") == 0
-    shown = json.loads(capsys.readouterr().out)
+    shown = answer_json(capsys, "lattice picture.png --straighten out.png --json")
     assert shown.get("deformation", {}).get("bent", False) is bent
     try:
         assert nrbench.track_lattice(image).bent is bent

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import skimage.data
 import skimage.io
-from commands import call
+from commands import answer_json, call
 
 
 @pytest.fixture(autouse=True)
@@ -69,8 +69,7 @@ def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_constant_image_has_no_lattice(capsys: pytest.CaptureFixture[str]) -> None:
     """`lattice` answers null with a reason, exit code 0."""
-    assert call("lattice constant.png --json") == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = answer_json(capsys, "lattice constant.png --json")
     assert answer["lattice"] is None and "constant" in answer["reason"]
 
 
@@ -95,8 +94,7 @@ def test_failed_cells_give_exit_1_and_a_table(faulty: Path, capsys: pytest.Captu
 def test_plan_starts_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`plan` counts new cells before and cached ones after, and writes nothing."""
     line = "default -t brick-strong -m oracle --sample 64x64 --size 64x64 --out r"
-    assert call(f"plan {line} --json") == 0
-    new = json.loads(capsys.readouterr().out)["new"]
+    new = answer_json(capsys, f"plan {line} --json")["new"]
     assert new > 0 and not (tmp_path / "r").exists()
     assert call(f"run {line} --jobs 0 --no-report") == 0
     capsys.readouterr()

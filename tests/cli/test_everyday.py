@@ -1,11 +1,10 @@
 """What a person meets every day: progress, brief scores, columns of choice, runs that share a directory."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import call
+from commands import answer_json, call
 
 import nrbench
 from nrbench import run
@@ -122,8 +121,7 @@ def test_score_is_brief(brick: Lattice, capsys: pytest.CaptureFixture[str]) -> N
     whole = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines() if line.startswith("quality."))
     assert whole["quality.score"].startswith("≤") == (whole["quality.complete"] == "False")
     assert "--all" in lines[-1]
-    assert call("score brick.png out.png --metrics appearance --json") == 0
-    shown = json.loads(capsys.readouterr().out)
+    shown = answer_json(capsys, "score brick.png out.png --metrics appearance --json")
     reasons = shown.pop("reasons")
     assert shown and all(name.startswith("appearance.") for name in shown)
     assert all(reasons[name] for name, value in shown.items() if value is None)
@@ -226,8 +224,7 @@ def test_show_prints_the_file_of_a_suite(capsys: pytest.CaptureFixture[str]) -> 
 
 def test_show_prints_the_limits_of_the_judge(capsys: pytest.CaptureFixture[str]) -> None:
     """`show limits` prints name, value, unit and origin of every limit that a metric declares, as text and as JSON."""
-    assert call("show limits --json") == 0
-    (table,) = json.loads(capsys.readouterr().out)
+    (table,) = answer_json(capsys, "show limits --json")
     assert (table["kind"], table["name"]) == ("limits", "quality")
     assert [tuple(row.values()) for row in table["limits"]] == [tuple(limit) for limit in Quality.limits]
     assert call("show limits") == 0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import skimage.io
 from candidates import OTHERS, Ranked
-from commands import call
+from commands import answer_json, call
 from numpy.typing import NDArray
 
 from nrbench import plugins, synthesize, texture
@@ -93,8 +93,7 @@ def test_the_clicked_anchor_is_carried_through(
 
 def test_a_manual_lattice_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
     """`--lattice` answers with its vectors, without a confidence, and draws it."""
-    assert call("lattice brick.png --lattice 20,0,0,30 -o over.png --json") == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = answer_json(capsys, "lattice brick.png --lattice 20,0,0,30 -o over.png --json")
     assert answer == {"t1": [20, 0], "t2": [0, 30], "detector": "given", "confidence": None}
     changed = (read_image("over.png") != enlarged("brick.png", 3)).any(-1)
     assert changed[:, 1::60].all() and changed[1::90].all() and not changed[5:85, 5:55].any()
@@ -120,8 +119,7 @@ def test_all_detectors_as_json(capsys: pytest.CaptureFixture[str]) -> None:
 
     Only `frdft` finds an origin.
     """
-    assert call("lattice small.png --all --json") == 0
-    answers = json.loads(capsys.readouterr().out)
+    answers = answer_json(capsys, "lattice small.png --all --json")
     assert [answer["detector"] for answer in answers] == plugins.names("detectors")
     for answer in answers:
         keys = {"t1", "t2", "confidence"} if "t1" in answer else {"lattice", "reason"}
@@ -157,8 +155,7 @@ def ranked(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_candidates_as_json(ranked: None, capsys: pytest.CaptureFixture[str]) -> None:
     """`--json` holds the chosen lattice, its probabilities, and all alternatives with evidence and relation."""
-    assert call("lattice bright.png --json") == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = answer_json(capsys, "lattice bright.png --json")
     assert {name: answer[name] for name in ("t1", "t2", "detector", "confidence")} == {
         "t1": [16, 0], "t2": [0, 12], "detector": "consensus", "confidence": pytest.approx(0.8)
     }  # fmt: skip
@@ -213,7 +210,6 @@ def test_the_symmetry_is_printed_and_drawn(capsys: pytest.CaptureFixture[str]) -
     assert "wallpaper group cmm" in capsys.readouterr().out
     plain, signs = (read_image(Path(f"{name}.png")) for name in ("plain", "signs"))
     assert plain.shape == signs.shape and 0.02 < (plain != signs).any(-1).mean() < 0.5
-    assert call(f"{command} --symmetry --json") == 0
-    symmetry = json.loads(capsys.readouterr().out)["symmetry"]
+    symmetry = answer_json(capsys, f"{command} --symmetry --json")["symmetry"]
     assert symmetry["group"] == "cmm" and {each["holds"] for each in symmetry["candidates"]} <= {True, False, None}
     assert call("lattice wall.png --all --symmetry") == 2

@@ -1,20 +1,19 @@
 """All methods on one photograph, tileable outputs, and the files that synth announces."""
 
-import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from commands import call
+from bent_pictures import tilted
+from commands import answer_json, call
 
 import nrbench
 from nrbench import plugins
 from nrbench.api import photo_sheet
 from nrbench.api.photo_sheet import describe_row, photo_suite, prepare_photo, rate_outputs
-from nrbench.displacement.deformation_field import map_points
-from nrbench.imaging.mean_tile import explained_share, interpolate
+from nrbench.imaging.mean_tile import explained_share
 from nrbench.running.runner import Step
 from nrbench.runs.records import CellRecord
 
@@ -124,8 +123,9 @@ def test_an_output_without_a_quality_has_no_rank() -> None:
 
 def test_the_sheet_prints_json(wall: nrbench.Texture, capsys: pytest.CaptureFixture[str]) -> None:
     """With --json the rows are printed, with rank, ties and reason."""
-    assert call("sheet wall.png -o sheet.png -m scatter --lattice 32,0,16,16 --size 64x64 --jobs 0 --json") == 0
-    (row,) = json.loads(capsys.readouterr().out)
+    (row,) = answer_json(
+        capsys, "sheet wall.png -o sheet.png -m scatter --lattice 32,0,16,16 --size 64x64 --jobs 0 --json"
+    )
     assert row["method"] == "scatter" and {"rank", "tied", "why", "no_peril", "upper_bound"} <= row.keys()
 
 
@@ -199,13 +199,10 @@ def test_a_bad_output_is_marked(wall: nrbench.Texture) -> None:
 
 def test_a_sheet_straightens_and_flattens_first(tmp_path: Path) -> None:
     """A wall in perspective is straight in the file that methods and judge get; a straight one is left alone."""
-    points = np.stack(np.meshgrid(*2 * [np.arange(192.0)]), -1)
-    drawn = nrbench.texture("weave", shape=(192, 192), seed=0)
-    tilt = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.2e-3, 6e-4, 1.0]])
-    nrbench.write_image(tmp_path / "tilted.png", interpolate(drawn.image, map_points(tilt, points)))
+    nrbench.write_image(tmp_path / "tilted.png", tilted(192).image)
     with pytest.warns(UserWarning, match="in perspective"):
         file, lattice = prepare_photo(tmp_path / "tilted.png", None, False, tmp_path)
     assert isinstance(lattice, nrbench.Lattice) and explained_share(nrbench.read_image(file), lattice) > 0.6
-    nrbench.write_image(tmp_path / "flat.png", drawn.image)
+    nrbench.write_image(tmp_path / "flat.png", nrbench.texture("weave", shape=(192, 192), seed=0).image)
     assert prepare_photo(tmp_path / "flat.png", None, False, tmp_path) == (tmp_path / "flat.png", None)
     assert prepare_photo(tmp_path / "flat.png", None, True, tmp_path)[0] != tmp_path / "flat.png"

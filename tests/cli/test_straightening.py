@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import skimage.io
-from commands import call
+from bent_pictures import tilted
+from commands import answer_json, call
 
 import nrbench
 from nrbench.cli.lattice_detection import describe_deformation
-from nrbench.displacement.deformation_field import Deformation, map_points
+from nrbench.displacement.deformation_field import Deformation
 from nrbench.displacement.growth import Knots
-from nrbench.imaging.convert import quantize
-from nrbench.imaging.mean_tile import interpolate
 from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import read_image, write_image
 
@@ -27,8 +26,7 @@ def pictures() -> None:
 
 def test_a_bent_picture_is_straightened(capsys: pytest.CaptureFixture[str]) -> None:
     """The straight picture repeats by the lattice that JSON states, and is not bent any more."""
-    assert call("lattice bent.png --straighten out.png -o overlay.png --json") == 0
-    shown = json.loads(capsys.readouterr().out)
+    shown = answer_json(capsys, "lattice bent.png --straighten out.png -o overlay.png --json")
     assert shown["deformation"]["bent"] and shown["deformation"]["homography"] is None
     assert shown["detector"] == "consensus" and 0 < shown["confidence"] <= 1
     mean = Lattice(shown["t1"], shown["t2"])
@@ -44,10 +42,8 @@ def test_a_straight_picture_is_written_as_it_is(capsys: pytest.CaptureFixture[st
     assert call("lattice straight.png --straighten out.png") == 0
     assert "not bent" in capsys.readouterr().out
     assert (read_image(Path("out.png")) == read_image(Path("straight.png"))).all()
-    assert call("lattice straight.png --json") == 0
-    detected = json.loads(capsys.readouterr().out)
-    assert call("lattice straight.png --straighten out.png --json") == 0
-    followed = json.loads(capsys.readouterr().out)
+    detected = answer_json(capsys, "lattice straight.png --json")
+    followed = answer_json(capsys, "lattice straight.png --straighten out.png --json")
     same = Lattice(detected["t1"], detected["t2"]).is_equivalent(Lattice(followed["t1"], followed["t2"]), 0.2)
     assert same and not followed["deformation"]["bent"]
 
@@ -57,9 +53,7 @@ def test_a_bent_lattice_is_found_without_the_option(capsys: pytest.CaptureFixtur
 
     If a detector is named, its answer alone counts. The symmetry is that of the straightened picture, in Python too.
     """
-    points = np.stack(np.meshgrid(*2 * [np.arange(160.0)]), -1)
-    plane = map_points(np.array([[1.0, 0, 0], [0, 1.0, 0], [5e-3, 2.5e-3, 1.0]]), points)
-    image = quantize(interpolate(nrbench.texture("weave", shape=(160, 160), seed=0).image, plane))
+    image = tilted(160, homography=np.array([[1.0, 0, 0], [0, 1.0, 0], [5e-3, 2.5e-3, 1.0]])).image
     write_image(Path("floor.png"), image)
     assert call("lattice floor.png -o overlay.png --symmetry --json") == 0
     printed = capsys.readouterr()
@@ -84,8 +78,7 @@ def test_a_given_lattice_needs_no_detector(capsys: pytest.CaptureFixture[str]) -
     """It is followed from about the right vectors; neither detector nor confidence is stated."""
     lattice = nrbench.texture("weave", shape=(128, 128), seed=1, bend=0.5).lattice
     numbers = ",".join(f"{1.02 * number:.2f}" for number in (*lattice.t1, *lattice.t2))
-    assert call(f"lattice bent.png --lattice={numbers} --straighten out.png --json") == 0
-    shown = json.loads(capsys.readouterr().out)
+    shown = answer_json(capsys, f"lattice bent.png --lattice={numbers} --straighten out.png --json")
     assert shown["deformation"]["bent"] and "detector" not in shown
     assert Lattice(shown["t1"], shown["t2"]).is_equivalent(lattice, 0.02 * lattice.s)
 

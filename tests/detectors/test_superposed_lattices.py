@@ -1,11 +1,10 @@
 """Tests for several lattices in one image."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import call
+from commands import answer_json
 
 from nrbench import NoLatticeFound, detect_lattice, texture
 from nrbench.detectors.candidate_search.superposed_lattices import find_wave_lattices
@@ -57,8 +56,7 @@ def test_one_lattice_is_not_several() -> None:
 def test_the_command_lists_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """``nrbench lattice --json`` has the vectors of each, no lattice, and exit code 0."""
     write_image(tmp_path / "screens.png", draw_screens((12, 9.0), (40, 7.3))[0])
-    assert call("lattice", str(tmp_path / "screens.png"), "--json") == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = answer_json(capsys, "lattice", str(tmp_path / "screens.png"), "--json")
     assert answer["lattice"] is None
     assert [sorted(each) for each in answer["lattices"]] == [["t1", "t2"]] * 2
 

@@ -5,31 +5,22 @@ from functools import cache
 
 import numpy as np
 import pytest
+from bent_pictures import tilted
 
 import nrbench
 from nrbench import plugins
 from nrbench.displacement.bent_detection import find_deformation
-from nrbench.displacement.deformation_field import Deformation, map_points
-from nrbench.imaging.convert import Image, quantize
-from nrbench.imaging.mean_tile import interpolate
+from nrbench.displacement.deformation_field import Deformation
+from nrbench.imaging.convert import Image
 from nrbench.plugins.forms import Detection, NoLatticeFound
 
-TILT = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.2e-3, 6e-4, 1.0]])
 SIDE = 160
-
-
-def tilted(seed: int, factor: int = 1) -> np.ndarray:
-    """Return a weave in perspective, each pixel repeated ``factor`` times along both axes."""
-    points = np.stack(np.meshgrid(np.arange(SIDE, dtype=float), np.arange(SIDE, dtype=float)), -1)
-    drawn = nrbench.texture("weave", shape=(SIDE, SIDE), seed=seed)
-    image = quantize(interpolate(drawn.image, map_points(TILT, points)))
-    return image.repeat(factor, 0).repeat(factor, 1)
 
 
 @cache
 def followed() -> Deformation:
     """Return the lattice that is found in the first weave in perspective."""
-    return nrbench.track_lattice(tilted(0))
+    return nrbench.track_lattice(tilted(SIDE).image)
 
 
 def test_a_plane_in_perspective_gets_its_lattice() -> None:
@@ -42,7 +33,7 @@ def test_a_plane_in_perspective_gets_its_lattice() -> None:
 
 def test_large_elements_are_detected_in_a_smaller_image() -> None:
     """An image that is enlarged three times has a lattice three times as large."""
-    small, large = followed(), nrbench.track_lattice(tilted(0, 3))
+    small, large = followed(), nrbench.track_lattice(tilted(SIDE).image.repeat(3, 0).repeat(3, 1))
     assert np.abs(large.lattice.reduced().area / small.lattice.reduced().area - 9) < 0.3
     assert large.homography is not None
 
@@ -77,7 +68,7 @@ class Equal:
 
 def test_a_doubtful_answer_is_compared_with_those_of_further_views() -> None:
     """The detector then looks at views, too; a confident one looks at the whole image and at the straightened one."""
-    image = tilted(0)
+    image = tilted(SIDE).image
     sure, unsure = Equal(0.99, []), Equal(0.8, [])
     confident, doubtful = (find_deformation(image, detector=each).deformation for each in (sure, unsure))
     assert len(sure.seen) == 2 < len(unsure.seen) and (SIDE // 2, SIDE // 2) in unsure.seen

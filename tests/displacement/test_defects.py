@@ -1,11 +1,10 @@
 """Where a picture leaves its own lattice and look: one planted fault at a time, and pictures without any."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import call
+from commands import answer_json, call
 
 from nrbench import Lattice, NoLatticeFound, PictureDefect, find_defects, texture
 from nrbench.imaging.convert import Image, quantize
@@ -95,8 +94,7 @@ def test_the_command_draws_and_lists_defects(tmp_path: Path, capsys: pytest.Capt
     assert capsys.readouterr().out.startswith("1: other look by")
     changed = (read_image(tmp_path / "out.png") != spoiled).any(-1)
     assert changed[80:125, 100:160].any() and not changed[:60].any()
-    assert call("lattice hole.png --defects out.png --lattice 24,0,12,12 --json") == 0
-    (one,) = json.loads(capsys.readouterr().out)["defects"]
+    (one,) = answer_json(capsys, "lattice hole.png --defects out.png --lattice 24,0,12,12 --json")["defects"]
     assert one["kind"] == "other look" and len(one["outline"]) >= 4
     assert call("lattice hole.png --defects out.png --symmetry") == 2
     assert call("lattice hole.png --defects hole.png") == 2

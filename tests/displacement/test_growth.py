@@ -12,7 +12,7 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.knit import Knit
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
-from nrbench.displacement.deformation_field import Deformation, fit_homography, map_points
+from nrbench.displacement.deformation_field import Deformation, fit_homography, map_points, pixel_places
 from nrbench.displacement.following import find_knots, follow_on, merit, probe
 from nrbench.displacement.growth import Knots, Start, cell_covariance, grow_from, grow_on
 from nrbench.imaging.convert import Image, quantize
@@ -25,20 +25,15 @@ TILT = np.array([[1.0, 0.05, 0.0], [-0.03, 1.0, 0.0], [8e-4, 5e-4, 1.0]])
 """Homography from the picture to the plane: at opposite corners its scales differ by a factor of 1.5."""
 
 
-def pixels(side: int = SIDE) -> Points:
-    """Return (x, y) of all pixels."""
-    return np.stack(np.meshgrid(np.arange(side, dtype=float), np.arange(side, dtype=float)), -1)
-
-
 def warped(model: Model, bend: float, seed: int) -> tuple[Image, Lattice, Points]:
     """Return a warped draw, its undisturbed lattice, and the true cell coordinates of each pixel."""
     drawn = replace(model, bend=bend).render((SIDE, SIDE), np.random.default_rng(seed))
-    return quantize(drawn.image), drawn.lattice, drawn.lattice.to_cell(pixels() - drawn.displacement)
+    return quantize(drawn.image), drawn.lattice, drawn.lattice.to_cell(pixel_places(SIDE, SIDE) - drawn.displacement)
 
 
 def tilted(model: Model, seed: int) -> tuple[Image, Lattice, Points]:
     """Return a draw in perspective, its lattice on the plane, and the true cell coordinates of each pixel."""
-    plane = map_points(TILT, pixels())
+    plane = map_points(TILT, pixel_places(SIDE, SIDE))
     drawn = model.render((SIDE + 20, SIDE + 20), np.random.default_rng(seed))
     return quantize(interpolate(drawn.image, plane)), drawn.lattice, drawn.lattice.to_cell(plane)
 
@@ -187,7 +182,7 @@ def test_the_lattice_is_followed_on_into_a_gap() -> None:
     i, j = np.indices((rows, columns))
     gap = (np.abs(i - rows // 2) < rows // 5) & (np.abs(j - columns // 2) < columns // 5) | (i < 4)
     mean = knots.mean_lattice()
-    tile = fold(interpolate(image, knots.locate(mean.to_cell(pixels()))), mean)
+    tile = fold(interpolate(image, knots.locate(mean.to_cell(pixel_places(SIDE, SIDE)))), mean)
     found = grow_on(image, tile, replace(knots, correlation=np.where(gap, 0.0, knots.correlation)), (0.5,))
     before = dict(zip(map(tuple, knots.cells[knots.known & gap]), knots.places[knots.known & gap], strict=True))
     after = dict(zip(map(tuple, found.cells[found.known]), found.places[found.known], strict=True))

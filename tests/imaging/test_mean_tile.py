@@ -1,8 +1,7 @@
-import math
-
 import numpy as np
 import pytest
 from scipy import ndimage
+from synthesis_cases import waves
 
 from nrbench.imaging.mean_tile import cell_coordinates, fold, interpolate
 from nrbench.lattice.geometry import Lattice
@@ -10,18 +9,10 @@ from nrbench.lattice.geometry import Lattice
 OBLIQUE = Lattice((17.3, 2.6), (-3.1, 14.8), (4.2, 1.7))
 
 
-def waves(shape: tuple[int, int], lattice: Lattice) -> np.ndarray:
-    """Return a smooth image with exactly this lattice."""
-    y, x = np.indices(shape)
-    u, v = np.moveaxis(lattice.to_cell(np.stack([x, y], -1)), -1, 0)
-    first, second = np.cos(2 * math.pi * u), np.cos(2 * math.pi * (v + 0.1))
-    return np.stack([0.5 + 0.2 * first + 0.2 * second, 0.5 + 0.4 * first * second], -1).astype(np.float32)
-
-
 def test_a_periodic_image_folds_and_unfolds_to_itself() -> None:
     """The mean tile of a periodic image is its tile, up to the bilinear samples, at any shape."""
-    tile = fold(waves((160, 190), OBLIQUE), OBLIQUE)
-    np.testing.assert_allclose(tile.unfold((70, 90)), waves((70, 90), OBLIQUE), atol=0.04)
+    tile = fold(waves((160, 190), OBLIQUE)[..., ::2], OBLIQUE)
+    np.testing.assert_allclose(tile.unfold((70, 90)), waves((70, 90), OBLIQUE)[..., ::2], atol=0.04)
 
 
 def test_many_cells_tell_what_lies_between_the_pixels() -> None:

@@ -1,12 +1,11 @@
 """Whether a picture repeats: pictures that do, one planted fault at a time, and pictures that show nothing."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import call
+from commands import answer_json, call
 from scipy import ndimage
 
 from nrbench import Lattice, score
@@ -107,8 +106,7 @@ def test_the_command_says_where_a_picture_breaks(tmp_path: Path, capsys: pytest.
     seam = read_image(tmp_path / "seam.png")
     pink = (seam == quantize(np.array([1.0, 0.1, 0.6], np.float32))).all(-1)
     assert set(np.flatnonzero(pink.any(0))) == {92, 93}
-    assert call("score --tileable wall.png --json --lattice 24,0,12,11") == 0
-    values = json.loads(capsys.readouterr().out)
+    values = answer_json(capsys, "score --tileable wall.png --json --lattice 24,0,12,11")
     assert values["tileable.x.repeats"] is False and values["tileable.y.repeats"] is True
 
 

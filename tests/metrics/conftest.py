@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from edits import EDITS, Scene
+from edits import apply_edit
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
@@ -60,9 +60,10 @@ class Case:
         drawn = self.again((side, side), k)
         return drawn.image
 
-    def edited(self, name: str, dose: float, k: int = 0) -> Image:
-        """Return a fresh draw with an edit."""
-        return edit(self.fresh(k=k), self.lattice, name, dose)
+    def edited(self, name: str, dose: float, k: int = 0, image: Image | None = None) -> Image:
+        """Return a fresh draw, or another image, with one of the edits of the benchmarks."""
+        picture = self.fresh(k=k) if image is None else image
+        return apply_edit(name, dose, picture, self.lattice.canonical().matrix, np.random.default_rng(0))
 
     def planted(self, kind: str, size: float, seed: int = 0, side: int = 192) -> tuple[Image, np.ndarray]:
         """Return a fresh draw with a defect, and its displacement field."""
@@ -75,12 +76,6 @@ class Case:
         truth = self.texture if model else Texture(self.texture.image, self.texture.lattice)
         again = self.again if model else None
         return Observation(self.texture.image, output, truth, again=again, rng=np.random.default_rng(0))
-
-
-def edit(image: Image, lattice: Lattice, name: str, dose: float) -> Image:
-    """Return a picture with one of the edits of the benchmarks."""
-    edited = EDITS[name][0](Scene(image, lattice.canonical().matrix, np.random.default_rng(0)), dose)
-    return quantize(np.ascontiguousarray(edited.clip(0, 1), np.float32))
 
 
 @cache

@@ -19,7 +19,7 @@ from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.supertile import Supertile
 from nrbench.synthesizers.tiling import Tiling
 
-from .conftest import Case, case, edit, scored
+from .conftest import Case, case, scored
 
 randomness = partial(scored, Randomness)
 
@@ -65,7 +65,7 @@ def test_wallpaper_is_seen_beside_a_sample_of_few_tiles() -> None:
     """Where the sample shows fewer than four whole tiles, one tile repeated, as JPEG, has 0; a draw has no score."""
     own = Case.of(Hexagon(color=0.3, period=32.0, noise=0.1))
     task = Task(own.texture.image, (128, 128), own.lattice, np.random.default_rng(0))
-    output = edit(quantize(Tiling().synthesize(task).image), own.lattice, "JPEG 4:2:0, quality", 85)
+    output = own.edited("JPEG 4:2:0, quality", 85, image=quantize(Tiling().synthesize(task).image))
     wallpaper = randomness(own.observe(output, False)).values
     fresh = randomness(own.observe(own.fresh(128), False))
     assert wallpaper["score"] == 0 < wallpaper["repetition"] and wallpaper["variation"] is None

@@ -19,7 +19,7 @@ from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Task
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 
-from .conftest import Case, case, edit, scored
+from .conftest import Case, case, scored
 
 regularity = partial(scored, Regularity)
 
@@ -145,7 +145,7 @@ def test_a_declared_lattice_excuses_no_fault(own: Case) -> None:
     for factor in (0.96, 1.045):
         used = Lattice.from_basis(own.lattice.matrix * factor)
         assert regularity(replace(own.observe(slipped), lattice_used=used)).values == plain
-        drifted = replace(own.observe(edit(slipped, own.lattice, "larger, share", factor - 1)), lattice_used=used)
+        drifted = replace(own.observe(own.edited("larger, share", factor - 1, image=slipped)), lattice_used=used)
         assert regularity(drifted).values["score"] < 0.4
 
 

@@ -35,11 +35,10 @@ class Fine:
 
 
 @dataclass(frozen=True)
-class Reader:
+class Reader(Fine):
     """The sample, brightened by the number in a file, if the number is also in a file of the working directory."""
 
     file: Path = Path("number.txt")
-    uses_lattice: ClassVar[bool] = False
 
     def synthesize(self, task: Task) -> Synthesis:
         """Write a relative path, and read it and the file."""
@@ -168,16 +167,15 @@ MISJUDGED = "misjudged"
 
 
 @dataclass(frozen=True)
-class Faulty:
+class Faulty(Fine):
     """A method that does to its process what ``how`` says, or returns something odd; else it repeats the sample."""
 
     how: str = "raise"
-    uses_lattice: ClassVar[bool] = False
 
     def synthesize(self, task: Task) -> Synthesis:
         """Misbehave."""
         misbehave(self.how)
-        good = Fine().synthesize(task)
+        good = super().synthesize(task)
         image = np.array(good.image)
         if self.how == "mutate":
             task.sample[...] = 0
@@ -213,12 +211,10 @@ class Probe:
 
 
 @dataclass(frozen=True)
-class Follower:
+class Follower(Fine):
     """The sample, repeated; it wants a lattice."""
 
-    def synthesize(self, task: Task) -> Synthesis:
-        """Repeat the sample."""
-        return Fine().synthesize(task)
+    uses_lattice: ClassVar[bool] = True
 
 
 def make_judge(how: str) -> type:
@@ -250,15 +246,13 @@ globals().update({f"Judge{how}": make_judge(how) for how in JUDGES})
 
 
 @dataclass(frozen=True)
-class Place:
+class Place(Fine):
     """The sample, repeated, with a remark on the machine that did it."""
-
-    uses_lattice: ClassVar[bool] = False
 
     def synthesize(self, task: Task) -> Synthesis:
         """Repeat the sample."""
         print("placed")
-        return dataclasses.replace(Fine().synthesize(task), note=os.environ.get("NRBENCH_TEST_PLACE", ""))
+        return dataclasses.replace(super().synthesize(task), note=os.environ.get("NRBENCH_TEST_PLACE", ""))
 
 
 @dataclass(frozen=True)
@@ -283,11 +277,10 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Sleeper:
+class Sleeper(Fine):
     """Start a process and sleep until a file exists; then end the process and answer well."""
 
     until: str = "awake"
-    uses_lattice: ClassVar[bool] = False
 
     def synthesize(self, task: Task) -> Synthesis:
         """Sleep, then repeat the sample."""
@@ -296,16 +289,15 @@ class Sleeper:
             while not Path(self.until).exists():
                 time.sleep(0.05)
             process.kill()
-        return Fine().synthesize(task)
+        return super().synthesize(task)
 
 
 @dataclass(frozen=True)
-class Learner:
+class Learner(Fine):
     """The sample, brightened by what was learned of it; it takes a while to learn, and to synthesize."""
 
     seconds: float = 0.2
     marks: Path = Path("marks")
-    uses_lattice: ClassVar[bool] = False
 
     def prepare(self, task: Task) -> None:
         """Write a number into the folder that lasts."""
@@ -318,7 +310,7 @@ class Learner:
         """Brighten the sample."""
         number = (task.cache / "number").read_text()
         time.sleep(self.seconds / 2)
-        return dataclasses.replace(Fine().synthesize(task), note=number)
+        return dataclasses.replace(super().synthesize(task), note=number)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import psutil
 import pytest
-from faults import registered_faults
+from faults import no_orphans, registered_faults
 from suites import wall_suite
 
 from nrbench import run
@@ -85,14 +84,6 @@ def way(request: pytest.FixtureRequest, warm_executor: Any) -> Iterator[Any]:
             yield {"jobs": 2, **limits}, lambda cases: [how for how in cases if how in BRIEF]
 
 
-def no_orphans(found: Run) -> bool:
-    """Return whether every process that a plugin left, as its log says, has ended."""
-    logs = [log.read_text(errors="replace") for log in found.root.glob("*/*/log.txt")]
-    pids = [int(pid) for log in logs for pid in re.findall(r"^child (\d+)$", log, re.M)]
-    processes = [psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)]
-    return bool(pids) and not psutil.wait_procs(processes, timeout=5)[1]
-
-
 def no_litter(found: Run) -> bool:
     """Return whether the file that a plugin writes to a relative path is neither in the user's folder nor the run."""
     name = "left by a plugin.txt"
@@ -125,7 +116,7 @@ def test_methods(way: Any, tmp_path: Path) -> None:
         assert cells[how].status == "ok", (how, cells[how].message)
         assert (cells[how].folder / "output.png").read_bytes() == good
         assert cells[how].values["cost.seconds"] is not None
-    assert no_orphans(found)
+    assert no_orphans(found.root)
     assert no_litter(found)
 
 
@@ -143,7 +134,7 @@ def test_detectors(way: Any, tmp_path: Path) -> None:
             assert (record.status, record.phase) == ("error", "detect"), how
             assert DETECTORS[how][1] in record.message, (how, record.message)
             assert is_logged(record, how), how
-    assert no_orphans(found)
+    assert no_orphans(found.root)
     assert no_litter(found)
 
 
@@ -168,7 +159,7 @@ def test_metrics(way: Any, tmp_path: Path) -> None:
     flooded = [*failing, *fine].index("flood") if "flood" in fine else -1
     assert all(f"planted {how}" in log for how in [*failing, *fine][flooded + 1 :])
     assert len(log) < 2 * guard.SHORT_LOG
-    assert no_orphans(found)
+    assert no_orphans(found.root)
     assert no_litter(found)
 
 

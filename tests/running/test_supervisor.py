@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -18,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 from commands import call, start
-from faults import registered_faults
+from faults import no_orphans, registered_faults
 from suites import wall_suite, write_sleepers
 
 from nrbench import plugins, run, synthesize
@@ -32,13 +31,6 @@ from nrbench.suites.suite import Suite
 
 WAYS = ("fork", "fresh interpreter")
 FaultyRun = Callable[[Suite, Options], Run]
-
-
-def no_orphan(folder: Path) -> bool:
-    """Return whether the process that a method wrote to the log of its cell has ended, or does so soon."""
-    (pid,) = re.findall(r"^child (\d+)$", (folder / "log.txt").read_text(errors="replace"), re.M)
-    left = [psutil.Process(int(pid))] if psutil.pid_exists(int(pid)) else []
-    return not psutil.wait_procs(left, timeout=5)[1]
 
 
 def server_of(supervisor: Supervisor) -> psutil.Process:
@@ -370,7 +362,7 @@ def test_a_worker_that_dies_is_replaced(who: str, supervisors: list[Supervisor],
         assert running.result().result["status"] == "crash"
     assert len(children) >= 3
     assert not psutil.wait_procs([server, keeper, *children], timeout=5)[1]
-    assert no_orphan(folder)
+    assert no_orphans(folder)
     assert supervisor.run(request).scored == ("cost",)
 
 

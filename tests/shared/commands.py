@@ -1,10 +1,12 @@
 """The command line, called in this process or in another one."""
 
+import json
 import shlex
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,6 +18,12 @@ def call(line: str, *more: str) -> int:
     with pytest.raises(SystemExit) as left:
         main([line, *more] if more else shlex.split(line))
     return int(left.value.code or 0)
+
+
+def answer_json(capsys: pytest.CaptureFixture[str], line: str, *more: str) -> Any:
+    """Run a command that succeeds, and return the JSON that it prints."""
+    assert call(line, *more) == 0
+    return json.loads(capsys.readouterr().out)
 
 
 def start(folder: Path, *words: str) -> subprocess.Popen[bytes]:

@@ -20,11 +20,21 @@ OBLIQUE = Lattice((21.37, 2.6), (-2.3, 18.81))
 UPRIGHT = Lattice((21.37, 0), (0, 18.81))
 FRACTIONAL = turned(UPRIGHT, 7)
 BOND = Lattice((27.3, 0), (13.65, 12.2))
+WHOLE = [Lattice((30, 0), (0, 24)), Lattice((15, 12), (15, -12)), Lattice((20, 5), (-4, 22)), Lattice((24, 0), (0, 24))]
+"""Lattices of whole pixels."""
 
 
 def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
     """Return noise of 8 bits."""
     return quantize(np.random.default_rng(seed).random((height, width, channels), np.float32))
+
+
+def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
+    """Return a smooth tile: periodic noise without high frequencies."""
+    spectrum = np.fft.fft2(np.random.default_rng(seed).random((height, width, channels)), axes=(0, 1))
+    low = np.abs(np.fft.fftfreq(height)[:, None]) + np.abs(np.fft.fftfreq(width)) < 0.2
+    tile = np.fft.ifft2(spectrum * low[..., None], axes=(0, 1)).real
+    return ((tile - tile.min()) / np.ptp(tile)).astype(np.float32)
 
 
 def waves(shape: tuple[int, int], lattice: Lattice) -> Image:

@@ -1,8 +1,8 @@
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pytest
-from synthesis_cases import mask_of
+from synthesis_cases import mask_of, smooth
 
 from nrbench import texture
 from nrbench.calling.method_calls import checked_synthesis, is_picture
@@ -26,14 +26,6 @@ def test_the_papers_patches_are_the_tiles_of_their_sample() -> None:
         size = automatic_size(mask, (128, 128), paper.patch_rule)
         assert np.abs(np.subtract(size, (2 * height, width))).max() < 1
         assert automatic_size(mask, (128, 128)) == (40, 40)
-
-
-def smooth(height: int, width: int, channels: int = 3, seed: int = 0) -> Image:
-    """Return a smooth tile: periodic noise without high frequencies."""
-    spectrum = np.fft.fft2(np.random.default_rng(seed).random((height, width, channels)), axes=(0, 1))
-    waves = np.abs(np.fft.fftfreq(height)[:, None]) + np.abs(np.fft.fftfreq(width)) < 0.2
-    tile = np.fft.ifft2(spectrum * waves[..., None], axes=(0, 1)).real
-    return ((tile - tile.min()) / np.ptp(tile)).astype(np.float32)
 
 
 def waves_of(tile: Image) -> TextureMask:
@@ -91,23 +83,6 @@ def test_any_shape_is_filled_with_copies(shape: tuple[int, int], channels: int) 
     assert is_picture(made.extras["mask"])
     np.testing.assert_array_equal(made.extras["mask"], mask_of(tile).draw(shape))
     assert made.lattice is not None and made.lattice.is_equivalent(WHOLE, 1e-6)
-
-
-def test_every_parameter_changes_something() -> None:
-    """Each parameter changes the output of a sample with departures."""
-    tile = smooth(20, 24)
-    sample, mask = varied(tile, 72, 72, 0.7), waves_of(tile)
-    changes: list[dict[str, Any]] = [
-        {"weight": 0.0}, {"patch": 30}, {"overlap": 0.5}, {"randomness": 0.3},
-        {"matching": "entire"}, {"refinements": 1}, {"refinements": 2}, {"normalized": False}, {"tileable": True},
-    ]  # fmt: skip
-
-    def made(**parameters: Any) -> Image:
-        return synthesize(FftmPatch(**parameters), sample, (80, 96), mask).image
-
-    base = made()
-    for change in changes:
-        assert (made(**change) != base).any(), change
 
 
 def test_without_weight_the_mask_does_not_matter() -> None:

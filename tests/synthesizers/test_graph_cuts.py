@@ -2,7 +2,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from synthesis_cases import noise, synthesize
+from synthesis_cases import noise, smooth, synthesize
 
 from nrbench import texture
 from nrbench.imaging.convert import Image, quantize
@@ -11,14 +11,6 @@ from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.canvas.canvas import Window
 from nrbench.synthesizers.graph_cuts import GraphCuts
 from nrbench.synthesizers.patchwork.patchwork import Patchwork, SeamHeat, WholePatches
-
-
-def smooth(height: int, width: int, seed: int = 0) -> Image:
-    """Return a tile of smooth noise of 8 bits, periodic."""
-    spectrum = np.fft.fft2(np.random.default_rng(seed).random((height, width, 3)), axes=(0, 1))
-    waves = np.abs(np.fft.fftfreq(height)[:, None]) + np.abs(np.fft.fftfreq(width)) < 0.25
-    tile = np.fft.ifft2(spectrum * waves[..., None], axes=(0, 1)).real
-    return quantize(((tile - tile.min()) / np.ptp(tile)).astype(np.float32))
 
 
 def made(sample: Image, shape: tuple[int, int], seed: int = 1, **options: Any) -> tuple[Patchwork, WholePatches]:
@@ -33,7 +25,7 @@ def made(sample: Image, shape: tuple[int, int], seed: int = 1, **options: Any) -
 @pytest.mark.parametrize("placement", ["entire", "sub-patch"])
 def test_a_periodic_sample_goes_on_exactly(placement: Any) -> None:
     """The output of a periodic sample is the periodic picture, exactly, and refinement leaves no seam of any cost."""
-    tile = smooth(12, 17)
+    tile = quantize(smooth(12, 17))
     sample = np.tile(tile, (5, 4, 1))
     work, patches = made(sample, (150, 140), placement=placement, randomness=0.0)
     image, whole = work.output()[0], np.tile(tile, (14, 10, 1))

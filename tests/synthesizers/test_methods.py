@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthesis_cases import BOND, FRACTIONAL, OBLIQUE, UPRIGHT, build, noise, synthesize, waves
+from synthesis_cases import BOND, FRACTIONAL, OBLIQUE, UPRIGHT, WHOLE, build, noise, synthesize, waves
 
 from nrbench import texture
 from nrbench.calling.method_calls import checked_synthesis
@@ -62,7 +62,6 @@ def test_what_the_source_map_calls_a_copy_is_one(spec: str, shape: tuple[int, in
     assert apart < 2.1 / 255 or "dynamic" in spec  # more than four tiles may be blended there
 
 
-WHOLE = [Lattice((30, 0), (0, 24)), Lattice((15, 12), (15, -12)), Lattice((20, 5), (-4, 22)), Lattice((24, 0), (0, 24))]
 ANY_LATTICE = [
     "tile-set", "tile-set:tile=upright", "tile-set:tile=lattice", "tile-set:tile=rectangle", "tile-set:tile=cell",
     "tile-set:stitch=dynamic", "tile-set:cells=2", "tile-set:cells=2,stitch=dynamic",
@@ -174,6 +173,10 @@ def test_a_flat_sample_gives_a_flat_output(spec: str) -> None:
 CHANGES = {
     "ann-pixel": "neighborhood=5 search=k-coherence,coherence=0 coherence=1 dimensions=4",
     "cartoon": "grain=white",
+    "fftm-patch": "weight=0 patch=40 overlap=0.5 randomness=0.3 matching=entire refinements=1 refinements=2 "
+    "normalized=false threshold=12 channels=each",
+    "fftm-pixel": "neighborhood=4 weight=0.5 match=cluster search=k-coherence,coherence=0 coherence=0 dimensions=4 "
+    "distance=squares threshold=12",
     "gpdm:steps=20": "patch=5 projections=2 rate=0.05 ratio=0.6 coarsest=40 noise=0.5",
     "gpnn": "patch=5 alpha=0 alpha=1 iterations=1 first_iterations=1 coarsest=40 noise=0.2",
     "graph-cuts": "placement=sub-patch placement=random randomness=1 region=0.4 refine=random refine=minima "

@@ -149,23 +149,6 @@ def test_the_output_looks_like_the_mask_the_more_it_counts() -> None:
     assert abs(like[100.0] - like[5.0]) < 0.1
 
 
-def test_every_parameter_changes_something_beside_a_mask() -> None:
-    """Each parameter changes the output."""
-    tile = soft_tile(11, 13)
-    sample = repeated(tile, (64, 64), 0.3)
-
-    def output(**change: Any) -> NDArray[np.float32]:
-        return masked(sample, (66, 78), tile, **change).image
-
-    clustered, coherent = {"match": "cluster"}, {"search": "k-coherence", "coherence": 0.0}
-    pairs: list[tuple[dict[str, Any], dict[str, Any]]] = [
-        ({}, {"neighborhood": 4}), ({}, {"weight": 0.5}), ({}, clustered), ({}, coherent), ({}, {"coherence": 0.0}),
-        ({}, {"dimensions": 4}), ({}, {"tileable": True}), ({}, {"distance": "squares"}),
-    ]  # fmt: skip
-    for one, other in pairs:
-        assert (output(**one) != output(**other)).any(), other
-
-
 def test_a_flat_sample_gives_a_flat_output() -> None:
     """If all neighborhoods are equal, the search ends and the output is flat."""
     flat = np.full((64, 64, 1), 0.4, np.float32)

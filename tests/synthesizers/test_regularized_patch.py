@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bent_pictures import bent
 from hypothesis import given
 from hypothesis import strategies as st
 from synthesis_cases import noise, synthesize
@@ -30,12 +31,6 @@ from nrbench.synthesizers.regularized_patch import (
 from nrbench.synthesizers.sample_reading.patches import Patches
 
 
-def bent(bend: float, model: str = "brick", seed: int = 0, **departures: float) -> Texture:
-    """Return a texture of 192 px with rounded pixels."""
-    texture = nrbench.texture(model, shape=(192, 192), seed=seed, bend=bend, **departures)
-    return replace(texture, image=quantize(texture.image))
-
-
 def run_method(method: RegularizedPatch, texture: Texture, shape: tuple[int, int]) -> Synthesis:
     """Run a method as a cell does."""
     return synthesize_in_geometry(method, Task(texture.image, shape, texture.lattice, np.random.default_rng(1)))
@@ -50,7 +45,7 @@ def deformation(texture: Texture, made: Synthesis) -> Mapping[str, float]:
 @pytest.mark.parametrize("bend", [0.0, 0.5])
 def test_the_map_points_at_what_is_shown(bend: float) -> None:
     """The source map passes the check of a run; straight pixels inside texels are copies or nearly so."""
-    texture = bent(bend)
+    texture = bent(bend=bend)
     made = run_method(RegularizedPatch(), texture, (150, 170))
     assert made.source is not None and made.lattice is not None
     check_source(made.source, quantize(made.image), texture.image)
@@ -73,7 +68,7 @@ def test_the_papers_texels_lie_around_the_origin() -> None:
 
 def test_the_papers_warp_runs_once() -> None:
     """The preset of the paper bends the output by one pass, whose field is not that of four passes."""
-    texture = bent(0.5)
+    texture = bent()
     paper = RegularizedPatch(**RegularizedPatch.presets["paper"])
     once, four = (run_method(method, texture, (64, 64)) for method in (paper, replace(paper, geometry="bent")))
     assert (once.extras["straightened"] == four.extras["straightened"]).all()
@@ -82,7 +77,7 @@ def test_the_papers_warp_runs_once() -> None:
 
 def test_deformations_are_synthesized_or_left_out() -> None:
     """The amplitude is that of the sample by default, a third or less by argmax, and nearly 0 without."""
-    texture, ratios = bent(0.5, "weave"), {}
+    texture, ratios = bent("weave"), {}
     ways: list[Geometry] = ["bent", "argmax", "straight"]
     for way in ways:
         made = run_method(RegularizedPatch(geometry=way), texture, (256, 256))
@@ -93,7 +88,7 @@ def test_deformations_are_synthesized_or_left_out() -> None:
 
 def test_the_field_of_a_large_output_folds_nowhere() -> None:
     """Bricks of bend 0.5: the topology is intact, amplitude and correlation length are within 25 % of the sample's."""
-    texture = bent(0.5, seed=1)
+    texture = bent(seed=1)
     values = deformation(texture, run_method(RegularizedPatch(), texture, (256, 256)))
     assert values["folded"] == 0
     assert values["amplitude_ratio"] == pytest.approx(1, abs=0.25)
@@ -102,7 +97,7 @@ def test_the_field_of_a_large_output_folds_nowhere() -> None:
 
 def test_tolerance_trades_fit_for_variety() -> None:
     """With a large d_max texels are drawn freely, so that fewer neighbors in the output are neighbors in the sample."""
-    texture = bent(0.0, "hexagon", color=0.5)
+    texture = bent("hexagon", 0.0, color=0.5)
     joints = []
     for tolerance in (0.0, 1.0):
         made = synthesize(RegularizedPatch(tolerance=tolerance, zone=2.0), texture.image, (160, 160), texture.lattice)
