@@ -17,7 +17,7 @@ from nrbench.cli import lattice_detection
 from nrbench.displacement import bent_detection
 from nrbench.imaging.convert import Image, quantize
 from nrbench.pictures.files import read_image, write_image
-from nrbench.plugins.forms import Again, Observation, Shape, Task, Texture
+from nrbench.plugins.forms import Again, Observation, Task, Texture
 
 SIDE = 192
 Case = tuple[Texture, Again | None]
@@ -28,12 +28,7 @@ def model(name: str, **departures: float) -> Case:
     """Return a draw of a model."""
     built = plugins.build("datasets", name, departures)
     texture = built.render((SIDE, SIDE), np.random.default_rng(1))
-
-    def again(shape: Shape, number: int) -> Texture:
-        drawn: Texture = built.again(texture, shape, np.random.default_rng(number))
-        return drawn
-
-    return texture, again
+    return texture, lambda shape, number: built.again(texture, shape, np.random.default_rng(number))
 
 
 def noise(side: int = 72) -> Case:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import Case, case, scored
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
@@ -20,8 +21,6 @@ from nrbench.metrics.seam_detection.line_kernels import steep_line_sums
 from nrbench.metrics.seam_detection.seam_lines import find_worst_lines
 from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.cartoon import Cartoon
-
-from .conftest import Case, case, scored
 
 appearance = partial(scored, Appearance)
 

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from cases import Case, case
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.modelling.model import Model
@@ -19,8 +20,6 @@ from nrbench.metrics.registration.lattice_net import sample_planes
 from nrbench.metrics.registration.lattice_nodes import find_lengths
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Score
-
-from .conftest import Case, case
 
 MODELS: dict[str, tuple[Model, int]] = {
     "wall": (Brick(width=34, height=17, joint=2, color=0.3, noise=0.05), 160),

@@ -4,6 +4,7 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
+from cases import scored
 from numpy.typing import NDArray
 
 from nrbench.imaging.convert import Image, quantize
@@ -14,8 +15,6 @@ from nrbench.metrics.randomness import Randomness
 from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.supertile import Supertile
 from nrbench.synthesizers.tiling import Tiling
-
-from .conftest import scored
 
 INKS = {
     2: np.array([(0.15, 0.3, 0.5), (0.85, 0.45, 0.3)]),

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import Case, case
 
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
@@ -14,8 +15,6 @@ from nrbench.metrics.deformation import DeformationAmplitude
 from nrbench.metrics.geometry_appearance import GeometryAppearance
 from nrbench.metrics.registration.node_field import NodeField
 from nrbench.plugins.forms import Metric, Observation, Texture
-
-from .conftest import Case, case
 
 SQUARE = Lattice((20.0, 0.0), (0.0, 20.0), (3.0, 5.0))
 

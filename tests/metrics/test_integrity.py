@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from cases import MODELS, Case, case, copy_cells, scored
 from scipy.stats import spearmanr
 
 from nrbench.datasets_procedural.brick import Brick
@@ -17,8 +18,6 @@ from nrbench.metrics.registration.coarse_plane import shift_plane
 from nrbench.metrics.registration.lattice_net import split_cells
 from nrbench.plugins.forms import Task
 from nrbench.synthesizers.rsgf import Rsgf
-
-from .conftest import MODELS, Case, case, copy_cells, scored
 
 integrity = partial(scored, Integrity)
 

@@ -5,13 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import case
 from numpy.typing import NDArray
 
 from nrbench.metrics import perceptual, portilla
 from nrbench.metrics.perceptual import Perceptual
 from nrbench.metrics.portilla import Portilla, departure, usual_departure
-
-from .conftest import case
 
 
 def moments(plane: NDArray[np.float32]) -> NDArray[np.float64]:

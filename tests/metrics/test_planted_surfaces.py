@@ -3,6 +3,7 @@
 from functools import cache
 
 import pytest
+from cases import Case
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.cans import Cans
@@ -10,8 +11,6 @@ from nrbench.datasets_procedural.hexagon import Hexagon
 from nrbench.datasets_procedural.modelling.model import Model
 from nrbench.datasets_procedural.weave import Weave
 from nrbench.metrics.quality import Quality
-
-from .conftest import Case
 
 MODELS: dict[str, Model] = {
     "clay": Brick(color=0.2, material="clay"),

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import Case, case, copy_cells, scored
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.noise import Noise
@@ -22,8 +23,6 @@ from nrbench.synthesizers.scatter import Scatter
 from nrbench.synthesizers.shuffle import Shuffle
 from nrbench.synthesizers.supertile import Supertile
 from nrbench.synthesizers.tiling import Tiling
-
-from .conftest import Case, case, copy_cells, scored
 
 PLAIN = Brick(color=0.0, intensity=0.0, noise=0.1)
 """Bricks without a tone of their own: joined ones look whole."""

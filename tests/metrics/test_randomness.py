@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from cases import Case, case, scored
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -18,8 +19,6 @@ from nrbench.metrics.randomness import Randomness
 from nrbench.plugins.forms import Observation, Task, Texture
 from nrbench.synthesizers.supertile import Supertile
 from nrbench.synthesizers.tiling import Tiling
-
-from .conftest import Case, case, scored
 
 randomness = partial(scored, Randomness)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import skimage.color
+from cases import Case, case, scored
 from scipy.ndimage import gaussian_filter
 
 from nrbench.datasets_procedural.weave import Weave
@@ -17,8 +18,6 @@ from nrbench.metrics.perception.limits import JND
 from nrbench.metrics.perception.visible import measure_detail, measure_looks, perceive, perceive_sample, smooth_plane
 from nrbench.metrics.quality import Quality
 from nrbench.plugins.forms import Texture
-
-from .conftest import Case, case, scored
 
 SUPERCELLS = (
     [[2, 0], [0, 1]],

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from cases import Case, case, scored
 
 from nrbench.datasets_procedural.brick import Brick
 from nrbench.datasets_procedural.hexagon import Hexagon
@@ -18,8 +19,6 @@ from nrbench.metrics.judgment.known_lattice import declared_drift
 from nrbench.metrics.regularity import Regularity
 from nrbench.plugins.forms import Task
 from nrbench.synthesizers.representative_tile import RepresentativeTile
-
-from .conftest import Case, case, scored
 
 regularity = partial(scored, Regularity)
 

@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from suites import wall_suite
 
 import nrbench
 from nrbench import plugins, run
@@ -19,7 +20,6 @@ from nrbench.running.runner import Options, Pace, _interleave
 from nrbench.runs.store import CellFolder
 from nrbench.suites.cell import Cell, Recipe
 from nrbench.suites.plan import PlannedSample
-from nrbench.suites.suite import validated_suite
 
 
 class Broken:
@@ -74,8 +74,7 @@ def test_what_is_not_measured_is_not_zero() -> None:
 
 def test_replicates_are_judged_by_the_same_draws(tmp_path: Path) -> None:
     """Two draws of a texture have truths of their own, but the fresh draws of the first one judge both."""
-    content = {"name": "two", "sample": "64x64", "size": "64x64", "methods": ["scatter"], "metrics": ["cost"]}
-    suite = validated_suite({**content, "replicates": 2, "texture": [{"name": "wall", "dataset": "brick"}]}, "test")
+    suite = wall_suite(["scatter"], "cost", replicates=2)
     folders = [CellFolder(record.folder) for record in run(suite, out=tmp_path, options=Options(jobs=0)).cells]
     cells = [Cell.from_dict(json.loads(folder.cell_file.read_text())) for folder in folders]
     one, other = (phases.observe(folder, cell) for folder, cell in zip(folders, cells, strict=True))

@@ -13,7 +13,6 @@ from nrbench.pictures.files import write_image
 from nrbench.plugins import registry
 from nrbench.runs.store import metric_key
 from nrbench.streams import pixels_hash
-from nrbench.suites.cell import Cell
 from nrbench.suites.plan import make_plan
 from nrbench.suites.suite import Suite, validated_suite
 
@@ -75,14 +74,9 @@ def test_a_picture_that_changes_during_a_run(tmp_path: Path) -> None:
 def fresh_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Forget the plugins that a test loads or changes, before it and after it."""
     monkeypatch.setattr(registry, "_files", {})
-    forget()
+    metric_key.cache_clear()
     yield
     monkeypatch.undo()
-    forget()
-
-
-def forget() -> None:
-    """Empty the caches of what was read from plugins."""
     metric_key.cache_clear()
 
 
@@ -91,17 +85,9 @@ SOURCES = ("own", "given", "30,0,0,20", "gncc", "dominance")
 
 def keys() -> dict[tuple[str, str], str]:
     """Return the keys of a small plan by method and source of the lattice."""
-    content = {
-        "name": "keys",
-        "sample": "64x64",
-        "size": "64x64",
-        "methods": ["rsgf", "rsgf:finder=gncc", "shuffle", "quilting"],
-        "lattice": list(SOURCES),
-        "texture": [{"name": "brick", "dataset": "brick"}],
-    }
-    cells = [cell for cell, _ in make_plan(validated_suite(content, "keys")).cells]
-    assert [Cell.from_dict(cell.as_dict()) for cell in cells] == cells
-    return {(cell.label, cell.lattice_source): cell.key for cell in cells}
+    methods = ["rsgf", "rsgf:finder=gncc", "shuffle", "quilting"]
+    plan = make_plan(suite_of({"name": "brick", "dataset": "brick"}, methods=methods, lattice=list(SOURCES)))
+    return {(cell.label, cell.lattice_source): cell.key for cell, _ in plan.cells}
 
 
 @pytest.mark.usefixtures("fresh_registry")
@@ -119,7 +105,7 @@ def test_a_detector_is_in_the_keys_of_the_cells_that_may_call_it(
     """A new version of a detector changes the keys of cells and scores where it may run, and no others."""
     before, scored = keys(), metric_key("regularity")
     monkeypatch.setattr(detector, "version", "changed")
-    forget()
+    metric_key.cache_clear()
     after = keys()
     assert {cell for cell, key in before.items() if after[cell] != key} == changed
     assert (metric_key("regularity") != scored) == (detector is Dominance)

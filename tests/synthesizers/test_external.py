@@ -10,7 +10,7 @@ import pytest
 from synthesis_cases import noise
 
 from nrbench.errors import BadInput
-from nrbench.imaging.convert import Image, quantize
+from nrbench.imaging.convert import Image
 from nrbench.lattice.geometry import Lattice
 from nrbench.pictures.files import write_image
 from nrbench.plugins.forms import Refused, Synthesis, Task
@@ -29,13 +29,8 @@ tiled = np.tile(pixels, (9, 9) + (1,) * (pixels.ndim - 2))[: int(height), : int(
 tiled[0, 0] = int(seed) % 256
 PIL.Image.fromarray(tiled).save(output)
 """
+SAMPLE = noise(20, 24)
 FIELDS = "{sample} {output} {width} {height} {seed}"
-
-
-@pytest.fixture
-def sample() -> Image:
-    """Return a small sample."""
-    return quantize(np.random.default_rng(0).random((20, 24, 3), np.float32))
 
 
 def script(folder: Path, text: str) -> str:
@@ -45,54 +40,54 @@ def script(folder: Path, text: str) -> str:
     return f"'{sys.executable}' '{file}'"
 
 
-def run(command: str, sample: Image, seed: int = 0) -> Synthesis:
+def run(command: str, seed: int = 0) -> Synthesis:
     """Run a command on a sample."""
-    return Command(run=command).synthesize(Task(sample, (30, 50), None, np.random.default_rng(seed)))
+    return Command(run=command).synthesize(Task(SAMPLE, (30, 50), None, np.random.default_rng(seed)))
 
 
-def test_a_program_gets_the_sample_and_its_picture_comes_back(tmp_path: Path, sample: Image) -> None:
+def test_a_program_gets_the_sample_and_its_picture_comes_back(tmp_path: Path) -> None:
     """Width, height, seed and both paths reach the program, in words with blanks, too; its output is returned."""
-    made = run(f"{script(tmp_path, TILES)} {FIELDS}", sample)
-    expected = np.tile(sample, (9, 9, 1))[:30, :50]
+    made = run(f"{script(tmp_path, TILES)} {FIELDS}")
+    expected = np.tile(SAMPLE, (9, 9, 1))[:30, :50]
     np.testing.assert_array_equal(made.image[1:], expected[1:])
     assert made.image.shape == (30, 50, 3)
 
 
-def test_the_seed_comes_from_the_tasks_stream(tmp_path: Path, sample: Image) -> None:
+def test_the_seed_comes_from_the_tasks_stream(tmp_path: Path) -> None:
     """The same stream gives the same seed, another gives another."""
     command = f"{script(tmp_path, TILES)} {FIELDS}"
-    seeds = [run(command, sample, seed).image[0, 0, 0] for seed in (1, 1, 2)]
+    seeds = [run(command, seed).image[0, 0, 0] for seed in (1, 1, 2)]
     assert seeds[0] == seeds[1] != seeds[2]
 
 
-def test_the_program_runs_in_a_folder_of_its_own(tmp_path: Path, sample: Image) -> None:
+def test_the_program_runs_in_a_folder_of_its_own(tmp_path: Path) -> None:
     """What a program litters lands in no one's way, and is gone."""
     litter = f"import os\nopen('litter', 'w').write(os.getcwd())\nopen(r'{tmp_path / 'where'}', 'w').write(os.getcwd())"
-    run(f"{script(tmp_path, litter + TILES)} {FIELDS}", sample)
+    run(f"{script(tmp_path, litter + TILES)} {FIELDS}")
     folder = Path((tmp_path / "where").read_text())
     assert folder != Path.cwd()
     assert not folder.exists()
 
 
-def test_files_of_the_current_folder_may_be_named(sample: Image) -> None:
+def test_files_of_the_current_folder_may_be_named() -> None:
     """A script is found by its relative path."""
     Path("tool.py").write_text(TILES)
-    assert run(f"'{sys.executable}' tool.py {FIELDS}", sample).image.shape == (30, 50, 3)
+    assert run(f"'{sys.executable}' tool.py {FIELDS}").image.shape == (30, 50, 3)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs a POSIX shell")
-def test_no_shell_reads_the_command(tmp_path: Path, sample: Image) -> None:
+def test_no_shell_reads_the_command(tmp_path: Path) -> None:
     """Semicolons and redirections are mere words to the program."""
     echo = f"import sys; open(r'{tmp_path / 'words'}', 'w').write(repr(sys.argv[6:])); sys.argv[6:] = []"
-    run(f"{script(tmp_path, echo + TILES)} {FIELDS} ; echo $HOME > x", sample)
+    run(f"{script(tmp_path, echo + TILES)} {FIELDS} ; echo $HOME > x")
     assert (tmp_path / "words").read_text() == "[';', 'echo', '$HOME', '>', 'x']"
 
 
-def test_a_program_that_fails_is_quoted(tmp_path: Path, sample: Image) -> None:
+def test_a_program_that_fails_is_quoted(tmp_path: Path) -> None:
     """A non-zero exit code is an error with the tail of what the program said."""
     failing = script(tmp_path, "import sys; sys.stderr.write('x' * 9999 + 'no such texture'); sys.exit(3)")
     with pytest.raises(RuntimeError, match=r"exit code 3: x+no such texture$") as raised:
-        run(f"{failing} {{sample}} {{output}}", sample)
+        run(f"{failing} {{sample}} {{output}}")
     assert len(str(raised.value)) < 2200
 
 
@@ -103,16 +98,16 @@ def test_a_program_that_fails_is_quoted(tmp_path: Path, sample: Image) -> None:
         ("import sys; open(sys.argv[2], 'w').write('hello')", r"unusable \{output\}: .*no picture"),
     ],
 )
-def test_a_program_that_writes_no_picture_is_an_error(tmp_path: Path, sample: Image, text: str, message: str) -> None:
+def test_a_program_that_writes_no_picture_is_an_error(tmp_path: Path, text: str, message: str) -> None:
     """Ending well is not enough: without an output, or with one that is no picture, the error gives the reason."""
     with pytest.raises(RuntimeError, match=message):
-        run(f"{script(tmp_path, text)} {{sample}} {{output}}", sample)
+        run(f"{script(tmp_path, text)} {{sample}} {{output}}")
 
 
-def test_a_program_that_is_missing_is_bad_input(sample: Image) -> None:
+def test_a_program_that_is_missing_is_bad_input() -> None:
     """A program that does not exist is the user's to mend."""
     with pytest.raises(BadInput, match=r"cannot run 'no-such-tool'.*install it or give its path"):
-        run("no-such-tool {sample} {output}", sample)
+        run("no-such-tool {sample} {output}")
 
 
 @pytest.mark.parametrize(
@@ -135,20 +130,20 @@ SPY = "import sys; open(r'{place}', 'w').write(' '.join(sys.argv[6:])); sys.argv
 GIVEN = Lattice((10.5, 0.0), (-2.25, 1e-5 + 8), (1.0, 2.0))
 
 
-def test_the_lattice_reaches_the_program(tmp_path: Path, sample: Image) -> None:
+def test_the_lattice_reaches_the_program(tmp_path: Path) -> None:
     """`{lattice}` is four numbers without exponents, `{t1x}` and the others are its parts, and the result names it."""
     spy = SPY.format(place=tmp_path / "words") + TILES
     method = Command(run=f"{script(tmp_path, spy)} {FIELDS} {{lattice}} {{t2x}} {{originy}}")
     assert method.uses_lattice
-    made = method.synthesize(Task(sample, (30, 50), GIVEN, np.random.default_rng(0)))
+    made = method.synthesize(Task(SAMPLE, (30, 50), GIVEN, np.random.default_rng(0)))
     assert (tmp_path / "words").read_text() == "10.5,0,-2.25,8.00001 -2.25 2"
     assert made.lattice == GIVEN
 
 
-def test_without_a_lattice_a_command_that_takes_one_is_refused(tmp_path: Path, sample: Image) -> None:
+def test_without_a_lattice_a_command_that_takes_one_is_refused(tmp_path: Path) -> None:
     """Noise has no lattice: the program does not start. A command without such a field uses no lattice."""
     with pytest.raises(Refused, match="the command takes one"):
-        run(f"{script(tmp_path, TILES)} {FIELDS} {{lattice}}", sample)
+        run(f"{script(tmp_path, TILES)} {FIELDS} {{lattice}}")
     assert not Command(run="tool {sample} {output}").uses_lattice
 
 
@@ -173,7 +168,7 @@ def test_two_methods_of_one_label_are_refused() -> None:
             make_plan(validated_suite(content, "x"))
 
 
-SAMPLE, OUTPUT = noise(20, 24), noise(30, 50, seed=1)
+OUTPUT = noise(30, 50, seed=1)
 
 
 def look_up(folder: Path, sample: Image = SAMPLE, shape: tuple[int, int] = (30, 50)) -> Synthesis:

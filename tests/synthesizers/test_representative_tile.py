@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import call
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthesis_cases import BOND, FRACTIONAL, OBLIQUE, UPRIGHT, noise, waves
 
-from nrbench.cli.picture_commands import synth_command
 from nrbench.detectors.ssdn import ssdn
 from nrbench.imaging.convert import Image, quantize
 from nrbench.lattice.geometry import Lattice
@@ -219,16 +218,14 @@ def test_the_tolerance_decides_on_the_size_of_the_tile() -> None:
     assert sizes == {(60, 50, 3), (23, 32, 3)}
 
 
-def test_the_command_line_writes_the_tile_beside_the_output(tmp_path: Path) -> None:
+def test_the_command_line_writes_the_tile_beside_the_output(capsys: pytest.CaptureFixture[str]) -> None:
     """``synth --extras`` writes the tile as a picture of its own; without the option, it prints the name alone."""
-    sample = noise(60, 66, 1)
-    arguments = [write_image(tmp_path / "sample.png", sample), "-m", "representative-tile:rescale=false"]
-    arguments += ["--size", "40x30", "--lattice", "11,0,0,9", "-o", tmp_path / "out.png"]
-    done = CliRunner().invoke(synth_command, [str(word) for word in arguments])
-    assert done.exit_code == 0 and "not written: tile; --extras writes them" in done.output
-    assert not (tmp_path / "out-tile.png").exists()
-    done = CliRunner().invoke(synth_command, [*map(str, arguments), "--extras"])
-    assert done.exit_code == 0, done.output
-    tile, output = read_image(tmp_path / "out-tile.png"), read_image(tmp_path / "out.png")
+    write_image("sample.png", noise(60, 66, 1))
+    line = "synth sample.png -m representative-tile:rescale=false --size 40x30 --lattice 11,0,0,9 -o out.png"
+    assert call(line) == 0
+    assert "not written: tile; --extras writes them" in capsys.readouterr().err
+    assert not Path("out-tile.png").exists()
+    assert call(f"{line} --extras") == 0
+    tile, output = read_image("out-tile.png"), read_image("out.png")
     windows = (output[y : y + 9, x : x + 11] for y, x in np.ndindex(9, 11))
     assert tile.shape == (9, 11, 1) and any(np.array_equal(window, tile) for window in windows)
