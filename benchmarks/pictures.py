@@ -12,9 +12,9 @@ gpnn`` those of two methods.
 ``python benchmarks/pictures.py structure`` draws ``structure.svg`` from the packages and their docstrings.
 """
 
-import argparse
 import ast
 import textwrap
+from collections.abc import Callable, Mapping
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ import matplotlib
 import matplotlib.figure
 import skimage.data
 from prints import graded_samples
+from studies import read_options
 
 matplotlib.use("Agg")
 
@@ -271,21 +272,25 @@ def draw_structure() -> None:
     (DOCS / "structure.svg").write_text("\n".join([head, ground, *parts, "</svg>", ""]), "utf-8")
 
 
+def draw_resample(run: Run) -> None:
+    """Draw the two pictures of the page on `resample`."""
+    draw_methods(run)
+    draw_perils(run)
+
+
+PAGES: Mapping[str, Callable[[list[str]], None]] = {
+    "first-light": lambda names: draw_light(Run(Path(*names))),
+    "resample": lambda names: draw_resample(Run(Path(*names))),
+    "cases": lambda names: draw_cases(),
+    "presets": draw_presets,
+    "structure": lambda names: draw_structure(),
+}
+
+
 def main() -> None:
     """Draw the pictures of one page."""
-    drawn = {"first-light": (draw_light,), "resample": (draw_methods, draw_perils)}
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("page", choices=[*drawn, "cases", "presets", "structure"])
-    parser.add_argument("names", nargs="*", help="directory of the run, or methods")
-    options = parser.parse_args()
-    if options.page == "structure":
-        draw_structure()
-    if options.page == "cases":
-        draw_cases()
-    if options.page == "presets":
-        draw_presets(options.names)
-    for draw in drawn.get(options.page, ()):
-        draw(Run(Path(*options.names)))
+    options = read_options(__doc__, ["page", "names"], {"page": PAGES}, page="structure", names=[])
+    PAGES[options.page](options.names)
 
 
 if __name__ == "__main__":

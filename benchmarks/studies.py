@@ -12,7 +12,7 @@ Options = argparse.Namespace
 
 
 def read_options(
-    page: str | None, words: Collection[str] = (), choices: Mapping[str, Iterable[Any]] = {}, **defaults: Any
+    page: str | None, /, words: Collection[str] = (), choices: Mapping[str, Iterable[Any]] = {}, **defaults: Any
 ) -> Options:
     """Return the options of a command line.
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import skimage.data
 import skimage.io
-from commands import answer_json, call
+from commands import answer_json, call, refusal
 
 
 @pytest.fixture(autouse=True)
@@ -63,8 +63,7 @@ def test_bad_input_is_one_line_and_exit_2(line: str, tmp_path: Path, capsys: pyt
 
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     """`--debug`, anywhere on the line, adds the traceback."""
-    assert call("lattice missing.png --debug") == 2
-    assert "Traceback" in capsys.readouterr().err
+    assert "Traceback" in refusal(capsys, "lattice missing.png --debug")
 
 
 def test_a_constant_image_has_no_lattice(capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,8 +34,8 @@ PERILS = ("regularity", "integrity", "randomness", "appearance")
 HOSTILE = "<img src=x onerror=\"alert(1)\"> & 'co'"
 STATUSES = ("ok", "refused", "error", "timeout", "memory", "crash", "invalid", "missing")
 
-MakeCell = Callable[..., CellRecord]
-MakeRun = Callable[..., Run]
+Make = Callable[..., Any]
+"""A maker of records, or of runs."""
 
 
 def _picture(path: Path, side: int, seed: int) -> Path:
@@ -43,7 +43,7 @@ def _picture(path: Path, side: int, seed: int) -> Path:
     return write_image(path, np.random.default_rng(seed).random((side, side, 3), np.float32))
 
 
-def cell_maker(root: Path) -> MakeCell:
+def cell_maker(root: Path) -> Make:
     """Return a maker of records: ``make_cell(texture, method, preserved=..., score=..., status=..., ...)``.
 
     ``perils`` gives ``regularity``, ``integrity``, ``randomness`` and ``appearance``, or one number for all four; the
@@ -120,7 +120,7 @@ def cell_maker(root: Path) -> MakeCell:
     return make
 
 
-def run_maker(root: Path) -> MakeRun:
+def run_maker(root: Path) -> Make:
     """Return a maker of runs: ``make_run(cells, **info)``."""
 
     def make(cells: list[CellRecord], columns: Mapping[str, Column] = COLUMNS, **info: Any) -> Run:
@@ -133,19 +133,19 @@ def run_maker(root: Path) -> MakeRun:
 
 
 @pytest.fixture
-def make_cell(tmp_path: Path) -> MakeCell:
+def make_cell(tmp_path: Path) -> Make:
     """Return a maker of the records of one test."""
     return cell_maker(tmp_path / "run")
 
 
 @pytest.fixture
-def make_run(tmp_path: Path) -> MakeRun:
+def make_run(tmp_path: Path) -> Make:
     """Return a maker of the runs of one test."""
     return run_maker(tmp_path / "run")
 
 
 @pytest.fixture(scope="module")
-def makers(tmp_path_factory: pytest.TempPathFactory) -> tuple[MakeCell, MakeRun]:
+def makers(tmp_path_factory: pytest.TempPathFactory) -> tuple[Make, Make]:
     """Return a maker of records and a maker of runs, for runs that the tests of a module share."""
     root = tmp_path_factory.mktemp("module") / "run"
     return cell_maker(root), run_maker(root)
@@ -185,7 +185,7 @@ def every_comparison(every_ending: Run) -> Comparison:
 
 
 @pytest.fixture(scope="module")
-def ranked(makers: tuple[MakeCell, MakeRun]) -> Run:
+def ranked(makers: tuple[Make, Make]) -> Run:
     """Return a run with qualities.
 
     A good method, one that the paired differences do not separate from it, one that refuses, one that loses some

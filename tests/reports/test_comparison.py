@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +43,7 @@ from nrbench.reports.text import TextTable
 from nrbench.runs.records import CellRecord, Run
 from nrbench.synthesizers.tile_set import TileSet
 
-from .conftest import HOSTILE, PERILS, MakeCell, MakeRun
-
-Make = Callable[..., Any]
+from .conftest import HOSTILE, PERILS, Make
 
 
 def test_the_patches_of_a_run_are_those_of_its_plugins(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
@@ -480,7 +478,7 @@ def test_every_table_has_mark_and_footnote(mixed: Run, tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def two_methods(make_cell: MakeCell, make_run: MakeRun) -> Run:
+def two_methods(make_cell: Make, make_run: Make) -> Run:
     """Return a run of two methods with known qualities."""
     cells = [
         make_cell(f"t{i}", method, perils=quality)

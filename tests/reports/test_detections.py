@@ -17,7 +17,7 @@ from nrbench.reports.statistics.estimates import estimate_proportion
 from nrbench.reports.statistics.frames import detectors_table
 from nrbench.runs.records import CellRecord, Run
 
-from .conftest import HOSTILE, TRUTH, MakeCell, MakeRun
+from .conftest import HOSTILE, TRUTH, Make
 
 WRONG = Lattice((9.9, 1.0), (0.0, 7.7))
 DOUBLE = Lattice((17.0, 0.0), (4.25, 6.1))
@@ -31,7 +31,7 @@ NONE = FoundLattice(None, 0.25, "no better than chance")
 
 
 @pytest.fixture(scope="module")
-def answered(makers: tuple[MakeCell, MakeRun]) -> Run:
+def answered(makers: tuple[Make, Make]) -> Run:
     """Return a run of two detectors with every kind of answer, used by two methods."""
     make_cell, make_run = makers
 

@@ -1,8 +1,6 @@
 """Estimates with intervals, and tests of whether methods differ."""
 
 import itertools
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,6 +22,8 @@ from nrbench.reports.statistics.estimates import (
 )
 from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
+
+from .conftest import Make
 
 
 def _cells(**columns: list[object]) -> pd.DataFrame:
@@ -179,9 +179,6 @@ def test_rank_agreement_counts_pairs(pairs: list[tuple[int, int]]) -> None:
     known = sum(1 for one, _ in signs if one)
     assert tau == pytest.approx(sum(untied) / np.sqrt(known * len(untied)) if known else 0.0)
     assert ordered == pytest.approx(np.mean([(1 + sign) / 2 for sign in untied]))
-
-
-Make = Callable[..., Any]
 
 
 @pytest.mark.parametrize("n", [6, 12, 40])

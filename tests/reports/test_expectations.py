@@ -27,7 +27,8 @@ from nrbench.reports.text import TextTable
 from nrbench.runs.records import Run
 from nrbench.suites.suite import load_suite
 
-Make = Callable[..., Any]
+from .conftest import Make
+
 SMALL, LARGE = "rsgf:block=24", "rsgf"
 NAMES = [f"t{i}" for i in range(10)]
 

@@ -3,10 +3,8 @@
 import base64
 import io
 import re
-from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -28,7 +26,8 @@ from nrbench.reports.statistics.method_comparison import compare_methods
 from nrbench.runs.records import Run
 from nrbench.version import find_project
 
-Make = Callable[..., Any]
+from .conftest import Make
+
 VOID = {"meta", "img", "input", "br", "path"}
 
 

@@ -1,6 +1,5 @@
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,9 +12,8 @@ from nrbench.reports.statistics.frames import agreement_table
 from nrbench.reports.statistics.labelers import SUBSETS, QuestionComparison, compare_labelers, compare_orders
 from nrbench.runs.records import Run
 
-from .conftest import COLUMNS
+from .conftest import COLUMNS, Make
 
-Make = Callable[..., Any]
 OTHER = {"yes": "no", "no": "yes"}
 
 

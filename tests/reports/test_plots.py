@@ -1,7 +1,6 @@
 """Plots: marks, captions, the grid of pictures, the perils plane, the forest plot."""
 
 import io
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,7 @@ from nrbench.reports.statistics.method_comparison import Comparison, compare_met
 from nrbench.reports.statistics.summaries import Method, PerilsPoint, perils_points
 from nrbench.runs.records import Run
 
-Make = Callable[..., Any]
+from .conftest import Make
 
 
 @given(st.lists(st.tuples(st.floats(0, 100), st.floats(4, 12)), min_size=1, max_size=16))

@@ -9,12 +9,12 @@ from nrbench.errors import BadInput
 from nrbench.reports.robustness import RankingRobustness
 from nrbench.runs.records import Run
 
-from .conftest import PERILS, MakeCell, cell_maker, run_maker
+from .conftest import PERILS, Make, cell_maker, run_maker
 
 
 def _run(root: Path, shift: float = 0.0) -> Run:
     """Return a run of seven textures: a lucky first on one of them, an even second, and a third that is far behind."""
-    make: MakeCell = cell_maker(root)
+    make: Make = cell_maker(root)
     cells = []
     for i in range(7):
         first = dict.fromkeys(PERILS, 0.5 - shift) | ({"integrity": 1.0} if i else dict.fromkeys(PERILS, 1.0))

@@ -32,9 +32,7 @@ from nrbench.reports.statistics.frames import PrintedTable
 from nrbench.reports.text import TextTable
 from nrbench.runs.records import Run
 
-from .conftest import PERILS, cell_maker, run_maker
-
-Make = Callable[..., Any]
+from .conftest import PERILS, Make, cell_maker, run_maker
 
 
 def _read(path: Path) -> pd.DataFrame:

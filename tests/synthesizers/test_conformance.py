@@ -1,9 +1,9 @@
 """Every method fulfils every clause of its form."""
 
-import sys
 from pathlib import Path
 
 import pytest
+from commands import FIELDS, TILES, script
 from conformance import violations
 
 from nrbench import plugins
@@ -11,14 +11,6 @@ from nrbench.authoring.plugin_checks import Subject, make_task
 from nrbench.pictures.files import write_image
 from nrbench.synthesizers.precomputed import name_for
 
-TILE = """
-import sys
-import numpy as np
-import PIL.Image
-sample, output, width, height = sys.argv[1:]
-pixels = np.asarray(PIL.Image.open(sample))
-PIL.Image.fromarray(np.tile(pixels, (50, 50) + (1,) * (pixels.ndim - 2))[: int(height), : int(width)]).save(output)
-"""
 OPTIONAL = ("own lattice", "source map", "progress")
 SLOW = {"fftm-patch": ("randomness",)}
 QUICK = {"gpdm": {"steps": 5}, "gpnn": {"iterations": 1}}
@@ -34,11 +26,8 @@ def test_a_method_conforms(name: str) -> None:
 
 def test_a_program_conforms(tmp_path: Path) -> None:
     """A program that repeats the sample fulfils every clause by way of `command`."""
-    (tmp_path / "tile.py").write_text(TILE)
-    run = f"'{sys.executable}' '{tmp_path / 'tile.py'}' {{sample}} {{output}} {{width}} {{height}}"
-    assert (
-        violations("synthesizers", "command", {"run": run}, ("determinism", "randomness", "refusals"), OPTIONAL) == []
-    )
+    parameters, left_out = {"run": f"{script(tmp_path, TILES)} {FIELDS}"}, ("determinism", "randomness", "refusals")
+    assert violations("synthesizers", "command", parameters, left_out, OPTIONAL) == []
 
 
 def test_pictures_conform(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import FIELDS, TILES, script
 from synthesis_cases import noise
 
 from nrbench.errors import BadInput
@@ -19,25 +20,7 @@ from nrbench.suites.suite import validated_suite
 from nrbench.synthesizers.command import Command
 from nrbench.synthesizers.precomputed import Precomputed, name_for
 
-TILES = """
-import sys
-import numpy as np
-import PIL.Image
-sample, output, width, height, seed = sys.argv[1:]
-pixels = np.asarray(PIL.Image.open(sample))
-tiled = np.tile(pixels, (9, 9) + (1,) * (pixels.ndim - 2))[: int(height), : int(width)].copy()
-tiled[0, 0] = int(seed) % 256
-PIL.Image.fromarray(tiled).save(output)
-"""
 SAMPLE = noise(20, 24)
-FIELDS = "{sample} {output} {width} {height} {seed}"
-
-
-def script(folder: Path, text: str) -> str:
-    """Write a program, and return the command that runs it."""
-    file = folder / "my tool.py"
-    file.write_text(text)
-    return f"'{sys.executable}' '{file}'"
 
 
 def run(command: str, seed: int = 0) -> Synthesis:
