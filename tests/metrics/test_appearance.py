@@ -19,7 +19,7 @@ from nrbench.metrics.perception.visible import measure_detail, perceive
 from nrbench.metrics.registration.lattice_net import LatticeNet
 from nrbench.metrics.seam_detection.line_kernels import steep_line_sums
 from nrbench.metrics.seam_detection.seam_lines import find_worst_lines
-from nrbench.plugins.forms import Observation, Task, Texture
+from nrbench.plugins.forms import Observation, Texture
 from nrbench.synthesizers.cartoon import Cartoon
 
 appearance = partial(scored, Appearance)
@@ -82,8 +82,7 @@ def test_each_part_sees_its_own_fault(own: Case) -> None:
 def test_a_cartoon_is_no_material(material: Any, model: bool) -> None:
     """Tints and grain of the right covariances lack streaks, speckles and chips; a fresh draw has them."""
     own = Case.of(Hexagon(color=0.3, noise=0.01, period=21.3, material=material), 5)
-    task = Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(2))
-    cartoon = appearance(own.observe(quantize(Cartoon().synthesize(task).image), model)).values
+    cartoon = appearance(own.observe(quantize(Cartoon().synthesize(own.task(seed=2)).image), model)).values
     fresh = unplanted(own, model, 1)
     assert cartoon["surface"] > (1.5 if model else 1.15) and cartoon["score"] < (0.1 if model else 0.7)
     assert fresh["surface"] < 1 and fresh["detail"] < 1

@@ -16,7 +16,6 @@ from nrbench.metrics.judgment.element_kernels import compare_tones, sum_products
 from nrbench.metrics.perception import limits
 from nrbench.metrics.registration.coarse_plane import shift_plane
 from nrbench.metrics.registration.lattice_net import split_cells
-from nrbench.plugins.forms import Task
 from nrbench.synthesizers.rsgf import Rsgf
 
 integrity = partial(scored, Integrity)
@@ -45,7 +44,7 @@ def test_the_share_of_broken_tiles_grows_with_that_of_two_tone_ones(own: Case) -
 @pytest.mark.parametrize("model", [True, False])
 def test_copies_of_cells_with_hard_edges_break_the_elements(own: Case, model: bool) -> None:
     """Cells that are copied at random join parts of different elements: the score is at most 0.2."""
-    copies = copy_cells(Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0)))
+    copies = copy_cells(own.task())
     assert integrity(own.observe(quantize(copies), model)).values["score"] <= 0.2
 
 
@@ -78,8 +77,7 @@ def test_a_two_tone_element_is_shown_in_its_place() -> None:
 def test_a_method_that_cuts_bricks_breaks_them(model: bool) -> None:
     """Blended patches smaller than a brick break bricks, with or without the model."""
     own = case("brick")
-    task = Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0))
-    made = quantize(Rsgf(block=20, border=5, seam="blend", subpixel=False).synthesize(task).image)
+    made = quantize(Rsgf(block=20, border=5, seam="blend", subpixel=False).synthesize(own.task()).image)
     values = integrity(own.observe(made, model)).values
     assert values["score"] < 0.9 if model else values["score"] is not None
 
@@ -120,7 +118,7 @@ def test_the_phase_of_the_output_does_not_matter() -> None:
 def test_joined_cans_are_found(model: bool) -> None:
     """Fresh cans are whole, with and without the model, and copied cells with hard edges have at most 0.4."""
     own = Case.of(Cans(color=0.2, noise=0.03), 1, side=192)
-    copies = copy_cells(Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0)))
+    copies = copy_cells(own.task())
     assert min(integrity(own.observe(own.fresh(k=k), model)).values["score"] for k in (0, 1)) >= 0.8
     assert integrity(own.observe(quantize(copies), model)).values["score"] <= 0.4
 

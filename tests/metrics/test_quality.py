@@ -61,11 +61,6 @@ def rate_edits(own: Case, doses: Mapping[str, float], model: bool = True) -> dic
     return {name: rate(own, own.edited(name, dose, 1 + i % 2), model) for i, (name, dose) in edits}
 
 
-def synthesis_task(case: Case, side: int = 192, seed: int = 0) -> Task:
-    """Return the task of a case, with its lattice."""
-    return Task(case.texture.image, (side, side), case.lattice, np.random.default_rng(seed), again=case.again)
-
-
 @pytest.mark.parametrize("model", [True, False])
 def test_fresh_draws_have_full_quality(own: Case, model: bool) -> None:
     """The mean quality of fresh draws is at least 0.97 with the model and 0.9 without it, and no peril is unknown."""
@@ -97,9 +92,9 @@ def test_baselines_have_little_quality(own: Case) -> None:
 
     A supertile is judged on an output of twice the sample, as in the suites: on less it hardly returns.
     """
-    made = {type(baseline).__name__: baseline.synthesize(synthesis_task(own)).image for baseline in BASELINES}
-    made["supertile"] = Supertile().synthesize(synthesis_task(own, 256)).image
-    made["copies"] = copy_cells(synthesis_task(own))
+    made = {type(baseline).__name__: baseline.synthesize(own.task()).image for baseline in BASELINES}
+    made["supertile"] = Supertile().synthesize(own.task(256)).image
+    made["copies"] = copy_cells(own.task())
     found = {name: rate(own, quantize(image)) for name, image in made.items()}
     assert {name: value for name, value in found.items() if value > 0.25} == {}
 

@@ -16,7 +16,7 @@ from nrbench.metrics.judgment.examination import examine
 from nrbench.metrics.judgment.tile_population import gather_tiles
 from nrbench.metrics.quality import Quality
 from nrbench.metrics.randomness import Randomness
-from nrbench.plugins.forms import Observation, Task, Texture
+from nrbench.plugins.forms import Observation, Texture
 from nrbench.synthesizers.supertile import Supertile
 from nrbench.synthesizers.tiling import Tiling
 
@@ -53,8 +53,7 @@ def test_a_fresh_draw_varies_like_the_texture(own: Case) -> None:
 @pytest.mark.parametrize("model", [True, False])
 def test_one_tile_repeated_has_no_randomness(own: Case, model: bool) -> None:
     """Wallpaper is 0 where the sample varies: it does not vary, and all its windows are twins."""
-    task = Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0))
-    score = randomness(own.observe(quantize(Tiling().synthesize(task).image), model))
+    score = randomness(own.observe(quantize(Tiling().synthesize(own.task()).image), model))
     assert score.values["score"] == 0
     assert score.values["variation"] < 0.15
     assert score.values["repetition"] > 0.8 * score.records["sources"]
@@ -63,8 +62,7 @@ def test_one_tile_repeated_has_no_randomness(own: Case, model: bool) -> None:
 def test_wallpaper_is_seen_beside_a_sample_of_few_tiles() -> None:
     """Where the sample shows fewer than four whole tiles, one tile repeated, as JPEG, has 0; a draw has no score."""
     own = Case.of(Hexagon(color=0.3, period=32.0, noise=0.1))
-    task = Task(own.texture.image, (128, 128), own.lattice, np.random.default_rng(0))
-    output = own.edited("JPEG 4:2:0, quality", 85, image=quantize(Tiling().synthesize(task).image))
+    output = own.edited("JPEG 4:2:0, quality", 85, image=quantize(Tiling().synthesize(own.task(128)).image))
     wallpaper = randomness(own.observe(output, False)).values
     fresh = randomness(own.observe(own.fresh(128), False))
     assert wallpaper["score"] == 0 < wallpaper["repetition"] and wallpaper["variation"] is None
@@ -81,8 +79,7 @@ def test_arrangement_is_unknown_where_no_lag_has_pairs() -> None:
 
 def test_a_crop_repeated_is_worse_than_the_best_copier(own: Case) -> None:
     """A random choice of cells has a repetition of about 1; a crop of as many cells returns at its period."""
-    task = Task(own.texture.image, (256, 256), own.lattice, np.random.default_rng(0))
-    crop = randomness(own.observe(quantize(Supertile().synthesize(task).image))).values
+    crop = randomness(own.observe(quantize(Supertile().synthesize(own.task(256)).image))).values
     best = [randomness(own.observe(copy_exactly(own, 256, seed))).values for seed in range(2)]
     assert np.mean([values["repetition"] for values in best]) == pytest.approx(1, abs=0.5)
     assert min(values["copied"] for values in best) > 0.5
@@ -164,8 +161,7 @@ def test_a_sample_excuses_what_it_shows() -> None:
 
 def test_noise_does_not_make_wallpaper_random(own: Case) -> None:
     """One tile repeated stays below 0.4 if grain is added."""
-    task = Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0))
-    paper = Tiling().synthesize(task).image
+    paper = Tiling().synthesize(own.task()).image
     noisy = paper + np.random.default_rng(0).normal(0, 0.05, paper.shape).astype(np.float32)
     values = randomness(own.observe(quantize(np.clip(noisy, 0, 1).astype(np.float32)))).values
     assert values["score"] < 0.4

@@ -17,7 +17,6 @@ from nrbench.metrics.integrity import Integrity
 from nrbench.metrics.judgment.examination import examine
 from nrbench.metrics.judgment.known_lattice import declared_drift
 from nrbench.metrics.regularity import Regularity
-from nrbench.plugins.forms import Task
 from nrbench.synthesizers.representative_tile import RepresentativeTile
 
 regularity = partial(scored, Regularity)
@@ -116,7 +115,7 @@ def test_an_output_is_judged_by_the_lattice_that_it_declares() -> None:
 def test_a_perfect_wallpaper_of_rounded_periods_is_preserved(model: Model) -> None:
     """A drift of 4 to 6 % by whole pixels puts no tile out of place for who declares it, with a model or without."""
     own, method = Case.of(model, 5), RepresentativeTile(**RepresentativeTile.presets["paper"])
-    made = method.synthesize(Task(own.texture.image, (192, 192), own.lattice, np.random.default_rng(0)))
+    made = method.synthesize(own.task())
     for by_model in (True, False):
         observation = own.observe(quantize(made.image), by_model)
         declared = regularity(replace(observation, lattice_used=made.lattice)).values

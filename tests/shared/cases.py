@@ -64,10 +64,13 @@ class Case:
         picture = self.fresh(k=k) if image is None else image
         return apply_edit(name, dose, picture, self.lattice.canonical().matrix, np.random.default_rng(0))
 
+    def task(self, side: int = 192, seed: int = 0) -> Task:
+        """Return the task of a square output, with the lattice and the fresh draws."""
+        return Task(self.texture.image, (side, side), self.lattice, np.random.default_rng(seed), again=self.again)
+
     def planted(self, kind: str, size: float, seed: int = 0, side: int = 192) -> tuple[Image, np.ndarray]:
         """Return a fresh draw with a defect, and its displacement field."""
-        task = Task(self.texture.image, (side, side), None, np.random.default_rng(seed), again=self.again)
-        made = Planted(kind, size).synthesize(task)
+        made = Planted(kind, size).synthesize(self.task(side, seed))
         return quantize(made.image), made.extras["displacement"]
 
     def observe(self, output: Image, model: bool = True) -> Observation:
