@@ -66,7 +66,7 @@ endif
 # An older pip takes twice as long.
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --no-compile --upgrade pip
+	-$(BIN)/pip install --quiet --no-compile --upgrade pip
 
 $(VENV)/.installed: $(VENV)/bin/python pyproject.toml $(SOURCES)
 	rm -rf build

@@ -254,11 +254,11 @@ def time_overhead(options: Options) -> None:
 
 def time_trivial_cells(count: int, parameter: str) -> None:
     """Print the same for one method, of which each cell has another value of a parameter."""
-    marks: dict[int, float] = {}
+    marks: dict[int, tuple[float, float]] = {}
 
     def follow(step: Step) -> None:
         if step.done in (count // 10, count):
-            marks[step.done] = cpu_of_all_processes()
+            marks[step.done] = time.perf_counter(), cpu_of_all_processes()
 
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
@@ -267,10 +267,11 @@ def time_trivial_cells(count: int, parameter: str) -> None:
         pictures = picture_units(cells[0].folder)
     if any(cell.status != "ok" for cell in cells):
         raise SystemExit("overhead: a trivial cell failed")
-    method = statistics.fmean(float(cell.result["cpu_seconds"]) for cell in cells)
+    own = np.mean([[cell.result["seconds"], cell.result["cpu_seconds"]] for cell in cells], 0)
     (early, before), (late, after) = sorted(marks.items())
-    cost = (after - before) / (late - early) - method
-    print(f"  {1000 * cost:.1f} ms = {cost / cpu_unit():.2f} w a cell over {late - early} cells, of which")
+    wall, cpu = np.subtract(after, before) / (late - early) - own
+    print(f"  {1000 * wall:.1f} ms of wall, {1000 * cpu:.1f} ms of CPU = {cpu / cpu_unit():.2f} w a cell over")
+    print(f"  {late - early} cells, of which")
     print(f"  encoding and decoding of pictures: {pictures:.2f} w")
 
 

@@ -203,7 +203,7 @@ class Kernel(Generic[P, R]):
             else:
                 try:
                     self._loaded = _check_types(self.function, (_read_code(self) or self._compile()).link())
-                except (AttributeError, ImportError, StopIteration):  # a version of numba whose parts differ
+                except (AttributeError, ImportError, StopIteration, TypeError):  # a version of numba whose parts differ
                     warnings.warn(
                         "compiled kernels: this version of numba keeps machine code in another way, so each process "
                         "compiles them, which takes up to some minutes; install numba 0.68",

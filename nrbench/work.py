@@ -1,7 +1,7 @@
 """The work of a process: clocks that leave the compilation of kernels out, and results that are reused.
 
 What the methods of a run find of a sample is the same for several of them. A process that runs many cells keeps the
-latest of these results (:func:`reuse`). The clocks advance by what a result took whenever it is reused, so that it
+latest of these results (:func:`make_once`). The clocks advance by what a result took whenever it is reused, so that it
 counts as a cost of each method that uses it.
 """
 
@@ -60,6 +60,8 @@ class ReusedWork:
         Sums over all uses of an earlier result.
     peak_mib
         The highest peak of an earlier result that was used since :func:`keep_results` began.
+    held_bytes
+        The highest resident size of the process before that.
     """
 
     kept: dict[bytes, tuple[Any, Spent]] = field(default_factory=dict)
@@ -67,6 +69,7 @@ class ReusedWork:
     seconds: float = 0.0
     cpu_seconds: float = 0.0
     peak_mib: float = 0.0
+    held_bytes: int = 0
 
     def count(self, spent: Spent) -> None:
         """Count the cost of an earlier result as a cost of the present work."""
@@ -107,26 +110,28 @@ def peak_bytes() -> int:
 
 
 def measure_cost(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> tuple[R, Spent]:
-    """Return what a function returns, and what that cost, with the results that it reused."""
-    wall, cpu, memory = work_clock(), cpu_seconds(), peak_bytes()
-    before, REUSED.peak_mib = REUSED.peak_mib, 0.0
+    """Return what a function returns, and what that cost, with the results that it reused.
+
+    The peak is that since :func:`keep_results` began: where earlier work of the block has taken as much memory, the
+    function raises it no more.
+    """
+    wall, cpu = work_clock(), cpu_seconds()
     result = function(*args, **kwargs)
-    raised = max((peak_bytes() - memory) / MIB, REUSED.peak_mib)
-    REUSED.peak_mib = max(before, REUSED.peak_mib)
+    raised = max((peak_bytes() - REUSED.held_bytes) / MIB, REUSED.peak_mib)
     return result, Spent(work_clock() - wall, cpu_seconds() - cpu, raised)
 
 
 @contextlib.contextmanager
 def keep_results() -> Iterator[None]:
-    """Keep the results of :func:`reuse` within the block, and use those that were kept in earlier blocks."""
-    REUSED.active, REUSED.peak_mib = True, 0.0
+    """Keep the results of :func:`make_once` within the block, and use those that were kept in earlier blocks."""
+    REUSED.active, REUSED.peak_mib, REUSED.held_bytes = True, 0.0, peak_bytes()
     try:
         yield
     finally:
         REUSED.active = False
 
 
-def reuse(key: tuple[Any, ...], function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+def make_once(key: tuple[Any, ...], function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
     """Return what a function returns; in a block of :func:`keep_results`, an earlier result if there is one.
 
     Parameters

@@ -85,7 +85,7 @@ class HtmlReport(ComparisonOptions):
     version: ClassVar[str] = "1"
 
     def begin(self, run: Run, directory: Path) -> Callable[[], list[Path]]:
-        """Begin to make the pictures; return the function that writes the page with them."""
+        """Begin to make the pictures in threads; return the function that writes the page with them."""
         pictures = PictureStore(directory, self.single_file)
         figures = gallery.begin_figures(run, pictures)
         return lambda: write_files(directory, {"report.html": self._render(run, pictures, figures)})
@@ -99,7 +99,7 @@ class HtmlReport(ComparisonOptions):
         pictures = PictureStore(directory, self.single_file)
         return self._render(run, pictures, gallery.begin_figures(run, pictures))
 
-    def _render(self, run: Run, pictures: PictureStore, figures: Sequence[Future[gallery.Made]]) -> str:
+    def _render(self, run: Run, pictures: PictureStore, figures: Sequence[Future[gallery.OutputFigure]]) -> str:
         """Return the page."""
         comparison = self.comparison(run)
         points, panels = perils_points(comparison.summaries), compare_levels(run, comparison)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import re
 import warnings
 from collections import Counter
@@ -136,7 +135,6 @@ def write_reports(
             jobs[name] = jobs.pop(name)
             with contextlib.suppress(Exception):  # its method write then says why
                 jobs[name] = report.begin(run, root / _folder(report))
-    gc.freeze()  # plots make many objects, and each collection would go through those of the run, too
     for number, (name, write) in enumerate(jobs.items(), 1):
         try:
             written[name] = [Path(path) for path in write()]
@@ -144,7 +142,6 @@ def write_reports(
             tell_failure(f"report {name} failed: {describe_error(error)}")
         if progress:
             progress(number, len(wanted), name)
-    gc.unfreeze()
     return [path for paths in written.values() for path in paths]
 
 

@@ -28,7 +28,7 @@ from nrbench.plugins.forms import (
     find_lattice,
 )
 from nrbench.plugins.registry import NamedDetector, in_role
-from nrbench.work import reuse, work_clock
+from nrbench.work import make_once, work_clock
 
 _SAME = 0.15
 """Tolerance, in s, at which the mean lattice of a bent sample counts as the given one."""
@@ -87,7 +87,7 @@ def recognize_sample(method: Synthesizer | None, task: Task) -> SampleSurvey:
     found = find_lattice(task, detector_of(method))
     followed = None
     if found.lattice is None:
-        followed = reuse(("bent", task.sample, task.known), find_bent_lattice, task.sample, task.known)
+        followed = make_once(("bent", task.sample, task.known), find_bent_lattice, task.sample, task.known)
     if followed is None:
         bent, note = find_bend(task.sample, found.lattice, task.lattice is not None, task.known)
     else:

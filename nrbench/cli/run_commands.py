@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any
 
 import click
@@ -54,7 +53,7 @@ def run_command(
     from nrbench.api.run_reports import write_reports
     from nrbench.cli import summary
     from nrbench.running.executors import ClusterLost
-    from nrbench.running.runner import execute, first_interrupt, working_plugins
+    from nrbench.running.runner import execute, first_interrupt
 
     scores = names_of(columns)
     summary.check_columns(scores)
@@ -66,8 +65,6 @@ def run_command(
     lock = ExitStack()
     with show_steps(as_json) as progress, first_interrupt(lambda: tell(INTERRUPTED)) as stop:
         options = dataclasses.replace(options, argv=["nrbench", *sys.argv[1:]], stop=stop, tell=tell)
-        # the reports are imported while cells run, which takes a second
-        Thread(target=working_plugins, args=("reports", lambda text: None), daemon=True).start()
         try:
             run = execute(plan, root, options, progress, lock)
         except ClusterLost as error:

@@ -534,6 +534,10 @@ def _to_pil(pixels: NDArray[Any]) -> PIL.Image.Image:
     return PIL.Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels)
 
 
+_ROWS = 512
+"""Rows of a PNG that are filtered at a time."""
+
+
 def _write_png(file: IO[bytes], pixels: NDArray[Any], profile: bytes | None) -> None:
     """Write a PNG of 8 or 16 bits a channel.
 
@@ -541,16 +545,22 @@ def _write_png(file: IO[bytes], pixels: NDArray[Any], profile: bytes | None) -> 
     saves 3 % of the bytes.
     """
     height, width, channels = pixels.shape
-    rows = pixels.astype(">u2" if pixels.dtype == np.uint16 else np.uint8).reshape(height, -1).view(np.uint8)
-    lines = np.full((height, 1 + rows.shape[1]), 2, np.uint8)  # 2: differences from the line above
-    lines[:, 1:] = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint8))
+    kind = np.dtype(">u2" if pixels.dtype == np.uint16 else np.uint8)
+    deflate, above = zlib.compressobj(1), np.zeros((1, width * channels * kind.itemsize), np.uint8)
+    coded: list[bytes] = []
+    for top in range(0, height, _ROWS):
+        rows = pixels[top : top + _ROWS].astype(kind, "C", "equiv").reshape(-1, width * channels).view(np.uint8)
+        lines = np.full((len(rows), 1 + rows.shape[1]), 2, np.uint8)  # 2: differences from the line above
+        lines[:, 1:] = np.diff(rows, axis=0, prepend=above)
+        coded.append(deflate.compress(lines.data))
+        above = rows[-1:]
     file.write(b"\x89PNG\r\n\x1a\n")
-    header = struct.pack(">IIBBBBB", width, height, 8 * pixels.itemsize, (0, 4, 2, 6)[channels - 1], 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, 8 * kind.itemsize, (0, 4, 2, 6)[channels - 1], 0, 0, 0)
     meaning = (b"iCCP", b"ICC profile\0\0" + zlib.compress(profile)) if profile else (b"sRGB", b"\x00")
     for name, data in (
         (b"IHDR", header),
         *([] if profile == b"" else [meaning]),
-        (b"IDAT", zlib.compress(lines.data, 1)),
+        (b"IDAT", b"".join((*coded, deflate.flush()))),
         (b"IEND", b""),
     ):
         PIL.PngImagePlugin.putchunk(file, name, data)

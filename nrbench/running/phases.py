@@ -60,9 +60,9 @@ from nrbench.work import (
     cpu_seconds,
     freeze,
     keep_results,
+    make_once,
     measure_cost,
     peak_bytes,
-    reuse,
     work_clock,
 )
 
@@ -538,7 +538,7 @@ def survey_once(method: Any, task: Task, cell: Cell, folder: Path) -> SampleSurv
     file = folder / f"{key}.json"
     kept = _read_survey(file)
     if kept is None:
-        return reuse(("survey", key), _keep_survey, method, task, file)
+        return make_once(("survey", key), _keep_survey, method, task, file)
     REUSED.count(kept.spent)
     return SampleSurvey(kept.found, None, kept.note, kept.spent.seconds)
 

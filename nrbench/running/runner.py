@@ -36,6 +36,7 @@ from nrbench.storage import remove, temporary_folder, write_bytes, write_json, w
 from nrbench.suites.cell import Cell, Recipe, hash_content, reader_of
 from nrbench.suites.plan import Plan, PlannedSample, make_plan
 from nrbench.suites.suite import Suite
+from nrbench.work import REUSED
 
 T = TypeVar("T")
 TICK = 0.2
@@ -189,6 +190,7 @@ def execute(
                 running[cell.texture] -= 1
                 result = future.result()
                 progress(pace.step(cell, result["status"], result.get("wall"), pool.count_slots()))
+        REUSED.kept.clear()  # of cells that ran in this process
         if lock is not None:
             lock.enter_context(locked.pop_all())
     return Run(root)

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-import warnings
 import zlib
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
-from multiprocessing import get_context
-from typing import Any
 
 import numpy as np
 
@@ -30,8 +25,6 @@ SAME_LATTICE = 0.05
 """Lattices whose reduced vectors agree within this many px share one drawing."""
 SOURCE_MAP = "source map"
 """Name of the layer that shows where in the sample each pixel comes from."""
-_MANY, _BATCH = 200, 16
-"""Number of outputs from which on processes are forked, and of those whose pictures are made in one call."""
 _WEAKEST = 4
 """Number of weak outputs that are shown of a method."""
 _FULL = 0.995
@@ -171,48 +164,21 @@ def list_layers(textures: Sequence[Sequence[TextureDraw]]) -> list[tuple[int, st
     return sorted({(index, title) for figure in figures for index, title, _ in figure.layers})
 
 
-Made = tuple[list[tuple[Any, ...]], PictureStore]
-"""The attributes of several :class:`OutputFigure` without the records, and the store with their pictures."""
-_forked: list[Callable[[int], Made]] = []
-"""What a forked process calls."""
-
-
-def begin_figures(run: Run, pictures: PictureStore) -> list[Future[Made]]:
-    """Begin to make the figures of all outputs: in two forked processes if there are many, else in two threads."""
+def begin_figures(run: Run, pictures: PictureStore) -> list[Future[OutputFigure]]:
+    """Begin to make the figures of all outputs in threads: pictures are coded outside of Python's lock."""
     names = dict.fromkeys(title for record in run.cells for title in record.pictures)
-    make: Callable[[int], Made] = partial(
-        _make_figures, run.cells, [*sort_headlines_first(names), SOURCE_MAP], pictures
-    )
-    pool: Executor = ThreadPoolExecutor(2)
-    if len(run.cells) >= _MANY and sys.platform.startswith("linux"):
-        pool, make = ProcessPoolExecutor(2, get_context("fork"), _forked.append, (make,)), _make_forked
-    with warnings.catch_warnings():  # the threads of libraries take no part in a fork
-        warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
-        figures = [pool.submit(make, start) for start in range(0, len(run.cells), _BATCH)]
+    titles = [*sort_headlines_first(names), SOURCE_MAP]
+    pool = ThreadPoolExecutor(2)
+    figures = [pool.submit(_output_figure, record, titles, pictures) for record in run.cells]
     pool.shutdown(wait=False)
     return figures
 
 
-def _make_figures(records: Sequence[CellRecord], titles: Sequence[str], pictures: PictureStore, start: int) -> Made:
-    own = PictureStore(pictures.directory, pictures.single_file)
-    return [_output_figure(record, titles, own) for record in records[start : start + _BATCH]], own
-
-
-def _make_forked(start: int) -> Made:
-    return _forked[0](start)
-
-
 def build_gallery(
-    comparison: Comparison, figures: Iterable[Future[Made]], pictures: PictureStore
+    comparison: Comparison, figures: Iterable[Future[OutputFigure]], pictures: PictureStore
 ) -> list[list[TextureDraw]]:
     """Return the replicates of every texture of the comparison, from the figures of :func:`begin_figures`."""
-    made = []
-    for each in figures:
-        parts, own = each.result()
-        made += parts
-        pictures.add(own)
-    cells = comparison.run.cells
-    by_cell = {id(record): OutputFigure(record, *parts) for record, parts in zip(cells, made, strict=True)}
+    by_cell = {id(figure.record): figure for figure in (each.result() for each in figures)}
     textures = []
     for row in comparison.rows:
         replicates: dict[int, list[OutputFigure]] = {}
@@ -289,8 +255,7 @@ def _texture_draw(figures: Sequence[OutputFigure], pictures: PictureStore) -> Te
     )
 
 
-def _output_figure(record: CellRecord, titles: Sequence[str], pictures: PictureStore) -> tuple[Any, ...]:
-    """Return the attributes of the figure of a cell, without the record."""
+def _output_figure(record: CellRecord, titles: Sequence[str], pictures: PictureStore) -> OutputFigure:
     path = record.folder / "output.png"
     output = pictures.load(path) if record.status == "ok" else None
     layers: list[tuple[int, str, PagePicture]] = []
@@ -304,7 +269,7 @@ def _output_figure(record: CellRecord, titles: Sequence[str], pictures: PictureS
         elif inset := pictures.load(layer):
             insets.append((title, inset))
     lattice = _output_lattice(record, (output.height, output.width)) if output else None
-    return output, layers, insets, lattice
+    return OutputFigure(record, output, layers, insets, lattice)
 
 
 def _output_lattice(record: CellRecord, shape: tuple[int, int]) -> LatticeOverlay | None:

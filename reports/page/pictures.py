@@ -69,7 +69,7 @@ def _once(make: Callable[..., PagePicture | None]) -> Callable[..., PagePicture 
 
     @wraps(make)
     def made(store: PictureStore, *paths: Path | None) -> PagePicture | None:
-        key = (make.__name__, *paths)
+        key = (make, *paths)
         if key not in store._made:
             try:
                 store._made[key] = None if None in paths else make(store, *paths)
@@ -96,11 +96,12 @@ class PictureStore:
     single_file: bool = False
     _files: set[str] = field(default_factory=set)
     _made: dict[tuple[object, ...], PagePicture | None] = field(default_factory=dict)
+    _pixels: Callable[[Path], Pixels] = field(default_factory=lambda: lru_cache(maxsize=8)(read_pixels))
 
     @_once
     def load(self, path: Path) -> PagePicture | None:
         """Return the picture in a PNG file."""
-        pixels = _keep_pixels(path)
+        pixels = self._pixels(path)
         height, width = pixels.shape[:2]
         if self.single_file or width <= 64:
             return PagePicture(_webp(pixels, 30, lossless=True), width, height)
@@ -109,7 +110,7 @@ class PictureStore:
     @_once
     def overlay(self, output: Path, layer: Path) -> PagePicture | None:
         """Return the marks of a metric's picture over an output, transparent elsewhere; None if the sizes differ."""
-        marks, below = _keep_pixels(layer), _keep_pixels(output)
+        marks, below = self._pixels(layer), self._pixels(output)
         if marks.shape != below.shape:
             return None
         return PagePicture(_webp(_marks(marks, below), _LAYER_QUALITY), marks.shape[1], marks.shape[0])
@@ -131,17 +132,12 @@ class PictureStore:
         layers
             Pictures of defects over the output; the first with any marks decides.
         """
-        pixels = _keep_pixels(output)
+        pixels = self._pixels(output)
         height, width = pixels.shape[:2]
         side = min(CROP, height, width)
         middle = (width - side) // 2, (height - side) // 2
-        x, y = worst_place(pixels, [_keep_pixels(layer) for layer in layers], side) or middle
+        x, y = worst_place(pixels, [self._pixels(layer) for layer in layers], side) or middle
         return PagePicture(_webp(pixels[y : y + side, x : x + side], _QUALITY, effort=2), side, side)
-
-    def add(self, other: PictureStore) -> None:
-        """Add the pictures of another store of the page."""
-        self._made.update(other._made)
-        self._files.update(other._files)
 
     def embeds(self) -> bool:
         """Return whether the page embeds the small copies of all pictures that were made so far."""
@@ -214,9 +210,6 @@ def read_pixels(path: Path) -> NDArray[np.uint8]:
     """Return the pixels of a PNG file of a cell, ``(H, W, 3)``."""
     with path.open("rb") as file, PIL.Image.open(file, formats=("PNG",)) as image:
         return to_rgb(image)
-
-
-_keep_pixels = lru_cache(maxsize=8)(read_pixels)
 
 
 def find_marks(layer: NDArray[np.uint8], output: NDArray[np.uint8]) -> NDArray[np.bool_]:

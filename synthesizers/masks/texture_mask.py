@@ -26,7 +26,7 @@ from nrbench.spectra.harmonics import (
     find_free_waves,
     find_tied_waves,
 )
-from nrbench.work import reuse, work_clock
+from nrbench.work import make_once, work_clock
 
 from ..lattice_places.equal_places import shows_two_periods
 
@@ -131,7 +131,7 @@ class MaskParameters(SharedParameters):
             find = partial(find_tied_waves, threshold=self.threshold or None, signal=self.signal, given=given)
         each = partial(find_channel_waves, find) if self.channels == "each" else find
         key = "waves", planes, given, self.threshold, self.signal, self.harmonics, self.channels
-        waves = reuse(key, each, planes)
+        waves = make_once(key, each, planes)
         if not len(waves.frequencies):
             limit = f" and the threshold of {self.threshold:g}" if self.threshold else ""
             raise Refused(f"no wave of the sample exceeds its noise{limit}: there is no regular part for a mask")

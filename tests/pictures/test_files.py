@@ -179,6 +179,17 @@ def test_what_is_read_is_written(tmp_path: Path, ending: str, bits: int, channel
     np.testing.assert_array_equal(again, np.repeat(image, 3, 2) if (ending, channels) == ("webp", 1) else image)
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_views_and_long_pictures_are_written(tmp_path: Path, bits: int, channels: int) -> None:
+    """A transposed view of more rows than are written at a time is read back by this reader and by Pillow."""
+    levels = np.random.default_rng(0).integers(0, 2**bits, (9, 1100, channels)).astype(f"u{bits // 8}")
+    path = write_image(tmp_path / "a.png", levels.transpose(1, 0, 2))
+    np.testing.assert_allclose(read_image(path), levels.transpose(1, 0, 2) / (2**bits - 1), atol=1e-7)
+    with PIL.Image.open(path) as opened:
+        assert np.asarray(opened).shape[:2] == (1100, 9)
+
+
 def test_values_of_no_file_are_written_with_8_bits(tmp_path: Path) -> None:
     """Values that neither 8 nor 16 bits hold exactly, such as those of a drawing, are rounded to 8 bits."""
     image = np.random.default_rng(0).random((16, 24, 3), np.float32)

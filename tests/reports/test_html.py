@@ -250,15 +250,6 @@ def test_every_cell_has_a_figure(every_ending: Run, tmp_path: Path) -> None:
     assert all((one.output is not None) == (one.record.status == "ok") for one in figures)
 
 
-def test_processes_make_the_page_of_threads(every_ending: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The page and its files do not depend on whether threads or forked processes make the pictures."""
-    pages = [HtmlReport().write(every_ending, tmp_path / "threads")[0]]
-    monkeypatch.setattr("nrbench.reports.page.gallery._MANY", 1)
-    pages.append(HtmlReport().write(every_ending, tmp_path / "processes")[0])
-    assert pages[0].read_bytes() == pages[1].read_bytes()
-    assert len({frozenset(file.name for file in page.parent.glob("pictures/*")) for page in pages}) == 1
-
-
 def test_equal_lattices_are_drawn_once(make_cell: Make, make_run: Make, tmp_path: Path) -> None:
     """Methods that used the same lattice share a drawing, whatever its basis; the true one is not drawn again."""
     wrong, same = Lattice((9.9, 0.0), (0.0, 7.0)), Lattice((9.9, 7.0), (9.9, 0.0), (3.0, 3.0))

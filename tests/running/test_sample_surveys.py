@@ -1,13 +1,15 @@
 """The survey of a sample is made once for all methods of a run."""
 
 import json
+import time
 from pathlib import Path
 
 import pytest
 
 import nrbench
+from nrbench.calling.bent_samples import SampleSurvey
+from nrbench.plugins.forms import Synthesizer, Task
 from nrbench.running import phases
-from nrbench.work import REUSED
 
 
 def execute(out: Path, methods: list[str], texture: str = "brick-mild") -> list[nrbench.CellRecord]:
@@ -45,11 +47,17 @@ def test_a_survey_is_made_once_and_its_cost_counts_for_each_method(
 def test_a_bent_sample_is_surveyed_once_by_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The second method finds the bent sample straightened, and its output is that of a process that did it itself."""
     (alone,) = execute(tmp_path / "alone", ["tile-set"], "hexagon-bent")
-    REUSED.kept.clear()
-    execute(tmp_path / "run", ["rsgf"], "hexagon-bent")
-    assert not list((tmp_path / "run" / "prepared").glob("*.json"))
-    monkeypatch.setattr(phases, "survey_sample", None)
-    (second,) = execute(tmp_path / "run", ["tile-set"], "hexagon-bent")
+    surveyed, survey = [], phases.survey_sample
+
+    def survey_slowly(method: Synthesizer, task: Task) -> SampleSurvey | None:
+        surveyed.append(method)
+        time.sleep(0.1)
+        return survey(method, task)
+
+    monkeypatch.setattr(phases, "survey_sample", survey_slowly)
+    cells = execute(tmp_path / "run", ["rsgf", "tile-set"], "hexagon-bent")
+    assert len(surveyed) == 1 and not list((tmp_path / "run" / "prepared").glob("*.json"))
+    assert all(cell.seconds is not None and cell.seconds > 0.1 for cell in cells)
+    (second,) = (cell for cell in cells if cell.method == "tile-set")
     assert second.note == alone.note and "bent by" in second.note
     assert (second.folder / "output.png").read_bytes() == (alone.folder / "output.png").read_bytes()
-    assert second.values["cost.seconds"] >= max(spent.seconds for _, spent in REUSED.kept.values())

@@ -85,6 +85,7 @@ def periodic(shape: tuple[int, int], lattice: Lattice, channels: int) -> Image:
 @pytest.mark.parametrize(
     ("spec", "lattice", "channels"),
     [(spec, lattice, 3) for spec in ANY_LATTICE for lattice in WHOLE[1:]]
+    + [(spec, WHOLE[2], 1) for spec in ANY_LATTICE]
     + [(spec, WHOLE[0], channels) for spec in ANY_LATTICE + UPRIGHT_LATTICE for channels in (1, 3)],
 )
 def test_a_whole_pixel_lattice_is_continued_exactly(spec: str, lattice: Lattice, channels: int) -> None:
