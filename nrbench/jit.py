@@ -246,6 +246,11 @@ def kernel(function: Callable[P, R]) -> Kernel[P, R]:
     return Kernel(function)
 
 
+def nonallocating_kernel(function: Callable[P, R]) -> Kernel[P, R]:
+    """Declare a function that makes no arrays as a :class:`Kernel`: one with records, whose steps are called often."""
+    return Kernel(function, allocates=False)
+
+
 def step_kernel(function: Callable[P, R]) -> Kernel[P, R]:
     """Declare a function that makes no arrays as a :class:`Kernel`: a step of other kernels, which alone call it."""
     return Kernel(function, allocates=False, step=True)

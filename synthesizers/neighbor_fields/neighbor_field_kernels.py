@@ -6,7 +6,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nrbench.jit import Float32x1, Float32x2, Int32x3, Int64x1, inlined_kernel, kernel, step_kernel
+from nrbench.jit import (
+    Float32x1,
+    Float32x2,
+    Int32x3,
+    Int64x1,
+    inlined_kernel,
+    kernel,
+    nonallocating_kernel,
+    step_kernel,
+)
 
 
 @step_kernel
@@ -118,7 +127,7 @@ def measure_costs(field: FieldArrays) -> None:
             field.costs[i, j] = found * field.factors[v, u]
 
 
-@kernel
+@nonallocating_kernel
 def improve_matches(field: FieldArrays, draws: Float32x1, sweeps: int) -> None:
     """Improve the matches of patches by propagation and random search, and compute their costs.
 
