@@ -247,7 +247,10 @@ def kernel(function: Callable[P, R]) -> Kernel[P, R]:
 
 
 def nonallocating_kernel(function: Callable[P, R]) -> Kernel[P, R]:
-    """Declare a function that makes no arrays as a :class:`Kernel`: one with records, whose steps are called often."""
+    """Declare a function that makes no arrays as a :class:`Kernel`, whose arguments numba then counts no references to.
+
+    With records of arrays this matters: counted at each step, a search for nearest patches takes twice as long or more.
+    """
     return Kernel(function, allocates=False)
 
 

@@ -1,14 +1,20 @@
 """The structure of the source tree: where plugins lie, and which folder may import which."""
 
 import ast
+import importlib
+import inspect
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import get_type_hints
 
 import pytest
+
+from nrbench.jit import KERNELS
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
@@ -240,3 +246,17 @@ def test_long_kernels_state_their_recurrence() -> None:
                 if len(body.splitlines()) > 30:
                     silent.append(f"{name}.{node.name}")
     assert not silent
+
+
+def test_kernels_with_records_count_references_only_if_they_make_arrays() -> None:
+    """To count references to the arrays of a record at each step takes longer than the steps."""
+    for name in modules():
+        if name.endswith("_kernels"):
+            importlib.import_module(name)
+    taken = 0
+    for declared in (each for each in KERNELS if each.function.__module__ in modules() and not each.inlined):
+        if any(hasattr(hint, "_fields") for hint in get_type_hints(declared.function).values()):
+            makes = re.search(r"np\.(empty|zeros|ones|full|arange|array)\b", inspect.getsource(declared.function))
+            assert declared.allocates == (makes is not None), declared.function.__name__
+            taken += 1
+    assert taken > 10
